@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import urlink
-from linkcore.recording.file import Recording
+from linkcore.recording.file import RecordingFile
 from linkcore.wire.packet import State
 from urlink.firmware import Firmware
 from urlink.interfaces.primary.protocol import PrimaryProtocol
@@ -28,7 +28,7 @@ FIRMWARE = ("1.8", "3.4", "3.10", "3.15", "5.4", "5.9", "5.11", "5.25")
 
 def packets(path: Path, interface: str) -> list[State]:
     """Every packet of one interface in a recording, as a stream would decode it."""
-    recording = Recording(path)
+    recording = RecordingFile(path)
     channel = recording.channel(interface)
     session: Any = RealtimeProtocol() if interface == "realtime" else PrimaryProtocol()
     found: list[State] = []
@@ -41,7 +41,7 @@ def packets(path: Path, interface: str) -> list[State]:
 def golden(path: Path) -> dict[str, Any]:
     """What a recording holds: of each interface and class the number of packets, and three of them."""
     told: dict[str, Any] = {"channels": {}, "packets": {}}
-    for info in Recording(path).channels.values():
+    for info in RecordingFile(path).channels.values():
         name = info["name"]
         told["channels"][name] = {key: info.get(key) for key in ("address", "firmware", "model")}
         classes: dict[str, list[State]] = {}

@@ -1,0 +1,292 @@
+"""Checks of one interface by another: the same quantities, in the same cycle of the controller.
+
+Which packets are of one cycle is told by noisy values that are the same to the last bit, since the clocks of two
+interfaces may begin at other times. That every controller sends the same bits on both is a guess, which the test tells.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .arrivals import moments
+from .evidence import Came, Evidence
+from .requirements import Check, Measured, NotTried, counted
+
+__all__ = ["AGREEMENT", "RTDE_NAMES"]
+
+Column = NDArray[np.float64]
+
+
+class _Field(NamedTuple):
+    """One quantity: its name on the real-time interface, its name by RTDE, and where it is in a robot state."""
+
+    realtime: str
+    rtde: str
+    primary: Callable[[Any], Any] | None = None
+    is_float32: bool = False
+
+
+def _part(package: str, name: str) -> Callable[[Any], Any]:
+    def read(state: Any) -> Any:
+        return getattr(getattr(state, package), name, None)
+
+    return read
+
+
+def _pose(state: Any) -> Any:
+    info = state.cartesian_info
+    return None if info is None else [info.X, info.Y, info.Z, info.Rx, info.Ry, info.Rz]
+
+
+_FIELDS = (
+    _Field("q_actual", "actual_q", _part("joint_data", "q_actual")),
+    _Field("q_target", "target_q", _part("joint_data", "q_target")),
+    _Field("qd_actual", "actual_qd", _part("joint_data", "qd_actual")),
+    _Field("qd_target", "target_qd"),
+    _Field("qdd_target", "target_qdd"),
+    _Field("I_actual", "actual_current", _part("joint_data", "I_actual"), is_float32=True),
+    _Field("I_target", "target_current"),
+    _Field("I_control", "joint_control_output"),
+    _Field("M_target", "target_moment"),
+    _Field("tool_vector_actual", "actual_TCP_pose", _pose),
+    _Field("tool_vector_target", "target_TCP_pose"),
+    _Field("tcp_speed_actual", "actual_TCP_speed"),
+    _Field("tcp_speed_target", "target_TCP_speed"),
+    _Field("tcp_force", "actual_TCP_force"),
+    _Field("motor_temperatures", "joint_temperatures", _part("joint_data", "T_motor"), is_float32=True),
+    _Field("V_actual", "actual_joint_voltage", _part("joint_data", "V_actual"), is_float32=True),
+    _Field("V_main", "actual_main_voltage"),
+    _Field("V_robot", "actual_robot_voltage"),
+    _Field("I_robot", "actual_robot_current"),
+    _Field("tool_accelerometer", "actual_tool_accelerometer"),
+    _Field("elbow_position", "elbow_position"),
+    _Field("elbow_velocity", "elbow_velocity"),
+    _Field("linear_momentum_norm", "actual_momentum"),
+    _Field("speed_scaling", "speed_scaling", _part("robot_mode_data", "speed_scaling")),
+    _Field("digital_input_bits", "actual_digital_input_bits", _part("masterboard_data", "digital_input_bits")),
+    _Field("digital_output_bits", "actual_digital_output_bits", _part("masterboard_data", "digital_output_bits")),
+    _Field("payload_mass", "payload"),
+    _Field("payload_cog", "payload_cog"),
+    _Field("payload_inertia", "payload_inertia"),
+    _Field("robot_mode", "robot_mode", _part("robot_mode_data", "robot_mode")),
+    _Field("joint_modes", "joint_mode", _part("joint_data", "joint_modes")),
+    _Field("safety_mode", "safety_mode", _part("masterboard_data", "safety_mode")),
+    _Field("safety_status", "safety_status"),
+    _Field("program_state", "runtime_state"),
+)
+
+#: What is asked for by RTDE while a controller is listened to.
+RTDE_NAMES: tuple[str, ...] = (
+    "timestamp",
+    *(each.rtde for each in _FIELDS),
+    "target_speed_fraction",
+    "time_scale_source",
+)
+
+#: By which packets of one cycle are known again: noisy values.
+_KEYS = ("q_actual", "I_actual", "qd_actual", "tcp_force", "motor_temperatures", "tool_vector_actual")
+#: Pairs that make a match believed.
+_FEWEST = 8
+#: Relative differences that rounding explains, of 64 and of 32 bits; and the part of packets that may differ.
+_ROUNDING, _ROUNDING_32, _SOME = 1e-6, 1e-5, 0.02
+
+
+class _Joined(NamedTuple):
+    """Came of one cycle on the real-time interface and on another: their numbers, in pairs.
+
+    Attributes:
+        own, other: the numbers, (n,).
+        offset: s, by which the other's clock is ahead; None where it was not told by values.
+    """
+
+    own: NDArray[np.intp]
+    other: NDArray[np.intp]
+    offset: float | None
+
+
+def _reader(which: str, each: _Field) -> Callable[[Any], Any] | None:
+    if which == "primary":
+        return each.primary
+    name = each.realtime if which == "realtime" else each.rtde
+    return lambda state: getattr(state, name, None)
+
+
+def _column(evidence: Evidence, which: str, each: _Field) -> Column | None:
+    read = _reader(which, each)
+    packets: Came = getattr(evidence, which)
+    return None if read is None else packets.column(read)
+
+
+def _join(evidence: Evidence, which: str) -> _Joined:
+    own, other = moments("realtime", evidence.realtime), moments(which, getattr(evidence, which))
+    offset = _offset(evidence, which, own, other)
+    ahead = _ahead(evidence, which, own, other) if offset is None else offset
+    order = np.argsort(own)
+    at = np.clip(np.searchsorted(own[order], other - ahead), 1, len(own) - 1)
+    before, after = own[order][at - 1], own[order][at]
+    nearest = order[np.where(np.abs(before - (other - ahead)) <= np.abs(after - (other - ahead)), at - 1, at)]
+    is_same = np.abs(own[nearest] - (other - ahead)) < 5e-4
+    return _Joined(nearest[is_same], np.flatnonzero(is_same), offset)
+
+
+def _offset(evidence: Evidence, which: str, own: Column, other: Column) -> float | None:
+    """By which the other clock is ahead, by values that both have sent; s."""
+    for each in _FIELDS:
+        if each.realtime not in _KEYS:
+            continue
+        mine, theirs = _column(evidence, "realtime", each), _column(evidence, which, each)
+        if mine is None or theirs is None or mine.shape[1:] != theirs.shape[1:]:
+            continue
+        if each.is_float32 and which == "primary":
+            mine = mine.astype(np.float32).astype(np.float64)
+        rows = [row.tobytes() for row in mine]
+        once = {key for key, count in Counter(rows).items() if count == 1}
+        place = {row: at for at, row in enumerate(rows) if row in once}
+        pairs = [(place[key], at) for at, key in enumerate(row.tobytes() for row in theirs) if key in place]
+        if len(pairs) >= _FEWEST:
+            differences = np.array([other[there] - own[here] for here, there in pairs])
+            middle = float(np.median(differences))
+            if np.mean(np.abs(differences - middle) < 5e-4) > 0.9:
+                return middle
+    return None
+
+
+def _ahead(evidence: Evidence, which: str, own: Column, other: Column) -> float:
+    """The same by the least delays, for values that do not change: to the next cycle."""
+    packets: Came = getattr(evidence, which)
+    ahead = float((evidence.realtime.arrived - own).min() - (packets.arrived - other).min())
+    assert evidence.firmware is not None
+    return round(ahead * evidence.firmware.rate) / evidence.firmware.rate
+
+
+def _agree(evidence: Evidence) -> Measured:
+    wrong: dict[str, dict[str, str]] = {}
+    count, tried = 0, []
+    for which in ("rtde", "primary"):
+        try:
+            joined = _join(evidence, which)
+        except NotTried:
+            continue
+        if len(joined.own) < _FEWEST:
+            wrong.setdefault("time", {})[which] = "no packets of one cycle are found"
+            continue
+        tried.append(which)
+        columns = {
+            (side, each.realtime): _column(evidence, side, each) for each in _FIELDS for side in ("realtime", which)
+        }
+        for each in _FIELDS:
+            mine, theirs = columns["realtime", each.realtime], columns[which, each.realtime]
+            if mine is None or theirs is None or mine.shape[1:] != theirs.shape[1:]:
+                continue
+            count += 1
+            said = _difference(each, joined, mine, theirs, which, columns)
+            if said:
+                wrong.setdefault(each.realtime, {})[which] = said
+    if not tried:
+        raise NotTried("no two interfaces have sent enough packets of the same cycles")
+    return counted([_odd_one(name, said, tried) for name, said in wrong.items()], f"{count} pairs of fields agree")
+
+
+def _odd_one(name: str, said: Mapping[str, str], tried: Sequence[str]) -> str:
+    """Which interface is the odd one, where a third tells, and what is wrong."""
+    each = next((each for each in _FIELDS if each.realtime == name), None)
+    first = next(iter(said.values()))
+    if each is None or each.primary is None or len(tried) < 2:
+        return f"realtime {name} and {', '.join(said)} {each.rtde if each else ''}: {first}".replace("  ", " ")
+    if len(said) > 1:
+        return f"realtime {name}, against rtde and primary: {first}"
+    odd = next(iter(said))
+    return f"{odd} {each.rtde if odd == 'rtde' else name}, against the others: {first}"
+
+
+def _difference(
+    each: _Field,
+    joined: _Joined,
+    mine: Column,
+    theirs: Column,
+    which: str,
+    columns: Mapping[tuple[str, str], Column | None],
+) -> str:
+    rounding = _ROUNDING_32 if each.is_float32 and which == "primary" else _ROUNDING
+    own, other = mine[joined.own], theirs[joined.other]
+
+    def same(a: Column, b: Column) -> bool:
+        far = np.abs(a - b) > rounding * np.maximum(1.0, np.abs(a))
+        return bool(np.mean(far.reshape(len(far), -1).any(axis=1)) <= _SOME)
+
+    if same(own, other):
+        return ""
+    worst = float(np.nanmax(np.abs(own - other)))
+    for (side, name), column in columns.items():
+        if name != each.realtime and column is not None and column.shape[1:] == own.shape[1:] and np.any(own != 0.0):
+            rows = column[joined.own if side == "realtime" else joined.other]
+            if np.ptp(rows) > 0.0 and (same(rows, other) if side == "realtime" else same(own, rows)):
+                return f"the values of {name} stand in its place"
+    return f"{likeness(own, other)}, at most {worst:.4g} apart"
+
+
+def likeness(right: Column, wrong: Column) -> str:
+    """In which way the one is not the other.
+
+    >>> likeness(np.array([[1.0, 2.0], [3.0, 5.0]]), np.array([[-1.0, 2.0], [-3.0, 5.0]]))
+    'the sign of 1 of 2 components is the other one'
+    """
+    right, wrong = right.reshape(len(right), -1), wrong.reshape(len(wrong), -1)
+    size = max(float(np.abs(right).max()), 1e-9)
+
+    def near(a: Column, b: Column) -> bool:
+        return bool(np.abs(a - b).max() <= 1e-5 * size)
+
+    width = right.shape[1]
+    flipped = [near(right[:, k], -wrong[:, k]) and not near(right[:, k], wrong[:, k]) for k in range(width)]
+    kept = [near(right[:, k], wrong[:, k]) for k in range(width)]
+    if any(flipped) and all(a or b for a, b in zip(flipped, kept, strict=True)):
+        return f"the sign of {sum(flipped)} of {width} components is the other one"
+    if width > 1 and near(np.sort(right, axis=1), np.sort(wrong, axis=1)):
+        return "the same components in another order"
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = (wrong / right)[np.abs(right) > 1e-3 * size]
+    if len(ratios) and np.ptp(ratios) < 1e-4 * abs(float(np.median(ratios))):
+        ratio = float(np.median(ratios))
+        ratio = 1.0 / ratio if abs(ratio) < 1.0 else ratio
+        hint = next((text for factor, text in _FACTORS.items() if abs(ratio / factor - 1.0) < 1e-3), "")
+        return f"one is {ratio:.6g} times the other{hint}"
+    apart = wrong - right
+    if np.all(np.ptp(apart, axis=0) <= 1e-5 * size) and not near(apart, np.zeros_like(apart)):
+        return "a constant is added"
+    if np.all(np.ptp(wrong, axis=0) == 0.0) and np.any(np.ptp(right, axis=0) > 0.0):
+        return "it stays the same while the other changes"
+    return "other values"
+
+
+_FACTORS = {
+    180.0 / np.pi: " (degrees?)",
+    1000.0: " (thousandths?)",
+    100.0: " (percent?)",
+}
+
+
+def _fresh(which: str) -> Check:
+    def check(evidence: Evidence) -> Measured:
+        joined = _join(evidence, which)
+        packets: Came = getattr(evidence, which)
+        if joined.offset is None:
+            raise NotTried("no values change from cycle to cycle, so that it is not known which packets are of one")
+        later = packets.arrived[joined.other] - evidence.realtime.arrived[joined.own]
+        value = float(np.quantile(later, 0.25))
+        seen = f"{value * 1e3:+.1f} ms in {len(later)} cycles; its clock is {joined.offset:+.3f} s ahead"
+        return Measured(max(value, 0.0), seen)
+
+    return check
+
+
+AGREEMENT: Mapping[str, Check] = {
+    "fields-agree": _agree,
+    "rtde-fresh": _fresh("rtde"),
+    "primary-fresh": _fresh("primary"),
+}

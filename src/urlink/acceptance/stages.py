@@ -1,0 +1,134 @@
+"""A run: the stages one after the other, each with consent, everything of them in a logbook."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import platform
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from linkcore.errors import BadValue, LinkError
+from linkcore.net.listener import local_address
+
+from ..address import RecordingAddress, RobotAddress, SimulatorAddress, parse_address
+from ..robot import Robot, connect, simulated
+from .listening import listen
+from .logbook import Logbook
+from .moving import move
+from .person import Nobody, OfTheSimulator, Person
+from .standing import stand
+
+__all__ = ["STAGES", "run"]
+
+#: What each stage does, for the question whether it may.
+STAGES: Mapping[int, str] = MappingProxyType(
+    {
+        0: "reads: connects to every interface, listens, and asks what changes nothing",
+        1: "moves nothing: sets slider, TCP and payload and puts them back, runs programs that sleep",
+        2: "MOVES wrist 3 by 3 degrees while the dead man's input is on; somebody stands at the emergency stop",
+    }
+)
+
+
+def run(
+    address: str,
+    path: Path,
+    stages: Sequence[int],
+    consent: Callable[[int, str], str],
+    *,
+    person: Person | None = None,
+    dead_man: int | None = None,
+    seconds: float = 10.0,
+    timeout: float = 5.0,
+) -> tuple[str, ...]:
+    """Run stages against a controller.
+
+    Args:
+        address: of a robot or of the simulator.
+        path: of the logbook, a file that does not exist yet.
+        stages: their numbers, in this order.
+        consent: asked before each stage with its number and what it does; returns why it may not be run, or "".
+        person: who does what no program can; None for nobody, and for a simulated arm one that does it at once.
+        dead_man: number of the digital input that is on while the arm may move in stage 2.
+        seconds: for which stage 0 listens.
+        timeout: s, for a connection to be made.
+
+    Returns:
+        what in the logbook tells where this was: the addresses of both sides.
+
+    Raises:
+        BadAddress, BadValue: no such address, or one of a recording.
+        BadRecording: the logbook exists, or cannot be written.
+        RemoteError: the controller cannot be reached, or does not say who it is.
+    """
+    place = parse_address(address)
+    if isinstance(place, RecordingAddress):
+        raise BadValue(f"{address} is a recording; accept needs a controller that is running, or --replay and a bundle")
+    controller = None
+    if isinstance(place, SimulatorAddress):
+        controller, place = simulated(place)
+        person = person or OfTheSimulator(controller)
+    try:
+        with Logbook(path, place.ports, {}) as book:
+            _about(book)
+            with connect(str(place), timeout=timeout) as robot:
+                book.note("identity", said_so=robot.identity.said_so, **robot.identity.description())
+                run_on = _Run(robot, place, book, person or Nobody(), dead_man, seconds)
+                for number in stages:
+                    run_on.stage(number, consent(number, STAGES[number]))
+        return (place.host, local_address(place.host))
+    finally:
+        if controller is not None:
+            controller.close()
+
+
+class _Run:
+    """The stages, on a robot that is connected."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        place: RobotAddress,
+        book: Logbook,
+        person: Person,
+        dead_man: int | None,
+        seconds: float,
+    ) -> None:
+        self._book = book
+        self._ended = ""
+        self._stages: dict[int, Callable[[], None]] = {
+            0: lambda: listen(robot, place, book, seconds),
+            1: lambda: stand(robot, place, book, person),
+            2: lambda: move(robot, book, person, dead_man, isinstance(person, OfTheSimulator)),
+        }
+
+    def stage(self, number: int, refused: str) -> None:
+        """Run one, unless it is refused or one before has ended early."""
+        if refused or self._ended:
+            self._book.note("stage", number=number, refused=refused or self._ended)
+            return
+        self._book.note("stage", number=number)
+        try:
+            self._stages[number]()
+        except LinkError as error:
+            self._ended = f"stage {number} ended early: {error}"
+            self._book.note("stage-ended", number=number, error=str(error))
+
+
+def _about(book: Logbook) -> None:
+    try:
+        version = importlib.metadata.version("urlink")
+    except importlib.metadata.PackageNotFoundError:
+        version = "not installed"
+    book.note(
+        "about",
+        wall=time.time(),
+        urlink=version,
+        python=platform.python_version(),
+        numpy=np.__version__,
+        system=f"{platform.system()} {platform.release()} {platform.machine()}",
+    )

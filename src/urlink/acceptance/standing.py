@@ -1,0 +1,283 @@
+"""Stage 1: settings, programs and connections, while nothing moves."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+from linkcore.errors import LinkError
+from linkcore.net.transport import TcpTransport
+
+from ..address import RobotAddress
+from ..errors import CompileError
+from ..firmware import Firmware
+from ..interfaces.primary.robot_message import TextMessage
+from ..interfaces.primary.robot_state import CartesianInfo, RobotModeData
+from ..interfaces.rtde.protocol import InputInUse
+from ..robot import Robot
+from ..rtde import INPUTS, OUTPUTS, Inputs
+from .logbook import Logbook
+from .person import Person
+
+__all__ = ["BEGIN", "END", "SLEEP", "Told", "stand", "try_each"]
+
+#: What the programs of this stage say, and s for which one sleeps.
+BEGIN, END, SLEEP = "urlink accept: begins", "urlink accept: ends", 1.0
+#: Which register is written; others may use the lower half, and the last ones are the library's own.
+_REGISTER = "input_int_register_46", "input_int_register_22"
+_ECHOES = 10
+#: s for something that a controller does at once; s after which it does not come.
+_SOON, _LONG = 5.0, 20.0
+#: s for which a client does not read.
+_SILENT = 2.0
+#: By how much the slider, the tool and the payload are moved, and put back.
+_SLIDER, _TOOL, _PAYLOAD = 0.05, 0.001, 0.1
+_SHOWS_PAYLOAD, _SHOWS_TCP, _SHOWS_SLIDER = Firmware(5, 10), Firmware(3, 2), Firmware(3, 0)
+
+Told = Mapping[str, Any]
+
+
+def stand(robot: Robot, place: RobotAddress, book: Logbook, person: Person) -> None:
+    """Try everything that moves nothing; each step notes what came of it, and none ends the others.
+
+    Args:
+        robot: connected within the logbook, and in remote control where there is such a thing.
+        place: of its ports.
+        book: in which it is written down.
+        person: who switches to local control.
+    """
+    robot.realtime.wait(_SOON)
+    robot.primary.wait(_SOON)
+    steps: dict[str, Callable[[], Told]] = {
+        "slider-echo": lambda: _slider(robot),
+        "tcp-echo": lambda: _tcp(robot),
+        "payload-echo": lambda: _payload(robot),
+        "register-echo": lambda: _registers(robot),
+        "claims": lambda: _claims(robot),
+        "compile-error": lambda: _compile_error(robot),
+        "sleep": lambda: _sleep(robot),
+        "stop-program": lambda: _stop(robot),
+        "reset": lambda: _reset(robot, place),
+        "silent-client": lambda: _silent(place),
+        "local": lambda: _local(robot, person),
+    }
+    try_each(book, steps)
+
+
+def try_each(book: Logbook, steps: Mapping[str, Callable[[], Told]], between: Callable[[], object] = list) -> None:
+    """Note what each step returns, or what it raises; whatever `between` raises, after each, ends them all."""
+    for name, step in steps.items():
+        book.note(name, event="begin")
+        try:
+            said = step()
+        except LinkError as error:
+            book.note(name, event="end", error=f"{type(error).__name__}: {error}")
+        else:
+            book.note(name, event="end", error=None, **said)
+        between()
+
+
+def _skipped(why: str) -> Told:
+    return {"skipped": why}
+
+
+# -- settings --------------------------------------------------------------------------------------
+
+
+def _slider(robot: Robot) -> Told:
+    if robot.firmware < _SHOWS_SLIDER:
+        return _skipped("this firmware does not show its slider")
+    before = robot.primary.of(RobotModeData).wait(_SOON).target_speed_fraction
+    wanted = before - _SLIDER if before > 2 * _SLIDER else before + _SLIDER
+    began = time.monotonic()
+    try:
+        robot.set_speed_slider(wanted, confirm=_SOON)
+        took = time.monotonic() - began
+        shown = robot.primary.of(RobotModeData).wait(_SOON).target_speed_fraction
+    finally:
+        robot.set_speed_slider(before, confirm=_SOON)
+    return {"wanted": wanted, "shown": shown, "took": took}
+
+
+def _tcp(robot: Robot) -> Told:
+    if robot.firmware < _SHOWS_TCP:
+        return _skipped("this firmware does not show the TCP")
+
+    def tool() -> list[float]:
+        info = robot.primary.of(CartesianInfo).wait(_SOON)
+        return [float(getattr(info, f"tcp_offset_{axis}")) for axis in ("X", "Y", "Z", "Rx", "Ry", "Rz")]
+
+    before = tool()
+    wanted = [*before[:2], before[2] + _TOOL, *before[3:]]
+    try:
+        robot.set_tcp(wanted, confirm=_SOON)
+        shown = tool()
+    finally:
+        robot.set_tcp(before, confirm=_SOON)
+    return {"wanted": wanted, "shown": shown}
+
+
+def _payload(robot: Robot) -> Told:
+    if robot.firmware < _SHOWS_PAYLOAD:
+        return _skipped("this firmware does not show the payload")
+    state = robot.realtime.wait(_SOON)
+    assert state.payload_mass is not None
+    assert state.payload_cog is not None
+    before, cog = float(state.payload_mass), state.payload_cog.tolist()
+    try:
+        robot.set_payload(before + _PAYLOAD, cog, confirm=_SOON)
+        shown = robot.realtime.wait(_SOON).payload_mass
+    finally:
+        robot.set_payload(before, cog, confirm=_SOON)
+    return {"wanted": before + _PAYLOAD, "shown": shown}
+
+
+# -- RTDE ------------------------------------------------------------------------------------------
+
+
+def _register(robot: Robot) -> str | None:
+    return next((name for name in _REGISTER if INPUTS[name].is_in(robot.firmware)), None)
+
+
+def _registers(robot: Robot) -> Told:
+    name = _register(robot)
+    if name is None or name not in OUTPUTS:
+        return _skipped("this firmware has no registers")
+    delays, wrong = [], []
+    with robot.rtde.outputs(name) as stream, _claimed(robot, name) as inputs:
+        stream.start()
+        for number in range(1, _ECHOES + 1):
+            value = 1000 + number
+            began = time.monotonic()
+            inputs.send(**{name: value})
+            try:
+                stream.wait_until(lambda state, value=value: getattr(state, name) == value, 1.0)  # type: ignore[misc]
+            except LinkError as error:
+                wrong.append(f"{value}: {error}")
+            else:
+                delays.append(time.monotonic() - began)
+    return {"register": name, "delays": delays, "wrong": wrong}
+
+
+@contextlib.contextmanager
+def _claimed(robot: Robot, name: str) -> Iterator[Inputs]:
+    """Inputs that are released at the end of the block."""
+    inputs = robot.rtde.inputs(name)
+    try:
+        yield inputs
+    finally:
+        inputs.close()
+
+
+def _claims(robot: Robot) -> Told:
+    name = _register(robot)
+    if name is None:
+        return _skipped("this firmware has no registers")
+    with _claimed(robot, name):
+        try:
+            robot.rtde.inputs(name).close()
+            refused = ""
+        except InputInUse as error:
+            refused = str(error)
+    began = time.monotonic()
+    freed = None
+    while freed is None and time.monotonic() < began + _SOON:
+        try:
+            robot.rtde.inputs(name).close()
+            freed = time.monotonic() - began
+        except InputInUse:
+            time.sleep(0.02)
+    held = sorted(each for each, why in robot.rtde.who_holds().items() if why == "in use")
+    return {"register": name, "refused": refused, "freed": freed, "held": held}
+
+
+# -- programs --------------------------------------------------------------------------------------
+
+
+def _compile_error(robot: Robot) -> Told:
+    began = time.monotonic()
+    try:
+        robot.script.run("def broken():\n  x = = 1\nend").wait(_LONG)
+    except CompileError as error:
+        return {"told": str(error), "took": time.monotonic() - began}
+    return {"told": "", "took": time.monotonic() - began}
+
+
+def _sleep(robot: Robot) -> Told:
+    source = f'def sleeps():\n  textmsg("{BEGIN} sleep")\n  sleep({SLEEP})\n  textmsg("{END} sleep")\nend'
+    began = time.monotonic()
+    program = robot.script.run(source)
+    program.wait(SLEEP + _LONG)
+    return {"took": time.monotonic() - began, "texts": program.texts}
+
+
+def _stop(robot: Robot) -> Told:
+    program = robot.script.run(f'def sleeps_long():\n  textmsg("{BEGIN} stop")\n  sleep(60)\nend')
+    _until(lambda: f"{BEGIN} stop" in program.texts, _SOON)
+    began = time.monotonic()
+    program.cancel()
+    ended = _until(lambda: not robot.primary.of(RobotModeData).wait(_SOON).is_program_running, _SOON)
+    return {"took": time.monotonic() - began if ended else None}
+
+
+def _until(condition: Callable[[], bool], seconds: float) -> bool:
+    until = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > until:
+            return False
+        time.sleep(0.005)
+    return True
+
+
+# -- connections -----------------------------------------------------------------------------------
+
+
+def _reset(robot: Robot, place: RobotAddress) -> Told:
+    """Send a program on another connection, reset that, and see whether the program goes on."""
+    texts: list[str] = []
+    with robot.primary.subscribe(lambda message: texts.append(message.text), TextMessage):
+        transport = TcpTransport(place.host, place.ports["primary"], silence=_SOON)
+        transport.open(_SOON)
+        source = f'def goes_on():\n  textmsg("{BEGIN} reset")\n  sleep(0.5)\n  textmsg("{END} reset")\nend\n'
+        transport.send(source.encode(), _SOON)
+        began = _until(lambda: any(text == f"{BEGIN} reset" for text in texts), _SOON)
+        transport.abort()
+        ended = _until(lambda: any(text == f"{END} reset" for text in texts), _SOON)
+        at = time.monotonic()
+        transport.open(_SOON)
+        transport.receive(_SOON)
+        again = time.monotonic() - at
+        transport.abort()
+    return {"began": began, "ended": ended, "again": again}
+
+
+def _silent(place: RobotAddress) -> Told:
+    """Connect, and do not read."""
+    transport = TcpTransport(place.host, place.ports["realtime"], silence=_SOON)
+    transport.open(_SOON)
+    try:
+        time.sleep(_SILENT)
+        data, _ = transport.receive(_SOON)
+        return {"received": len(data), "closed": None}
+    except LinkError as error:
+        return {"received": 0, "closed": str(error)}
+    finally:
+        transport.abort()
+
+
+def _local(robot: Robot, person: Person) -> Told:
+    if not robot.firmware.is_e_series:
+        return _skipped("this generation has no local control that refuses programs")
+    if not person.does("local"):
+        return _skipped("nobody has switched to local control")
+    try:
+        began = time.monotonic()
+        try:
+            robot.script.run(f'def in_local():\n  textmsg("{BEGIN} local")\nend').wait(_LONG)
+            return {"refused": ""}
+        except LinkError as error:
+            return {"refused": str(error), "took": time.monotonic() - began}
+    finally:
+        person.does("remote")

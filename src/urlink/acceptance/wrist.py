@@ -1,0 +1,180 @@
+"""Checks of how the wrist has moved in stage 2, by the packets of the real-time interface."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..parameters import parameters
+from .arrivals import moments
+from .evidence import Evidence
+from .moving import FOLLOWED, SPEED, WATCHDOG, WRIST
+from .obedience import held_up, span
+from .requirements import Check, Measured, NotTried
+
+__all__ = ["WRIST_CHECKS"]
+
+#: rad/s below which the wrist stands.
+_STANDS = 2e-3
+#: s without a packet after which times say nothing.
+_SILENT = 0.1
+_RADIANS = math.degrees(1.0)
+
+
+class _Moved:
+    """What the wrist did during a step: controller's time, arrival, positions and target speeds."""
+
+    def __init__(self, evidence: Evidence, step: str) -> None:
+        begin, end = span(evidence, step)
+        self.said = evidence.said(step)[-1].said
+        if self.said.get("skipped"):
+            raise NotTried(self.said["skipped"])
+        if self.said.get("event") != "end":
+            raise NotTried("it was broken off")
+        packets = evidence.realtime
+        there = (packets.arrived >= begin) & (packets.arrived <= end)
+        q, qd = packets.column(lambda state: state.q_actual), packets.column(lambda state: state.qd_target)
+        if q is None or qd is None or not there.any():
+            raise NotTried("no packet of the real-time interface came")
+        self.time, self.arrived = moments("realtime", packets)[there], packets.arrived[there]
+        self.q, self.speed = q[there], np.abs(qd[there][:, WRIST])
+        self.told = {note.said["event"]: note.at for note in evidence.said(step) if begin <= note.at <= end}
+
+    @property
+    def error(self) -> str:
+        """What the step raised, or nothing."""
+        return self.said.get("error") or ""
+
+    def far(self) -> float:
+        """rad from the goal at the end."""
+        return float(np.abs(self.q[-1] - np.array(self.said["goal"])).max())
+
+    def stood(self, event: str = "told") -> tuple[float, float]:
+        """When the wrist stood after an event, s by the controller's clock, and s that it stood then."""
+        after = self.arrived >= self.told[event]
+        until = self.told.get("undone", math.inf) if event == "told" else math.inf
+        some = after & (self.arrived <= until)
+        moving = np.flatnonzero(some & (self.speed > _STANDS))
+        first = int(np.argmax(after))
+        last = int(moving[-1]) if len(moving) else first
+        end = int(np.flatnonzero(some)[-1])
+        return float(self.time[last] - self.time[first]), float(self.time[end] - self.time[last])
+
+
+def _moving(evidence: Evidence) -> tuple[Mapping[str, Any], NDArray[np.float64]]:
+    said = evidence.last("moving")
+    if said is None or said.get("skipped"):
+        raise NotTried("it did not begin" if said is None else said["skipped"])
+    at = evidence.said("moving")[-1].at
+    q = evidence.realtime.column(lambda state: state.q_actual)
+    if q is None:
+        raise NotTried("no packet of the real-time interface came")
+    return said, np.abs(q[evidence.realtime.arrived >= at] - np.array(said["start"]))
+
+
+def _box(evidence: Evidence) -> Measured:
+    _, away = _moving(evidence)
+    guard = evidence.last("guard")
+    stopped = "" if guard is None else f"; the guard has stopped it: {guard['why']}"
+    return Measured(float(away.max()), f"{away.max() * _RADIANS:.2f} degrees{stopped}")
+
+
+def _others(evidence: Evidence) -> Measured:
+    _, away = _moving(evidence)
+    still = np.delete(away, WRIST, axis=1).max(axis=0)
+    return Measured(float(still.max()), f"joint {int(still.argmax()) + 1} by {still.max() * 1e6:.0f} µrad")
+
+
+def _arrives(evidence: Evidence) -> Measured:
+    moved = _Moved(evidence, "move")
+    if moved.error:
+        return Measured(math.inf, moved.error)
+    return Measured(moved.far(), f"{moved.far() * 1e6:.0f} µrad from the goal")
+
+
+def _scales(evidence: Evidence) -> Measured:
+    said, _ = _moving(evidence)
+    moved = _Moved(evidence, "move")
+    if moved.error:
+        return Measured(math.inf, moved.error)
+    wanted, most = SPEED * said["slider"], float(moved.speed.max())
+    return Measured(
+        abs(most / wanted - 1.0), f"{most:.4f} rad/s, and {SPEED} rad/s at {said['slider']:.0%} are {wanted:.4f}"
+    )
+
+
+def _stops(step: str) -> Check:
+    def check(evidence: Evidence) -> Measured:
+        moved = _Moved(evidence, step)
+        if "told" not in moved.told:
+            return Measured(math.inf, moved.error or "the wrist did not begin to move")
+        took, stood = moved.stood()
+        after = ""
+        if step in ("starved", "frozen"):
+            took -= WATCHDOG
+            after = f" after the watchdog of {WATCHDOG} s"
+        gap = held_up(evidence, step)
+        if took > 0.3 and gap > _SILENT and step != "frozen":
+            raise NotTried(f"for {gap * 1e3:.0f} ms nothing came from the controller")
+        if stood <= 0.1:
+            return Measured(math.inf, f"it still moved {took:.2f} s{after}")
+        if "undone" in moved.told and (moved.error or moved.far() > 2e-3):
+            return Measured(math.inf, f"it did not go on to its goal: {moved.error or f'{moved.far():.4f} rad away'}")
+        if step == "protective-stop" and not moved.said.get("ended"):
+            return Measured(math.inf, "the motion did not fail with SafetyStop")
+        if step not in ("starved", "frozen") and moved.error:
+            return Measured(math.inf, moved.error)
+        return Measured(max(took, 0.0), f"it stood {took * 1e3:+.0f} ms{after}")
+
+    return check
+
+
+def _follow(evidence: Evidence) -> Measured:
+    worst, seen = 0.0, []
+    for step in ("follow-100", "follow-50", "follow-10"):
+        moved = _Moved(evidence, step)
+        if moved.error:
+            return Measured(math.inf, f"{step}: {moved.error}")
+        going = np.flatnonzero(moved.speed > 0.02 * float(moved.speed.max()))
+        took = float(moved.time[going[-1]] - moved.time[going[0]])
+        wanted = FOLLOWED / moved.said["slider"]
+        worst = max(worst, abs(took / wanted - 1.0))
+        if abs(took / wanted - 1.0) > 0.1 and (gap := held_up(evidence, step)) > _SILENT:
+            raise NotTried(f"for {gap * 1e3:.0f} ms nothing came from the controller")
+        seen.append(f"{moved.said['slider']:.0%}: {took:.2f} s of {wanted:g} s")
+    return Measured(worst, ", ".join(seen))
+
+
+def _lag(evidence: Evidence) -> Measured:
+    moved = _Moved(evidence, "servo-lag")
+    if moved.error:
+        return Measured(math.inf, moved.error)
+    lag = float(moved.said["lag"])
+    assumed = parameters()["servoj_lag_of_lookahead", ""]
+    cycles = 2.0 / (evidence.firmware.rate if evidence.firmware is not None else 500)
+    share = (lag - cycles) / moved.said["lookahead"]
+    seen = f"{lag * 1e3:.1f} ms, that is two cycles and {share:.2f} of the look-ahead time"
+    if assumed.low is not None and assumed.high is not None and not assumed.low <= share <= assumed.high:
+        seen += f"; this contradicts the parameter {assumed.name}, {assumed.low:g} to {assumed.high:g}"
+    return Measured(lag, seen)
+
+
+WRIST_CHECKS: Mapping[str, Check] = {
+    "box": _box,
+    "other-joints": _others,
+    "move-arrives": _arrives,
+    "slider-scales": _scales,
+    "cancel": _stops("cancel"),
+    "follow-scales": _follow,
+    "servo-lag": _lag,
+    "pause": _stops("pause"),
+    "slider-zero": _stops("slider-zero"),
+    "stop": _stops("stop"),
+    "starved": _stops("starved"),
+    "frozen": _stops("frozen"),
+    "protective-stop": _stops("protective-stop"),
+}

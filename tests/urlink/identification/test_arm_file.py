@@ -1,0 +1,177 @@
+"""A simulated arm with planted parameters is identified, and the file of it makes the simulator that arm."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import urlink
+from linkcore.errors import BadRecording, BadValue
+from tests.urlink.arms import calibrated
+from tests.urlink.identification.planted import COG, MODEL, MOTORS, PAYLOAD
+from urlink.arm_file import ArmFile, Estimate, read_arm_file
+from urlink.cli import main
+from urlink.identification.comparison import compare
+from urlink.identification.identified import identify
+from urlink.identification.samples import Samples, read_samples
+from urlink.kinematics import DhTable
+from urlink.simulator import Controller, Still
+
+#: Postures between which every joint turns by 0.5 rad and more, and the tool's weight is borne in many ways.
+POSTURES = (
+    (0.0, -1.5, 1.9, -2.0, -1.5, 0.0),
+    (0.9, -1.1, 1.2, -1.0, -0.6, 0.9),
+    (-0.5, -1.8, 2.1, -2.6, -2.2, -0.8),
+    (0.4, -0.9, 0.8, -1.6, -1.1, 0.6),
+    (-0.2, -2.0, 1.5, -0.9, -1.9, -0.3),
+)
+COLUMNS = {
+    "target_q": "q_target",
+    "target_qd": "qd_target",
+    "target_qdd": "qdd_target",
+    "target_moment": "M_target",
+    "target_current": "I_target",
+    "joint_control_output": "I_control",
+    "actual_current": "I_actual",
+    "actual_q": "q_actual",
+    "target_TCP_pose": "pose_target",
+    "actual_TCP_force": "force",
+}
+
+
+def exactly(values: tuple[float, ...]) -> tuple[Estimate, ...]:
+    return tuple(Estimate(value, value, value) for value in values)
+
+
+def planted() -> ArmFile:
+    """An arm that differs from the published one in everything that can be planted."""
+    arm = calibrated("UR5e", 4)
+    table = arm.table
+    columns = [np.asarray(column).tolist() for column in (table.dh_theta, table.dh_a, table.dh_d, table.dh_alpha)]
+    return ArmFile(
+        "UR5e",
+        {
+            "rotor_inertia": exactly(MOTORS.rotor_inertias),
+            "torque_constant": exactly(MOTORS.torque_constants),
+            "coulomb_current": exactly(MOTORS.coulomb),
+            "viscous_current": exactly(MOTORS.viscous),
+            "payload": exactly((PAYLOAD,)),
+            "payload_cog": exactly(COG),
+            "tracking_lag": exactly((0.004,)),
+            "start_rate": exactly((5.0,)),
+            "position_noise": exactly((4e-5,)),
+            "current_noise": exactly((0.05,)),
+            "force_noise": exactly((0.3,)),
+        },
+        DhTable(*columns),
+        (0.0, 0.01, 0.12, 0.0, 0.0, 0.0),
+    )
+
+
+@pytest.fixture(scope="module")
+def samples() -> Samples:
+    """About 10 s of it at 125 Hz: a program for each movement."""
+    controller = Controller(motion=Still(POSTURES[0]), like=planted())
+    rows: dict[str, list[list[float]]] = {name: [] for name in COLUMNS}
+    times = []
+    for posture in (*POSTURES, POSTURES[0]):
+        # The first one is where it stands.
+        controller.take(f"def p():\n  movej({list(posture)}, a=4.0, v=2.2)\nend\n")
+        for cycle in range(850):
+            controller.step()
+            if cycle % 4 == 0:
+                times.append(controller.time)
+                for name, field in COLUMNS.items():
+                    rows[name].append(list(getattr(controller.arm.sample, field)))
+    columns = {name: np.array(each) for name, each in rows.items()}
+    return Samples(Path("planted"), {"timestamp": np.array(times), **columns}, "UR5e")
+
+
+def test_a_planted_arm_is_identified(samples: Samples) -> None:
+    assert samples["timestamp"][-1] == pytest.approx(10.2, abs=0.1)
+    found, expected = identify(samples), planted()
+    for name, each in expected.estimates.items():
+        for estimate, truth in zip(found.estimates[name], each, strict=True):
+            near = 2e-3 if name == "payload_cog" else 0.05 * abs(truth.value)
+            assert estimate.value == pytest.approx(truth.value, abs=near), (name, estimate)
+    assert found.tcp == pytest.approx(expected.tcp, abs=0.02)  # a part of the flange may belong to the tool
+    assert found.estimates["calibration"][0].value < 1e-7
+    assert min(found.torque_r2) > 0.999
+    assert min(found.current_r2) > 0.99
+    assert "servoj" in found.estimates["servoj_gain"][0].needs
+
+
+@pytest.mark.real_time
+def test_the_file_makes_the_simulator_that_arm(samples: Samples, tmp_path: Path) -> None:
+    found = identify(samples)
+    found.write(tmp_path / "arm.json")
+    assert read_arm_file(tmp_path / "arm.json").motors == found.motors
+    with urlink.connect(f"sim://ur5e?firmware=5.11&like={tmp_path / 'arm.json'}") as robot:
+        arm = robot.controller.arm
+        assert arm.motors == found.motors
+        assert arm.payload == pytest.approx(PAYLOAD, rel=0.01)
+        q = samples["target_q"][0].tolist()
+        pose = arm.kinematics.forward(q, arm.tcp)
+        assert pose[:3] == pytest.approx(samples["target_TCP_pose"][0][:3], abs=1e-6)
+
+
+def test_a_file_of_another_arm_is_refused(tmp_path: Path) -> None:
+    planted().write(tmp_path / "arm.json")
+    with pytest.raises(BadValue, match="a UR10e is not like a UR5e"):
+        Controller("UR10e", like=read_arm_file(tmp_path / "arm.json"))
+    whole = json.loads((tmp_path / "arm.json").read_text())
+    shorter = whole | {"parameters": {"rotor_inertia": []}}
+    for broken in ("{", "[]", json.dumps(whole | {"version": 2}), json.dumps(shorter)):
+        (tmp_path / "arm.json").write_text(broken)
+        with pytest.raises(BadValue, match=r"arm\.json"):
+            read_arm_file(tmp_path / "arm.json")
+
+
+def test_the_command(samples: Samples, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "run.csv"
+    with path.open("w", newline="") as file:
+        names = [name if each.ndim == 1 else [f"{name}_{i}" for i in range(6)] for name, each in samples.items()]
+        writer = csv.writer(file)
+        writer.writerow(np.hstack(names))
+        writer.writerows(np.column_stack(list(samples.values())).tolist())
+    assert main(["identify", str(path), "--model", "UR5e", "--out", str(tmp_path / "arm.json")]) == 0
+    shown = capsys.readouterr().out
+    assert "rotor_inertia 3" in shown
+    assert "servoj_gain" in shown
+    assert "not told; needs" in shown
+    assert read_arm_file(tmp_path / "arm.json").model == "UR5e"
+    assert main(["identify", str(path)]) == 1
+    assert "of which arm" in capsys.readouterr().err
+    assert main(["identify", str(path), "--model", "UR5e", "--json"]) == 0
+    first = json.loads(capsys.readouterr().out.splitlines()[0])
+    assert first["name"] == "payload"
+    assert first["low"] < PAYLOAD < first["high"]
+
+
+def test_what_is_no_recording_of_an_arm(tmp_path: Path) -> None:
+    with pytest.raises(BadRecording, match="No such file"):
+        read_samples(tmp_path / "none.csv")
+    (tmp_path / "short.csv").write_text("timestamp,x\n1,2\n")
+    with pytest.raises(BadRecording, match="no column target_q"):
+        read_samples(tmp_path / "short.csv")
+    (tmp_path / "text.csv").write_text("timestamp,x\n1,hello\n")
+    with pytest.raises(BadRecording, match="table of numbers"):
+        read_samples(tmp_path / "text.csv")
+    assert math.isnan(Estimate.unknown("motion").value)
+    assert MODEL.name == "UR5e"
+
+
+def test_a_recording_beside_the_simulator(samples: Samples) -> None:
+    """Of the same arm it differs by noise alone; of the published one by what was planted."""
+    same, other = compare(samples, planted()), compare(samples, ArmFile("UR5e", {}))
+    assert [each.command.partition("(")[0] for each in same.movements] == ["movej"] * 5
+    assert max(abs(each.late) for each in same.movements) < 0.003
+    # Its ramp is 200 ms long instead of 160.
+    assert max(each.late for each in other.movements) < -0.003
+    assert max(same.rms["target_moment"]) < 0.2
+    assert max(other.rms["target_moment"]) > 5.0 * max(same.rms["target_moment"])

@@ -1,0 +1,181 @@
+"""The models of arm and controller beside the log of a real UR3e: what was fitted was fitted on other rows.
+
+The numbers of the table of parameters come from its first 300 rows; what is fitted here, on the first half, is held to
+the second.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from tests import real_captures
+from urlink.dynamics import GRAVITY, Dynamics
+from urlink.identification.calibration import Calibration, fit_calibration
+from urlink.identification.joints import fit_joints
+from urlink.kinematics import Arm
+from urlink.models import MODELS
+from urlink.motors import friction, motors_of
+from urlink.poses import rotvec_to_matrix
+from urlink.simulator import Controller, Still
+from urlink.vectors import FloatArray
+
+pytestmark = pytest.mark.captures("real")
+
+MODEL = MODELS["UR3e"]
+#: That the controller knew of: kg, and m in the frame of the flange.
+PAYLOAD, COG = 1.07, (0.0, 0.0, 0.058)
+#: Rows of the log that the table of parameters was fitted on.
+TABLE_ROWS = 300
+
+
+class Log:
+    """The columns of the log by their RTDE names: (n,) or (n, 6)."""
+
+    def __init__(self) -> None:
+        path = real_captures.folder("real") / "ur3e_rtde.csv"
+        head, *lines = path.read_text(encoding="utf-8").splitlines()
+        self._names = head.split(",")
+        self._rows = np.loadtxt(lines, delimiter=",")
+
+    def __getitem__(self, name: str) -> FloatArray:
+        if name in self._names:
+            return np.asarray(self._rows[:, self._names.index(name)])
+        return np.asarray(self._rows[:, [i for i, each in enumerate(self._names) if each.rsplit("_", 1)[0] == name]])
+
+    @property
+    def is_rest(self) -> np.ndarray:
+        return np.asarray(~self["target_qd"].any(axis=1))
+
+
+@pytest.fixture
+def log() -> Log:
+    return Log()
+
+
+def r2(measured: FloatArray, modelled: FloatArray) -> FloatArray:
+    left = ((measured - modelled) ** 2).sum(axis=0)
+    return np.asarray(1.0 - left / ((measured - measured.mean(axis=0)) ** 2).sum(axis=0))
+
+
+def calibration(log: Log) -> Calibration:
+    half = len(log["timestamp"]) // 2
+    return fit_calibration(MODEL, log["target_q"][:half], log["target_TCP_pose"][:half])
+
+
+def test_the_kinematics_with_a_fitted_calibration(log: Log) -> None:
+    fitted = calibration(log)
+    half = len(log["timestamp"]) // 2
+    found = Arm.calibrated(MODEL, fitted.table).forward(log["target_q"][half:], fitted.tcp)
+    off = np.linalg.norm(found[:, :3] - log["target_TCP_pose"][half:, :3], axis=1)
+    assert off.max() < 1e-8
+    published = Arm(MODEL).forward(log["target_q"], fitted.tcp)[:, :3] - log["target_TCP_pose"][:, :3]
+    assert 2e-4 < np.linalg.norm(published, axis=1).mean() < 1e-3
+
+
+def test_gravity_is_that_of_the_published_arm_at_the_actual_joints(log: Log) -> None:
+    rest = log.is_rest
+    held = Dynamics(MODEL, payload=PAYLOAD, payload_cog=COG).gravity_torque(log["actual_q"][rest])
+    assert np.abs(held - log["target_moment"][rest]).max() < 0.002
+    fitted = Arm.calibrated(MODEL, calibration(log).table)
+    calibrated = Dynamics(fitted, payload=PAYLOAD, payload_cog=COG).gravity_torque(log["actual_q"][rest])
+    assert np.abs(calibrated - log["target_moment"][rest]).max() > 0.02
+
+
+def test_moments_are_those_of_rigid_bodies_and_rotors(log: Log) -> None:
+    moving = log["target_q"], log["target_qd"], log["target_qdd"]
+    rows = np.arange(TABLE_ROWS, len(moving[0]))
+    for rotors, least in ((True, np.array([0.9995, 0.9995, 0.9995, 0.9995, 0.999, 0.9995])), (False, None)):
+        dynamics = Dynamics(MODEL, payload=PAYLOAD, payload_cog=COG, rotors=rotors)
+        explained = r2(log["target_moment"][rows], dynamics.torque(*(each[rows] for each in moving)))
+        if least is None:
+            assert explained[[0, 4, 5]].max() < 0.7
+        else:
+            assert (explained > least).all(), explained
+
+
+def test_currents_are_moments_and_friction(log: Log) -> None:
+    assert (log["joint_control_output"] == log["target_current"]).all()
+    motors = motors_of("UR3e")
+    rows = np.arange(TABLE_ROWS, len(log["timestamp"]))
+    qd = log["target_qd"][rows]
+    joints = list(zip(motors.coulomb, motors.viscous, strict=True))
+    rub = np.array([[friction(c, b, v) for (c, b), v in zip(joints, row, strict=True)] for row in qd.tolist()])
+    found = log["target_moment"][rows] / np.array(motors.torque_constants) + rub
+    assert (r2(log["target_current"][rows], found) > 0.998).all()
+
+
+def test_joints_are_identified_on_one_half_for_the_other(log: Log) -> None:
+    names = ("target_q", "target_qd", "target_qdd", "target_moment", "target_current")
+    half = len(log["timestamp"]) // 2
+    fitted = fit_joints(MODEL, {name: log[name][:half] for name in names})
+    assert fitted.payload.low < PAYLOAD < fitted.payload.high
+    assert [each.value for each in fitted.payload_cog] == pytest.approx(COG, abs=5e-4)
+    torque = fitted.torque(MODEL, *(log[name][half:] for name in names[:3]))
+    assert (r2(log["target_moment"][half:], torque) > 0.999).all()
+    current = fitted.current(torque, log["target_qd"][half:])
+    assert (r2(log["target_current"][half:], current) > 0.99).all()
+    # It hardly bears anything, so its torque constant does not show.
+    assert "wrist 3" in fitted.torque_constants[5].needs
+
+
+def test_the_accelerometer_shows_what_holds_the_tool_up(log: Log) -> None:
+    rest = np.flatnonzero(log.is_rest)
+    up = np.swapaxes(rotvec_to_matrix(log["actual_TCP_pose"][rest, 3:]), 1, 2) @ np.array([0.0, 0.0, GRAVITY])
+    off = log["actual_tool_accelerometer"][rest] - up
+    # The bias of this very sensor, from the first rest.
+    first = rest < rest[np.flatnonzero(np.diff(rest) > 1)[0]]
+    off = off[~first] - off[first].mean(axis=0)
+    assert np.sqrt((off**2).mean(axis=0)).max() < 0.3
+    assert np.abs(off + 2.0 * up[~first]).max() > 15.0
+
+
+class Command(NamedTuple):
+    """A command of the log: the first of those rows that are no `movej` at 60 deg/s."""
+
+    line: str
+    acceleration: float
+    speed: float
+
+
+#: Row before the start -> what moved the arm, by its speeds; otherwise a movej at 120 deg/s² and 60 deg/s.
+OTHERS = {
+    422: Command("movel", 0.16, 0.25),
+    459: Command("movel", 0.04, 0.25),
+    484: Command("movej", math.radians(20), math.radians(10)),
+}
+USUAL = Command("movej", math.radians(120), math.radians(60))
+
+
+def test_moves_take_the_time_that_they_took(log: Log) -> None:
+    """Each of the 18: that the simulator reaches where the arm was at one moment after the same time, in every row."""
+    fitted = calibration(log)
+    q, times, rest, poses = log["target_q"], log["timestamp"], log.is_rest, log["target_TCP_pose"]
+    # The last movement goes on when the log ends.
+    begins = [int(i) for i in np.flatnonzero(rest[:-1] & ~rest[1:]) if rest[i + 1 :].any()]
+    spreads = {}
+    for begin in begins:
+        end = begin + 1 + int(np.argmax(rest[begin + 1 :]))
+        kind, a, v = OTHERS.get(begin, USUAL)
+        to = f"{q[end].tolist()}" if kind == "movej" else f"p{poses[end].tolist()}"
+        controller = Controller("UR3e", noise=False, motion=Still(q[begin].tolist()), calibration=fitted.table)
+        controller.arm.tcp = fitted.tcp.tolist()
+        controller.take(f"def p():\n  {kind}({to}, a={a!r}, v={v!r})\nend\n")
+        lead = int(np.argmax(np.abs(q[end] - q[begin])))
+        places, speeds = [], []
+        for _ in range(20 * (end - begin) + 100):
+            controller.step()
+            places.append(controller.arm.setpoint.q[lead])
+            speeds.append(controller.arm.setpoint.qd[lead])
+        moved = np.flatnonzero(speeds)
+        span = slice(int(moved[0]), int(moved[-1]) + 1)
+        way = math.copysign(1.0, q[end, lead] - q[begin, lead])
+        rows = np.arange(begin + 1, end)
+        rows = rows[np.abs(log["target_qd"][rows, lead]) > 0.03]
+        simulated = np.interp(way * q[rows, lead], way * np.array(places)[span], 0.002 * np.arange(len(places))[span])
+        spreads[begin] = float(np.ptp(times[rows] - simulated))
+    assert len(spreads) == 18
+    assert max(spreads.values()) < 0.002, spreads
