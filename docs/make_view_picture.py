@@ -1,0 +1,41 @@
+"""Take docs/images/view.png: what `urlink view` shows of a simulated arm that is pushed. Needs chromedriver."""
+
+import argparse
+import io
+import shutil
+import time
+from pathlib import Path
+
+from PIL import Image
+from selenium import webdriver
+
+import urlink
+
+
+def main() -> None:
+    """Open the page in a browser without a window, and save what it shows."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "images" / "view.png")
+    parser.add_argument("--address", default="sim://ur5e?motion=demo")
+    parser.add_argument("--seconds", type=float, default=40.0, help="for the first picture, without a graphics card")
+    args = parser.parse_args()
+    options = webdriver.ChromeOptions()
+    for option in ("headless=new", "no-sandbox", "enable-unsafe-swiftshader", "window-size=1180,760"):
+        options.add_argument(f"--{option}")
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(shutil.which("chromedriver")))
+    try:
+        with urlink.connect(args.address) as robot, robot.view(plots=["qd_actual"]) as view:
+            if robot.controller is not None:
+                robot.controller.push([0.0, 40.0, 60.0, 0.0, 0.0, 0.0])
+            driver.get(view.address)
+            time.sleep(args.seconds)
+            # That there is no graphics card is of no interest.
+            driver.execute_script("document.querySelectorAll('[class*=Notifications-root]').forEach(n => n.remove())")
+            picture = Image.open(io.BytesIO(driver.get_screenshot_as_png()))
+            picture.convert("RGB").quantize(128).save(args.output, optimize=True)
+    finally:
+        driver.quit()
+
+
+if __name__ == "__main__":
+    main()

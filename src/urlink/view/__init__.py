@@ -1,0 +1,1 @@
+"""A robot, or a recording, in 3D in a browser; needs the extra ``view``."""
