@@ -51,6 +51,27 @@ def tests(session: nox.Session) -> None:
     session.run("pytest", *(session.posargs or everything), env=COMPILED)
 
 
+@nox.session(python=["3.10", "3.11", "3.12", "3.13", "3.14"])
+def pythons(session: nox.Session) -> None:
+    """Run all tests on each Python that this machine has."""
+    tests(session)
+
+
+@nox.session(python="3.10", venv_backend="uv")
+def floors(session: nox.Session) -> None:
+    """Run the tests with the oldest numpy, construct and extras that the distribution takes."""
+    lowest = ["--resolution=lowest-direct", ".[cli,data,polars,foxglove,mqtt]"]
+    session.install(*lowest)
+    frozen = session.run("uv", "pip", "freeze", silent=True, external=True) or ""
+    floors = [line for line in frozen.splitlines() if "@" not in line]
+    constraints = Path(session.create_tmp()) / "floors.txt"
+    constraints.write_text("\n".join(floors))
+    session.install("-e", f".{EXTRAS}", *group("tests"), "websockets", f"--constraint={constraints}")
+    # What an old release uses of a newer one of something else is none of ours.
+    ignored = ("-W", "default::DeprecationWarning")
+    session.run("pytest", *PARALLEL, *ignored, *(session.posargs or ["tests"]), env=COMPILED)
+
+
 @nox.session
 def lint(session: nox.Session) -> None:
     """Check style and formatting."""
@@ -121,8 +142,6 @@ ROS_GENERATORS = (
 
 #: adapter -> its extra, and what its tests need beside what it requires itself.
 ADAPTERS: dict[str, tuple[str, tuple[str, ...]]] = {
-    # Any torch will do: it is not used here.
-    "lerobot": ("", ("torch",)),
     "rr": ("", ()),
     "ros2": ("[pypi]", ROS_GENERATORS),
     "zenoh": ("", ()),
@@ -142,11 +161,29 @@ def adapters(session: nox.Session, adapter: str) -> None:
     session.run("pytest", f"--confcutdir={folder}", *(session.posargs or [f"{folder}/tests"]))
 
 
+@nox.session(venv_backend="uv")
+@nox.parametrize(
+    "python,release", [("3.11", "lerobot==0.4.4"), ("3.12", "lerobot[core-scripts]==0.6.1")], ids=["0.4.4", "0.6.1"]
+)
+def lerobot(session: nox.Session, release: str) -> None:
+    """Try the adapter for LeRobot with today's release, and with the last one for CPython 3.11; torch takes 4 GB."""
+    session.install("-e", f".{EXTRAS}", "-e", "./adapters/lerobot", release, "torch==2.10.*", *group("tests"))
+    folder = "adapters/lerobot"
+    session.run("pytest", f"--confcutdir={folder}", *(session.posargs or [f"{folder}/tests"]))
+
+
 @nox.session
 def data(session: nox.Session) -> None:
     """Export recordings to every format, and open them again with the readers that people use."""
     session.install("-e", f".{EXTRAS}", *group("tests", "data"))
     session.run("pytest", *(session.posargs or ["tests/urlink/data"]))
+
+
+@nox.session
+def view(session: nox.Session) -> None:
+    """Show arms in a real browser, which needs chromedriver; without one, try all but that."""
+    session.install("-e", f".{EXTRAS}", *group("tests", "view"))
+    session.run("pytest", *(session.posargs or ["tests/urlink/view"]))
 
 
 def _build_control_msgs(session: nox.Session) -> None:
@@ -169,7 +206,7 @@ def _build_control_msgs(session: nox.Session) -> None:
 
 @nox.session
 def kinematics(session: nox.Session) -> None:
-    """Compare kinematics, dynamics and profiles with those of ur-analytic-ik, Pinocchio, ruckig and ikpy."""
+    """Compare kinematics, dynamics and profiles with those of ur-analytic-ik, Pinocchio, MuJoCo, ruckig and ikpy."""
     session.install("-e", f".{EXTRAS}", *group("tests", "kinematics"))
     session.run("pytest", *(session.posargs or ["tests/interop/test_kinematics.py", "tests/interop/test_ruckig.py"]))
     if not session.posargs:
@@ -206,6 +243,13 @@ def simulate(session: nox.Session) -> None:
 
 
 @nox.session
+def accepted(session: nox.Session) -> None:
+    """Run `urlink accept` on sound controllers many times, or inject faults: ``-- faults --faults 10000``."""
+    session.install("-e", f".{EXTRAS}", *group("tests"))
+    session.run("python", "-m", "tests.urlink.acceptance", *(session.posargs or ["sound", "--runs", "18"]))
+
+
+@nox.session
 def mutants(session: nox.Session) -> None:
     """Change the program in small ways, one at a time, and count the changes that no test notices."""
     session.install("-e", f".{EXTRAS}", *group("tests"))
@@ -216,9 +260,11 @@ def mutants(session: nox.Session) -> None:
 def wheel(session: nox.Session) -> None:
     """Run the tests against the wheel that users get."""
     dist = Path(session.create_tmp()).resolve() / "dist"
-    session.install("build")
+    session.install("build", "twine", "check-wheel-contents")
     session.run("python", "-m", "build", "--wheel", "--outdir", str(dist))
     (built,) = dist.glob("*.whl")
+    session.run("twine", "check", "--strict", str(built))
+    session.run("check-wheel-contents", str(built))
     session.install(f"{built}{EXTRAS}", *group("tests"))
     packages = sorted(path.parent.name for path in ROOT.glob("src/*/__init__.py"))
     # From here src/ must be out of reach.
@@ -234,6 +280,13 @@ def wheel(session: nox.Session) -> None:
     )
     config = ["-c", str(ROOT / "pyproject.toml"), "--rootdir", str(ROOT)]
     session.run("pytest", *config, *(session.posargs or [*PARALLEL, str(ROOT / "tests")]))
+
+
+@nox.session(reuse_venv=False)
+def new_user(session: nox.Session) -> None:
+    """Do what a new user wants to do by the examples of the documentation, where only the package is installed."""
+    session.install(".")
+    session.run("python", "-m", "tests.new_user", *session.posargs)
 
 
 @nox.session(reuse_venv=False)

@@ -11,9 +11,9 @@ __all__ = ["simulated"]
 
 
 @contextmanager
-def simulated(model: str, firmware: str) -> Iterator[str]:
-    """The address of a controller that ``urlink sim`` runs until the block is left."""
-    command = [sys.executable, "-m", "urlink.cli", "sim", "--model", model, "--firmware", firmware]
+def simulated(model: str, firmware: str, *options: str) -> Iterator[str]:
+    """The address of a controller that ``urlink sim`` runs, with these options, until the block is left."""
+    command = [sys.executable, "-m", "urlink.cli", "sim", "--model", model, "--firmware", firmware, *options]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     try:
         assert process.stdout is not None

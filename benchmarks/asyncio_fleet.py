@@ -31,8 +31,8 @@ from linkcore.aio.loop_connection import LoopConnection
 from linkcore.errors import RemoteError
 from linkcore.net.awaited import AwaitedTcp
 from linkcore.net.transport import TcpTransport
-from linkcore.streaming.backoff import Backoff
-from linkcore.streaming.policy import block
+from linkcore.streaming.connection_life import Backoff
+from linkcore.streaming.packet_queue import block
 from linkcore.streaming.stream import Stream
 from urlink.firmware import Firmware
 from urlink.identity import Identity

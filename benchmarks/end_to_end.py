@@ -27,8 +27,8 @@ import numpy as np
 
 from linkcore.errors import RemoteError
 from linkcore.net.transport import TcpTransport
-from linkcore.streaming.backoff import Backoff
-from linkcore.streaming.policy import drop_oldest
+from linkcore.streaming.connection_life import Backoff
+from linkcore.streaming.packet_queue import drop_oldest
 from urlink.firmware import Firmware
 from urlink.identity import Identity
 from urlink.packets import RealtimeState

@@ -28,22 +28,23 @@ import struct
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import rhdlink.address
+from linkcore.clock import Stamp
 from linkcore.errors import LinkError
-from linkcore.recording.records import MAGIC, Kind, pack
-from linkcore.stamp import Stamp
+from linkcore.recording.file import MAGIC, Kind, pack
 from linkcore.wire.http import HttpParser
 from rhdlink import Mission
 from rhdlink.host.config import parse_config
 from rhdlink.plugins.turtle import Turtle
 from rhdlink.scene import Scene
-from rhdlink.smrcl.controller import Controller as MissionController
+from rhdlink.smrcl.controller import MissionController
 from rhdlink.smrcl.robot_conf import VELOMEGA, parse_robot_conf
 from rhdlink.smrcl.robot_link import PluginLink
-from rhdlink.wire.decoder import ServerDecoder
+from rhdlink.wire.data import TableLayout
+from rhdlink.wire.decoder import ClientDecoder, ServerDecoder
 from urlink import decode, load
 from urlink.address import parse_address
 from urlink.firmware import Firmware
@@ -55,7 +56,7 @@ from urlink.interfaces.dashboard.protocol import (
 )
 from urlink.interfaces.dashboard.stored_programs import parse_form, parse_programs
 from urlink.interfaces.gripper.protocol import value_of
-from urlink.interfaces.interpreter.protocol import InterpreterProtocol, parse_reply
+from urlink.interfaces.interpreter import InterpreterProtocol, parse_reply
 from urlink.interfaces.primary.protocol import PrimaryProtocol
 from urlink.interfaces.realtime.protocol import RealtimeProtocol
 from urlink.interfaces.rtde.packets import decode_reply, decode_request, split_names
@@ -64,7 +65,7 @@ from urlink.simulator import Controller, Still
 from urlink.simulator.ports.port import ScriptReceiver
 from urlink.simulator.programs.loader import obey
 from urlink.simulator.state import Counters
-from urlink.simulator.urscript import ScriptError, compile_script
+from urlink.simulator.urscript import ProgramError, compile_script
 from urlink.simulator.urscript.builtins.remote_procedures import parse_answer
 from urlink.simulator.urscript.errors import Fault
 
@@ -73,7 +74,7 @@ FIRMWARE = Firmware(5, 11)
 #: ms below which an increment is none.
 _NOTICED = 0.05
 #: What a parser may raise.
-REFUSALS = (LinkError, ScriptError, Fault)
+REFUSALS = (LinkError, ProgramError, Fault)
 
 Parser = Callable[[bytes], object]
 
@@ -183,6 +184,27 @@ def framed(protocol: Callable[[], RealtimeProtocol | PrimaryProtocol], first: by
     return feed
 
 
+def pieces(data: bytes) -> Iterator[bytes]:
+    """As a network may cut it."""
+    return (data[at : at + 61] for at in range(0, len(data), 61))
+
+
+def rhd_server(data: bytes) -> None:
+    decoder = ServerDecoder()
+    for piece in pieces(data):
+        decoder.feed(piece)
+        while decoder.take_handshake() is not None and decoder.take_batch() is not None:
+            pass
+
+
+def rhd_client(data: bytes) -> None:
+    decoder = ClientDecoder(TableLayout([1, 1]))
+    for piece in pieces(data):
+        decoder.feed(piece)
+        while decoder.take_access() is not None and decoder.take_request() is not None:
+            pass
+
+
 def scene(data: bytes) -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "floor.svg"
@@ -206,6 +228,8 @@ PARSERS: Mapping[str, Parser] = {
     "dashboard replies": dashboard_replies,
     "interpreter client": interpreter_client,
     "interpreter replies": lambda data: parse_reply(data.decode("latin-1")),
+    "interpreter server": served("interpreter"),
+    "gripper server": served("gripper"),
     "gripper replies": lambda data: value_of("POS", data.decode("latin-1")),
     "RTDE server": served("rtde"),
     "RTDE text": lambda data: decode_reply(struct.pack(">HB", min(len(data) + 3, 65535), ord("M")) + data[:65532], 1),
@@ -220,7 +244,8 @@ PARSERS: Mapping[str, Parser] = {
     "SMR-CL, lines of a client": mission_client,
     "robot.conf": parse_robot_conf,
     "rhdconfig.xml": parse_config,
-    "RHD": lambda data: ServerDecoder().feed(data),
+    "RHD, of a server": rhd_server,
+    "RHD, of a client": rhd_client,
     "drawing of a floor": scene,
     "address of an arm": lambda data: parse_address(data.decode("latin-1")),
     "address of a mobile robot": lambda data: rhdlink.address.parse_address(data.decode("latin-1")),
@@ -255,6 +280,9 @@ _RPC = b"<?xml version='1.0'?><methodResponse><params><param>"
 _RPC_END = b"</param></params></methodResponse>"
 _MEMBER = b"<member><name>a</name><value>1</value></member>"
 _SVG = b'<svg width="1m" height="1m" viewBox="0 0 1 1"><path d="M '
+
+#: Of a server without variables.
+_HANDSHAKE = b"artw\0\0\0\0tr\0\0\0\0dw\0\0\0\0dr\0\0\0\0ee"
 
 INPUTS: Mapping[str, Sequence[Callable[[int], bytes]]] = {
     "http request": (
@@ -333,6 +361,8 @@ INPUTS: Mapping[str, Sequence[Callable[[int], bytes]]] = {
     ),
     "interpreter client": (filled(b"", b"\n"), filled(b"ack: 1:", b" ")),
     "interpreter replies": (filled(b"", b"a"), filled(b"ack:", b" "), filled(b"ack: 1:", b" "), filled(b"ack", b":")),
+    "interpreter server": (filled(b"", b"\n"), filled(b"", b"a\n"), filled(b"a=", b"1+", b"1\n")),
+    "gripper server": (filled(b"", b"\n"), filled(b"SET ", b"POS ", b"\n"), filled(b"", b"GET POS\n")),
     "gripper replies": (filled(b"POS ", b"1"), filled(b"POS", b" ")),
     "RTDE server": (
         filled(b"", struct.pack(">HB", 3, ord("v"))),
@@ -379,7 +409,13 @@ INPUTS: Mapping[str, Sequence[Callable[[int], bytes]]] = {
         filled(b'<rhd><sched><period value="', b" ", b'x"/></sched></rhd>'),
         nested(b"<a>", b"</a>"),
     ),
-    "RHD": (filled(b"", b"\0"), filled(b"", b"w"), filled(b"", b"\1\0\0\0")),
+    "RHD, of a server": (
+        filled(b"artw\0\0\7\xd0", bytes(3) + b"\1" + b"a".ljust(33, b"\0")),
+        filled(_HANDSHAKE, b"ee"),
+        filled(_HANDSHAKE, b"dr\0\0\0\0"),
+        filled(_HANDSHAKE, b"dr\0\0\0\0ee"),
+    ),
+    "RHD, of a client": (filled(b"ar", b"rr"), filled(b"ar", b"rree"), filled(b"aw", b"dw\0\0\0\0")),
     "drawing of a floor": (
         filled(_SVG, b"1", b'"/></svg>'),
         filled(_SVG, b".", b'"/></svg>'),

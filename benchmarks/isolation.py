@@ -28,7 +28,7 @@ from end_to_end import send, spin
 import urlink
 from linkcore.isolation.isolated_transport import IsolatedTransport
 from linkcore.net.transport import TcpTransport, Transport
-from linkcore.streaming.backoff import Backoff
+from linkcore.streaming.connection_life import Backoff
 from urlink.firmware import Firmware
 from urlink.identity import Identity
 from urlink.interfaces.realtime.protocol import RealtimeProtocol
@@ -62,7 +62,7 @@ def receive(port: int, results: Connection, seconds: float, way: str) -> None:
     def transport(interface: str) -> Transport:
         if not is_isolated:
             return TcpTransport("127.0.0.1", port, silence=5.0)
-        boundary = "urlink.interfaces.realtime.framing:RealtimeBoundary"
+        boundary = "urlink.interfaces.realtime.protocol:RealtimeBoundary"
         decode = RealtimeProtocol().decode
         return IsolatedTransport("127.0.0.1", port, silence=5.0, boundary=boundary, decode=decode)
 

@@ -23,7 +23,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import urlink
-from linkcore.recording.records import FRAME, HEAD, MAGIC, Kind, pack
+from linkcore.recording.file import FRAME, HEAD, MAGIC, Kind, pack
 from urlink.packets import RealtimeState, Stamp
 
 PACKET = bytes(RealtimeState("5.10", q_actual=[0.1, -1.5, 1.2, -1.3, -1.5, 0.0], joint_modes=[253] * 6))

@@ -25,7 +25,7 @@ from multiprocessing.connection import Connection
 
 from rhdlink import Cancelled, Host, Mission, connect
 from rhdlink.plugins.turtle import SmrTurtle, Turtle
-from rhdlink.smrcl.controller import Controller
+from rhdlink.smrcl.controller import MissionController
 from rhdlink.smrcl.profile import find_profile
 from rhdlink.smrcl.robot_conf import SMR, VELOMEGA
 from rhdlink.smrcl.robot_link import PluginLink
@@ -51,11 +51,11 @@ def driven(robot: type[Turtle | SmrTurtle], profile: str) -> tuple[float, int]:
     return time.process_time() - began, run.cycles
 
 
-def answers_of(robot: type[Turtle | SmrTurtle], profile: str) -> tuple[Controller, Answers]:
+def answers_of(robot: type[Turtle | SmrTurtle], profile: str) -> tuple[MissionController, Answers]:
     """A controller that has begun nothing, and what the turtle answered to another one like it."""
     link = PluginLink([robot(World(1000.0))])
     conf = VELOMEGA if robot is Turtle else SMR
-    first, second = (Controller(conf, link.read, link.write, profile=find_profile(profile)) for _ in range(2))
+    first, second = (MissionController(conf, link.read, link.write, profile=find_profile(profile)) for _ in range(2))
     first.load(SPIRAL)
     second.load(SPIRAL)
     request: Mapping[str, Sequence[int]] = first.first_request()

@@ -20,13 +20,13 @@ from pathlib import Path
 
 import numpy as np
 
+from linkcore.clock import Stamp
 from linkcore.errors import ConnectionLost
-from linkcore.recording.file import Kind, Recording
+from linkcore.recording.file import Kind, RecordingFile
 from linkcore.recording.recorder import Recorder
-from linkcore.stamp import Stamp
-from linkcore.streaming.connection import Connection
 from linkcore.streaming.fanout import FanOut
 from linkcore.streaming.stream import Stream
+from linkcore.streaming.thread_connection import ThreadConnection
 from urlink.interfaces.realtime.protocol import RealtimeProtocol
 from urlink.packets import RealtimeState
 
@@ -39,6 +39,7 @@ class PacedTransport:
     """Gives a packet each period while a round is on, and takes down how long the reader was away."""
 
     name = "paced"
+    round_trip = 1e-4
 
     def __init__(self) -> None:
         self.costs: list[float] = []
@@ -96,7 +97,9 @@ class PacedTransport:
 def compare(folder: Path, rounds: int, packets: int) -> dict[str, float]:
     transports = {name: PacedTransport() for name in ("plain", "recorded")}
     streams = {
-        name: Stream(Connection(name, transport, RealtimeProtocol, FanOut(RealtimeState), silence=None), RealtimeState)
+        name: Stream(
+            ThreadConnection(name, transport, RealtimeProtocol, FanOut(RealtimeState), silence=None), RealtimeState
+        )
         for name, transport in transports.items()
     }
     with Recorder(folder / "run.urlog") as recorder:
@@ -108,7 +111,7 @@ def compare(folder: Path, rounds: int, packets: int) -> dict[str, float]:
             if number == 0:  # to warm up
                 for transport in transports.values():
                     transport.costs.clear()
-    written = sum(record.kind is Kind.BYTES for record in Recording(folder / "run.urlog"))
+    written = sum(record.kind is Kind.BYTES for record in RecordingFile(folder / "run.urlog"))
     assert written == streams["recorded"].stats.received == (rounds + 1) * packets
     for stream in streams.values():
         stream.close()

@@ -30,8 +30,8 @@ from typing import Any
 import numpy as np
 
 from linkcore.net.transport import TcpTransport
-from linkcore.streaming.backoff import Backoff
-from linkcore.streaming.policy import drop_oldest
+from linkcore.streaming.connection_life import Backoff
+from linkcore.streaming.packet_queue import drop_oldest
 from linkcore.wire.framing import Framer
 from urlink.firmware import Firmware
 from urlink.identity import Identity

@@ -29,7 +29,7 @@ from urlink.kinematics import Arm
 from urlink.motion.setpoints import STOP_WORD, setpoint
 from urlink.simulator import Controller, Still
 from urlink.simulator.urscript import compile_script
-from urlink.simulator.urscript.limits import MAX_TOKENS
+from urlink.simulator.urscript.errors import MAX_TOKENS
 from urlink.urscript import programs, waypoints, wrapping
 from urlink.urscript.links import ReverseSocket
 from urlink.urscript.streaming import streaming as streaming_program

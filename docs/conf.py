@@ -26,8 +26,10 @@ extensions = [
     "drives",
     "functions",
     "layouts",
+    "lives",
     "missions",
     "packages",
+    "parameters",
     "plots",
     "summary",
     "variables",
@@ -35,7 +37,9 @@ extensions = [
 exclude_patterns = ["_build", "_extensions", "_plots"]
 
 html_theme = "furo"
-html_title = f"urlink {release}"
+# Without the commit of a development version.
+html_title = f"urlink {release.partition('.dev')[0]}"
+html_logo = "_static/logo.svg"
 html_favicon = "_static/logo.svg"
 html_static_path = ["_static"]
 html_css_files = ["style.css"]

@@ -1,6 +1,6 @@
 """Move the arm: to a posture, up in a straight line, and back, with what can end a movement handled.
 
-Before you give it a real arm: hold the emergency stop in your hand, keep out of reach, and read docs/moving.md.
+Before you give it a real arm: hold the emergency stop in your hand, keep out of reach, and read docs/first-day.md.
 
     python examples/move_and_wait.py                      # the simulator
     python examples/move_and_wait.py 192.168.56.101 --speed 0.1

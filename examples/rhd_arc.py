@@ -12,9 +12,8 @@ import argparse
 import math
 
 import rhdlink
-from rhdlink.drawing import save
 from rhdlink.plugins.turtle import Turtle
-from rhdlink.world import World
+from rhdlink.world import World, save
 
 PERIOD = 0.01
 SPEED = 0.3

@@ -15,11 +15,10 @@ import sys
 from pathlib import Path
 
 import rhdlink
-from rhdlink.drawing import save
 from rhdlink.plugins.turtle import SmrTurtle
 from rhdlink.scene import Scene
 from rhdlink.smrcl.robot_link import PluginLink
-from rhdlink.world import Pose, World
+from rhdlink.world import Pose, World, save
 
 MISSIONS = Path(__file__).parent / "missions"
 SCRIPT, FLOOR = MISSIONS / "dock.smr", MISSIONS / "floor.svg"

@@ -12,9 +12,8 @@ import math
 import sys
 
 import rhdlink
-from rhdlink.drawing import save
 from rhdlink.plugins.velocity import Twist, VelocityBridge
-from rhdlink.world import World
+from rhdlink.world import World, save
 
 PERIOD = 0.01
 

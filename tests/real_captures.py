@@ -16,6 +16,7 @@ ROOT = Path(__file__).resolve().parents[2] / "shared" / "captures"
 #: Folder -> what is in it.
 CONTENTS = {
     "ur": "packets of real controllers",
+    "real": "the log of a real arm",
     "rtde": "connections of real RTDE clients",
     "rhd": "connections of the original RHD",
     "mrc": "drives of the original MRC",

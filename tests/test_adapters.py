@@ -86,7 +86,8 @@ def test_no_module_of_the_library_imports_a_middleware() -> None:
     assert found == set()
 
 
-#: What the base classes of LeRobot 0.4.4 leave to be implemented, as read there: it needs torch, which is not had here.
+#: What the base classes of LeRobot 0.4.4 and 0.6.1 leave to be implemented, as read there: both need torch, which is
+#: not had here.
 LEROBOT = {
     "ur.py": {
         *("observation_features", "action_features", "is_connected", "is_calibrated"),

@@ -10,7 +10,7 @@ import pytest
 
 import urlink
 from captures.make import FIRMWARE, golden, golden_of, packets
-from linkcore.recording.file import Recording
+from linkcore.recording.file import RecordingFile
 from linkcore.wire.packet import State
 
 FOLDER = Path(__file__).resolve().parents[1] / "captures"
@@ -20,13 +20,13 @@ every_recording = pytest.mark.parametrize("path", RECORDINGS, ids=lambda path: p
 
 
 def test_there_are_recordings_of_every_generation() -> None:
-    firmware = {info["firmware"] for path in RECORDINGS for info in Recording(path).channels.values()}
+    firmware = {info["firmware"] for path in RECORDINGS for info in RecordingFile(path).channels.values()}
     assert firmware >= set(FIRMWARE)
 
 
 @every_recording
 def test_is_whole(path: Path) -> None:
-    recording = Recording(path)
+    recording = RecordingFile(path)
     assert recording.is_complete
     assert recording.left_out == 0
 
@@ -54,12 +54,13 @@ def test_no_golden_file_is_without_its_recording() -> None:
 @every_recording
 def test_says_where_it_comes_from(path: Path) -> None:
     if path.name.startswith("simulator-"):
-        assert all(info["address"].startswith("sim://") for info in Recording(path).channels.values())
+        assert all(info["address"].startswith("sim://") for info in RecordingFile(path).channels.values())
 
 
 @every_recording
+@pytest.mark.real_time
 def test_replayed_as_an_address_it_gives_the_same_packets(path: Path) -> None:
-    recording = Recording(path)
+    recording = RecordingFile(path)
     info = recording.channels[0]
     with urlink.connect(f"replay://{path}?rate=max") as robot:
         assert str(robot.firmware) == info["firmware"]

@@ -29,6 +29,7 @@ def git(folder: Path, *arguments: str) -> str:
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True).stdout.strip()
 
 
+@pytest.mark.real_time
 def test_the_version_is_that_of_the_newest_tag(version: Callable[[Path], str], tmp_path: Path) -> None:
     assert version(tmp_path) == "0.1.0.dev0"  # a folder that is no checkout
     git(tmp_path, "init", "-q")

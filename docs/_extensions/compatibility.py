@@ -11,7 +11,7 @@ from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from linkcore.recording.file import Recording
+from linkcore.recording.file import RecordingFile
 from urlink.firmware import RELEASES
 
 #: Says that bytes of a controller back a row: "real bytes", "real connection heads", but not "real-time".
@@ -51,7 +51,7 @@ class RecordingsDirective(SphinxDirective):
         rows = []
         for path in sorted(_CAPTURES.rglob("*.urlog")):
             self.env.note_dependency(str(path))
-            channels = Recording(path).channels.values()
+            channels = RecordingFile(path).channels.values()
             firmware = next((str(info["firmware"]) for info in channels if "firmware" in info), "")
             model = next((str(info["model"]) for info in channels if info.get("model")), "")
             names = ", ".join(info["name"] for info in channels)

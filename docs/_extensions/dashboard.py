@@ -15,7 +15,7 @@ from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from linkcore.wire.version import Version, version_text
+from linkcore.wire.fields import Version, version_text
 from urlink import Dashboard
 from urlink.interfaces.dashboard.commands import COMMANDS
 from urlink.interfaces.dashboard.robot_api import REQUESTS

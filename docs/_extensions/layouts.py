@@ -23,9 +23,9 @@ from sphinx.util import logging
 from sphinx.util.docutils import SphinxDirective
 
 from linkcore.errors import PacketError
+from linkcore.wire.fields import Array, Coded, Mask64, Raw, Text
 from linkcore.wire.layout import Layout, Place
 from linkcore.wire.packet import State
-from linkcore.wire.shapes import Array, Coded, Mask64, Raw, Text
 from urlink import packets
 from urlink.firmware import RELEASES
 from urlink.interfaces.primary.robot_message import MESSAGES, PACKAGES

@@ -1,14 +1,17 @@
-"""The asyncio event loop of a program: that it runs, waiting in it with a deadline, and what is opened in it."""
+"""The asyncio event loop of a program: that it runs, waiting in it, what it opens, and threads for calls that wait."""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Coroutine, Generator
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
 from typing import Any, Generic, Protocol, TypeVar
 
-from .errors import LocalError
+from .errors import Closed, LocalError
+from .pending_call import PendingCall
 
-__all__ = ["Opening", "finished", "happened", "running_loop", "within"]
+__all__ = ["Opening", "Workers", "finished", "happened", "running_loop", "within"]
 
 T = TypeVar("T")
 
@@ -87,3 +90,78 @@ def happened(future: asyncio.Future[None]) -> None:
     """Have a future that stands for an event be done; idempotent, as `asyncio.Event.set` is."""
     if not future.done():
         future.set_result(None)
+
+
+class Workers:
+    """Threads of one robot. The first call starts one, which stays; another is started only while all are busy.
+
+    Args:
+        name: of the threads.
+        most: so many at once. What moves the arm must not stand behind what waits for an input, so not 1 where calls
+            may wait long; 1 has calls follow each other.
+    """
+
+    def __init__(self, name: str, most: int) -> None:
+        self._name = name
+        self._threads = ThreadPoolExecutor(most, thread_name_prefix=name)
+        # Of its own, and started when it is needed: what stops the robot must not stand behind calls that wait.
+        self._undoing = ThreadPoolExecutor(1, thread_name_prefix=f"{name} stop")
+        self.is_used = False
+        self._is_closed = False
+
+    def submit(self, call: Callable[[], T]) -> Future[T]:
+        """Call in a thread.
+
+        Raises:
+            Closed: it was closed.
+            LocalError: the system has no thread left.
+        """
+        if self._is_closed:
+            raise Closed(f"{self._name} was closed")
+        self.is_used = True
+        try:
+            return self._threads.submit(call)
+        except RuntimeError as error:
+            raise LocalError(f"no thread could be started: {error}") from error
+
+    async def make(self, call: Callable[[], T], undo: Callable[[T], object] = lambda result: None) -> T:
+        """Call in a thread, and wait for the result. A task that is cancelled meanwhile gives the call up and ends.
+
+        Args:
+            undo: called with the result, in a thread, where the call was given up and has one all the same.
+
+        Raises:
+            Closed, LocalError: as `submit`.
+        """
+        pending = PendingCall()
+        making = self.submit(partial(pending.make, call))
+        try:
+            return await asyncio.wrap_future(making)
+        except asyncio.CancelledError:
+            self.give_up(pending, making, undo)
+            raise
+        finally:
+            del making  # an error refers to this frame, and the future to the error
+
+    def give_up(self, pending: PendingCall, making: Future[T], undo: Callable[[T], object]) -> None:
+        """Give up a call that was submitted: see `make`. Returns at once; idempotent."""
+
+        def made(making: Future[T]) -> None:
+            if not making.cancelled() and making.exception() is None:
+                self._undo(partial(undo, making.result()))
+
+        making.cancel()
+        pending.give_up(self._undo)
+        making.add_done_callback(made)
+
+    def _undo(self, call: Callable[[], object]) -> None:
+        try:
+            self._undoing.submit(call)
+        except RuntimeError:  # the robot is closed, so there is nothing to wait for; or the system has no thread left
+            call()
+
+    def close(self) -> None:
+        """Make no more calls; the threads end with what they do. Does not wait. Idempotent."""
+        self._is_closed = True
+        self._undoing.shutdown(wait=False)
+        self._threads.shutdown(wait=False, cancel_futures=True)

@@ -9,7 +9,7 @@ CANCEL     CANCELLED CANCELLED    -
 FAIL       FAILED    FAILED       -
 ========== ========= ============ ===================================
 
-A dash is no transition: there is no way back, and what ends it first is what it ends with.
+There is no transition back, and what ends it first is what it ends with. docs/architecture.md shows the table.
 
 `Lifecycle` is the library's side of it, `Handle` what users hold. Both work without a lock: what has ended a life is
 put into a dictionary with `setdefault`, which is one step for threads and for signal handlers alike.
@@ -32,9 +32,9 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from .arguments import check_callable, check_seconds
-from .callbacks import CallbackThread
 from .errors import Cancelled, LinkError, LinkTimeout, unraised
 from .pending_call import current_call, regardless
+from .threads import CallbackThread
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -362,7 +362,7 @@ class Handle:
         return [("phase", self.phase.value), ("error", "" if self.error is None else str(self.error))]
 
     def _repr_html_(self) -> str:
-        from .html_view import html_table  # imported here: importing the library stays cheap
+        from .text import html_table  # imported here: importing the library stays cheap
 
         return html_table(f"{type(self).__name__} {self.name}", (), [row for row in self._shown() if row[1]])
 

@@ -1,13 +1,14 @@
-"""Names of a package that are imported when they are first asked for (PEP 562)."""
+"""What is imported when it is first needed: names of a package (PEP 562), and third-party packages of a part of it."""
 
 from __future__ import annotations
 
+import contextlib
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
 from typing import Any
 
-__all__ = ["lazy_names"]
+__all__ = ["lazy_names", "needs"]
 
 
 def lazy_names(
@@ -55,3 +56,19 @@ def lazy_names(
         return value
 
     return get, lambda: sorted([*public, *of_package]), public
+
+
+@contextlib.contextmanager
+def needs(extra: str, purpose: str) -> Iterator[None]:
+    """Around the imports of what an extra of the distribution brings.
+
+    Raises:
+        LocalError: it is not installed; says what installs it.
+    """
+    try:
+        yield
+    except ImportError as error:
+        package = error.name or extra
+        from .errors import LocalError  # a package is imported without it
+
+        raise LocalError(f"{purpose} needs {package}, which is not installed: pip install 'urlink[{extra}]'") from error

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import BadRecording, BadValue
-from .extras import needs
+from .lazy import needs
 
 __all__ = ["Curves", "LivePlot", "Plot", "is_in_notebook"]
 

@@ -1,14 +1,15 @@
-"""Text from elsewhere, made safe to show: what came over the wire never steers a terminal or forges a line of a log."""
+"""Text from elsewhere, made safe to show: bytes from the wire steer no terminal, forge no log line, are no HTML."""
 
 from __future__ import annotations
 
 import difflib
+import html
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
-__all__ = ["printable", "similar", "strict_json"]
+__all__ = ["html_table", "printable", "similar", "strict_json"]
 
 
 def printable(text: object) -> str:
@@ -60,3 +61,25 @@ def _finite(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [_finite(element) for element in value]
     return value
+
+
+def html_table(
+    caption: object, head: Sequence[str], rows: Iterable[Sequence[object]], notes: Iterable[str] = ()
+) -> str:
+    """A table; all texts are escaped, whatever came over the wire.
+
+    Args:
+        caption: above it.
+        head: names of the columns; none for none.
+        rows: the cells.
+        notes: a list below it.
+    """
+
+    def cells(kind: str, texts: Sequence[object]) -> str:
+        return "".join(f"<{kind}>{html.escape(str(text))}</{kind}>" for text in texts)
+
+    body = "".join(f"<tr>{cells('td', row)}</tr>" for row in rows)
+    top = f"<tr>{cells('th', head)}</tr>" if head else ""
+    listed = "".join(f"<li>{html.escape(note)}</li>" for note in notes)
+    below = f"<ul>{listed}</ul>" if listed else ""
+    return f"<table><caption>{html.escape(str(caption))}</caption>{top}{body}</table>{below}"

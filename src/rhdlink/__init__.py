@@ -39,19 +39,25 @@ if TYPE_CHECKING:
     )
     from linkcore.handle import Phase as Phase
     from linkcore.simulated.takeover import simulated_time as simulated_time
-    from linkcore.streaming.backoff import Backoff as Backoff
-    from linkcore.streaming.events import ConnectionState as ConnectionState
-    from linkcore.streaming.policy import block as block, drop_oldest as drop_oldest, latest as latest
+    from linkcore.streaming.connection_life import Backoff as Backoff
+    from linkcore.streaming.connection_life import ConnectionState as ConnectionState
+    from linkcore.streaming.packet_queue import block as block, drop_oldest as drop_oldest, latest as latest
     from . import host as host, robots as robots, smrcl as smrcl, variables as variables
     from .aio import connect_async as connect_async
     from .client import Variables as Variables, connect as connect
     from .drive import Drive as Drive
-    from .errors import AccessDenied as AccessDenied, NotThere as NotThere, WrongVariables as WrongVariables
+    from .errors import (
+        AccessDenied as AccessDenied,
+        BadMission as BadMission,
+        MissionFailed as MissionFailed,
+        MissionLimit as MissionLimit,
+        NotThere as NotThere,
+        WrongVariables as WrongVariables,
+    )
     from .host.config import BadConfiguration as BadConfiguration
     from .host.host import Host as Host, HostFailed as HostFailed, PluginFailed as PluginFailed
     from .host.plugin import Plugin as Plugin
-    from .recording.loading import load as load
-    from .smrcl.errors import BadMission as BadMission, MissionFailed as MissionFailed, MissionLimit as MissionLimit
+    from .loading import load as load
     from .smrcl.mission import Mission as Mission
     from .variables.declarations import Read as Read, Write as Write
     from .variables.value_types import (
@@ -78,18 +84,16 @@ else:
             """,
             "linkcore.handle": "Phase",
             "linkcore.simulated.takeover": "simulated_time",
-            "linkcore.streaming.backoff": "Backoff",
-            "linkcore.streaming.events": "ConnectionState",
-            "linkcore.streaming.policy": "block drop_oldest latest",
+            "linkcore.streaming.connection_life": "Backoff ConnectionState",
+            "linkcore.streaming.packet_queue": "block drop_oldest latest",
             ".aio": "connect_async",
             ".client": "Variables connect",
             ".drive": "Drive",
-            ".errors": "AccessDenied NotThere WrongVariables",
+            ".errors": "AccessDenied BadMission MissionFailed MissionLimit NotThere WrongVariables",
             ".host.config": "BadConfiguration",
             ".host.host": "Host HostFailed PluginFailed",
             ".host.plugin": "Plugin",
-            ".recording.loading": "load",
-            ".smrcl.errors": "BadMission MissionFailed MissionLimit",
+            ".loading": "load",
             ".smrcl.mission": "Mission",
             ".variables.declarations": "Read Write",
             ".variables.value_types": "Bool Float32 Float64 Int32 Int64 Millionths Scaled Structure Text UInt32",

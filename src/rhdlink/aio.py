@@ -19,9 +19,8 @@ import os
 from collections.abc import AsyncIterator
 from typing import TYPE_CHECKING, Any, Generic, Literal, TypedDict, TypeVar, overload
 
-from linkcore.aio.workers import Workers
 from linkcore.errors import Closed
-from linkcore.event_loop import Opening, finished, running_loop
+from linkcore.event_loop import Opening, Workers, finished, running_loop
 
 from .client import Access, Variables
 from .client import connect as connect_here

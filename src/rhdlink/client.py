@@ -13,22 +13,20 @@ from typing import Any, Literal, TypeVar, overload
 from numpy.typing import ArrayLike
 
 from linkcore.arguments import check_choice, check_seconds
+from linkcore.clock import Stamp
 from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError, RemoteError
 from linkcore.net.transport import TcpTransport
-from linkcore.stamp import Stamp
-from linkcore.streaming.backoff import Backoff
-from linkcore.streaming.events import ConnectionEvent, ConnectionState
-from linkcore.streaming.policy import Policy, drop_oldest
+from linkcore.streaming.connection_life import Backoff, ConnectionEvent, ConnectionState
+from linkcore.streaming.packet_queue import Policy, drop_oldest
 from linkcore.streaming.subscription import Subscription
 from linkcore.text import similar
 
 from .address import parse_address
 from .connection import Connection, Transport
 from .errors import AccessDenied, NotThere
-from .recording.recorder import RecordedTransport
+from .recording import RecordedTransport
 from .replica import Replica, Unsent, database_of
-from .subscribers import Subscribers
-from .sync_thread import SyncThread
+from .sync_thread import Subscribers, SyncThread
 from .variables.database import TimeStamp
 from .variables.declarations import Declaration, Declarations, bind, refuse_hiding
 from .variables.snapshot import Update, Variable, to_html

@@ -6,9 +6,9 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
+from linkcore.clock import Stamp
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout, PacketError, WrongPeer
 from linkcore.pending_call import check_wanted
-from linkcore.stamp import Stamp
 
 from .errors import AccessDenied
 from .wire.decoder import Limits, ServerDecoder

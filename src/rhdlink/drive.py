@@ -8,22 +8,19 @@ import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from linkcore.callbacks import CallbackThread
 from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError
 from linkcore.handle import Lifecycle, Motion
-from linkcore.threads import started
+from linkcore.threads import CallbackThread, started
 
-from .smrcl.controller import Controller
-from .smrcl.execution import Callbacks, Execution, error_of, leaving_at_exit
+from .smrcl.controller import MissionController
+from .smrcl.execution import Callbacks, MissionExecution, error_of, leaving_at_exit
 from .smrcl.interpreter import Run
 from .smrcl.mission import Robot, suitable_conf
-from .smrcl.motion.control import Motion as Controlled
-from .smrcl.motion.control import MotionControl
+from .smrcl.motion.basic import FollowDirection, Forward, Stop, Wheels
+from .smrcl.motion.control import ControlledMotion, MotionControl
 from .smrcl.motion.following import FollowLine, FollowWall
-from .smrcl.motion.standing import Stop
-from .smrcl.motion.straight import FollowDirection, Forward, Wheels
 from .smrcl.motion.topoint import DriveToPoint
-from .smrcl.motion.turning import Arc, Turn
+from .smrcl.motion.turning import ArcTurn, Turn
 from .smrcl.odometry import Pose as Place
 from .smrcl.profile import Profile, find_profile
 from .smrcl.robot_conf import RobotConf
@@ -53,7 +50,7 @@ class _Command:
         begin: is called in the thread that drives, before the motion begins.
     """
 
-    def __init__(self, motion: Controlled, life: Lifecycle, begin: Callable[[Vehicle], object]) -> None:
+    def __init__(self, motion: ControlledMotion, life: Lifecycle, begin: Callable[[Vehicle], object]) -> None:
         self.motion = motion
         self.life = life
         self.begin = begin
@@ -173,7 +170,7 @@ class Drive:
         chosen = find_profile(compat)
         link, owns = open_link(robot)
         try:
-            controller = Controller(suitable_conf(conf, link), link.read, link.write, profile=chosen, warm_up=0)
+            controller = MissionController(suitable_conf(conf, link), link.read, link.write, profile=chosen, warm_up=0)
         except BaseException:
             if owns:
                 link.close()
@@ -183,7 +180,7 @@ class Drive:
         self._vehicle = controller.vehicle
         self._motions = _Motions(self._vehicle)
         controller.execute(self._motions)
-        self._execution = Execution(link, controller, Callbacks())
+        self._execution = MissionExecution(link, controller, Callbacks())
         self._callbacks = CallbackThread(f"drive {link.name} callbacks")
         self._wake = threading.Event()
         self._closing = threading.Event()
@@ -211,7 +208,7 @@ class Drive:
 
     def arc(self, radius: float, angle: float, *, speed: float | None = None) -> Motion:
         """Along a circle of `radius` m until the robot has turned by `angle` degrees; it stands behind its end."""
-        return self._begin("arc", Arc(_positive("radius", radius), math.radians(_number("angle", angle))), speed)
+        return self._begin("arc", ArcTurn(_positive("radius", radius), math.radians(_number("angle", angle))), speed)
 
     def to(self, x: float, y: float, heading: float, *, radius: float = 0.3, speed: float | None = None) -> Motion:
         """To a pose, by the shortest way of an arc, a straight line and an arc, forward or backward.
@@ -263,7 +260,7 @@ class Drive:
     def _begin(
         self,
         name: str,
-        motion: Controlled,
+        motion: ControlledMotion,
         speed: float | None,
         begin: Callable[[Vehicle], object] = lambda vehicle: None,
     ) -> Motion:
@@ -385,7 +382,7 @@ class Drive:
         return f"<Drive {self._link.name} {state} at x {x:.3f} m, y {y:.3f} m, heading {math.degrees(theta):.1f} deg>"
 
 
-def _progress(motion: Controlled, control: MotionControl) -> float:
+def _progress(motion: ControlledMotion, control: MotionControl) -> float:
     return motion.progress(control) if control.motion is motion else 0.0
 
 

@@ -14,7 +14,7 @@ from linkcore.errors import BadValue
 from linkcore.text import similar
 
 from .errors import NotThere
-from .variables.database import Database, Table
+from .variables.database import Database, VariableTable
 from .variables.declarations import Declaration
 from .variables.snapshot import Change, Variable
 from .variables.value_types import Order
@@ -61,7 +61,7 @@ class Replica:
 
     # -- one variable --------------------------------------------------------------------------
 
-    def find(self, name: str) -> tuple[Table, int]:
+    def find(self, name: str) -> tuple[VariableTable, int]:
         """Where a variable is; of a read and a write variable with the same name the read variable.
 
         Raises:
@@ -77,7 +77,7 @@ class Replica:
         """The names of all variables, read variables first."""
         return [row.name for table in (self.database.read, self.database.write) for row in table]
 
-    def find_to_set(self, name: str) -> tuple[Table, int]:
+    def find_to_set(self, name: str) -> tuple[VariableTable, int]:
         """Where a write variable is.
 
         Raises:
@@ -146,7 +146,9 @@ class Replica:
                         changes[name] = Change(value, table.stamp(identity), bool(table.changed[identity]))
         return changes
 
-    def _typed(self, table: Table, identity: int, declaration: Declaration[Any, Any] | None, order: Order) -> Any:
+    def _typed(
+        self, table: VariableTable, identity: int, declaration: Declaration[Any, Any] | None, order: Order
+    ) -> Any:
         if declaration is None or declaration.length != table.rows[identity].length:
             return table.words(identity)
         return declaration.unpack(table.value(identity), declaration.order or order)

@@ -32,17 +32,26 @@ if TYPE_CHECKING:
         RemoteError as RemoteError,
         WrongPeer as WrongPeer,
     )
+    from linkcore.clock import Expiry as Expiry
     from linkcore.handle import Handle as Handle, Motion as Motion, Phase as Phase
     from linkcore.recording.file import RecordingWriter as RecordingWriter
     from linkcore.realtime import RealtimeReport as RealtimeReport, realtime_options as realtime_options
     from linkcore.recording.recorder import Recorder as Recorder
     from linkcore.recording.table import Table as Table
     from linkcore.simulated.takeover import Simulation as Simulation, simulated_time as simulated_time
-    from linkcore.streaming.backoff import Backoff as Backoff
-    from linkcore.streaming.events import ConnectionEvent as ConnectionEvent, ConnectionState as ConnectionState
+    from linkcore.streaming.connection_life import Backoff as Backoff
+    from linkcore.streaming.connection_life import (
+        ConnectionEvent as ConnectionEvent,
+        ConnectionState as ConnectionState,
+    )
     from linkcore.streaming.feed import Feed as Feed
     from linkcore.streaming.history import History as History
-    from linkcore.streaming.policy import Policy as Policy, block as block, drop_oldest as drop_oldest, latest as latest
+    from linkcore.streaming.packet_queue import (
+        Policy as Policy,
+        block as block,
+        drop_oldest as drop_oldest,
+        latest as latest,
+    )
     from linkcore.streaming.stream import Stream as Stream
     from linkcore.streaming.subscription import Subscription as Subscription
     from . import (
@@ -77,6 +86,7 @@ if TYPE_CHECKING:
         ToleranceExceeded as ToleranceExceeded,
     )
     from .firmware import Firmware as Firmware
+    from .group import Group as Group
     from .interfaces.dashboard.client import Dashboard as Dashboard, DashboardRefused as DashboardRefused
     from .interfaces.gripper.client import Gripper as Gripper, GripperFault as GripperFault
     from .interfaces.rtde.protocol import (
@@ -101,17 +111,17 @@ else:
                 BadAddress BadRecording BadValue BadVersion Cancelled Closed ConnectFailed ConnectionLost LinkError
                 LinkTimeout LocalError PacketError RemoteError WrongPeer
             """,
+            "linkcore.clock": "Expiry",
             "linkcore.handle": "Handle Motion Phase",
             "linkcore.recording.file": "RecordingWriter",
             "linkcore.realtime": "RealtimeReport realtime_options",
             "linkcore.recording.recorder": "Recorder",
             "linkcore.recording.table": "Table",
             "linkcore.simulated.takeover": "Simulation simulated_time",
-            "linkcore.streaming.backoff": "Backoff",
-            "linkcore.streaming.events": "ConnectionEvent ConnectionState",
+            "linkcore.streaming.connection_life": "Backoff ConnectionEvent ConnectionState",
             "linkcore.streaming.feed": "Feed",
             "linkcore.streaming.history": "History",
-            "linkcore.streaming.policy": "Policy block drop_oldest latest",
+            "linkcore.streaming.packet_queue": "Policy block drop_oldest latest",
             "linkcore.streaming.stream": "Stream",
             "linkcore.streaming.subscription": "Subscription",
             ".aio.async_robot": "AsyncRobot connect_async",
@@ -127,6 +137,7 @@ else:
                 ScriptFailed StatementDiscarded ToleranceExceeded
             """,
             ".firmware": "Firmware",
+            ".group": "Group",
             ".interfaces.dashboard.client": "Dashboard DashboardRefused",
             ".interfaces.gripper.client": "Gripper GripperFault",
             ".interfaces.rtde.protocol": "InputInUse NoSuchVariable RtdeRefused",
@@ -153,8 +164,8 @@ else:
                 ProgramStatus SavedProgram StoredProgram
             """,
             "urlink.motion": """
-                Contact ContactMotion ForceMode Freedrive Jog Motions PathMotion Servo ServoStatistics TaughtPoint
-                Teaching Torque TrajectoryFeedback
+                Contact ContactMotion ForceMode Freedrive Impedance Jog Motions PathMotion PointStream PosePoint Servo
+                ServoStatistics TaughtPoint Teaching Torque TrajectoryFeedback
             """,
             "urlink.aio.parts": "AsyncFeed AsyncStream",
         },

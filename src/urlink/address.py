@@ -11,7 +11,7 @@ from urllib.parse import parse_qsl, unquote, urlsplit
 
 from linkcore.errors import BadAddress, BadVersion
 
-from .firmware import Firmware, release_of
+from .firmware import Firmware, known_firmware
 from .ports import PORTS
 
 __all__ = ["Address", "Motion", "RecordingAddress", "RobotAddress", "SimulatorAddress", "parse_address"]
@@ -38,11 +38,15 @@ class RobotAddress:
 
 @dataclass(frozen=True)
 class SimulatorAddress:
-    """The built-in simulator: ``sim://``, ``sim://ur10?firmware=3.4&motion=demo``; a motion of None is "still"."""
+    """The built-in simulator: ``sim://``, ``sim://ur10?firmware=3.4&motion=demo``; a motion of None is "still".
+
+    ``sim://ur5e?like=arm.json`` is the arm of which that file was identified.
+    """
 
     model: str | None = None
     firmware: Firmware | None = None
     motion: Motion | None = None
+    like: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -63,7 +67,7 @@ def parse_address(text: str | os.PathLike[str]) -> Address:
         BadAddress: says what is wrong and what was expected.
 
     >>> parse_address("sim://ur5e?firmware=5.11")
-    SimulatorAddress(model='ur5e', firmware=Firmware(major=5, minor=11, bugfix=0, build=0), motion=None)
+    SimulatorAddress(model='ur5e', firmware=Firmware(major=5, minor=11, bugfix=0, build=0), motion=None, like=None)
     >>> parse_address("ur://10.0.0.7?realtime=40003").ports["realtime"]
     40003
     """
@@ -115,18 +119,18 @@ def _robot(text: str, host: str | None, netloc: str, path: str, options: dict[st
 
 
 def _simulator(text: str, model: str, options: dict[str, str]) -> SimulatorAddress:
-    firmware, motion = options.pop("firmware", None), options.pop("motion", None)
+    firmware, motion, like = (options.pop(name, None) for name in ("firmware", "motion", "like"))
     if options:
-        raise BadAddress(f"{text!r}: unknown option {next(iter(options))!r}; expected firmware or motion")
+        raise BadAddress(f"{text!r}: unknown option {next(iter(options))!r}; expected firmware, motion or like")
+    if like == "":
+        raise BadAddress(f"{text!r}: like= names no file; expected like=arm.json, as urlink identify writes it")
     if motion not in (None, "still", "demo"):
         raise BadAddress(f"{text!r}: motion={motion!r}; expected {' or '.join(get_args(Motion))}")
     try:
-        version = None if firmware is None else Firmware.parse(firmware)
-        if version is not None:
-            release_of(version)
+        version = None if firmware is None else known_firmware(firmware)
     except BadVersion as error:
         raise BadAddress(f"{text!r}: {error}") from None
-    return SimulatorAddress(model or None, version, cast("Motion | None", motion))
+    return SimulatorAddress(model or None, version, cast("Motion | None", motion), None if like is None else Path(like))
 
 
 def _recording(text: str, path: str, options: dict[str, str]) -> RecordingAddress:

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from linkcore.arguments import check_number, other_unit
 from linkcore.errors import BadValue
 
+from .parameters import number
 from .vectors import FloatArray, six
 
 __all__ = [
@@ -70,9 +71,9 @@ _LEAST = 1e-3
 #: sheets have typical speeds of 1 to 2 m/s, which are no limits.
 TOOL_SPEED = Bound(5.0, "m/s", _LEAST)
 #: A guess: more than any wrist turns, at 6.3 rad/s.
-TOOL_TURN = Bound(10.0, "rad/s", _LEAST)
+TOOL_TURN = Bound(number("largest_tool_turn"), "rad/s", _LEAST)
 #: A guess: the largest acceleration of a joint that a controller reports, at 1 m from the joint.
-TOOL_ACCELERATION = Bound(40.0, "m/s²", _LEAST)
+TOOL_ACCELERATION = Bound(number("largest_tool_acceleration"), "m/s²", _LEAST)
 #: The wrists of UR3 and UR3e, the fastest joints in `urlink.models`.
 JOINT_SPEED = Bound(math.tau, "rad/s", _LEAST)
 #: The largest in `urlink.models`, which controllers report.
@@ -82,9 +83,9 @@ POSITION = Bound(10.0, "m")
 #: A rotation vector of more than one turn is one in degrees. With room for a turn that was rounded to 6.2832.
 TURN = Bound(math.tau + _LEAST, "rad")
 #: From the flange to the TCP. A guess: no tool is longer.
-TOOL_LENGTH = Bound(5.0, "m")
+TOOL_LENGTH = Bound(number("largest_tool"), "m")
 #: From the flange to the centre of gravity of a payload. A guess: none is further.
-COG = Bound(1.0, "m")
+COG = Bound(number("furthest_payload"), "m")
 
 
 def check_pose(values: ArrayLike, name: str, furthest: Bound = POSITION) -> FloatArray:

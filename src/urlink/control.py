@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from linkcore.callbacks import CallbackThread
 from linkcore.errors import Closed, LocalError
 from linkcore.net.recall import Recall
 from linkcore.streaming.stream import Stream
-from linkcore.wire.version import Since
+from linkcore.threads import CallbackThread
+from linkcore.wire.fields import Since
 
 from .commanding.channel import CommandChannel
 from .commanding.interlock import Interlock
@@ -29,9 +29,11 @@ from .interfaces.dashboard.client import Dashboard
 from .interfaces.gripper.client import Gripper
 from .interfaces.primary.robot_state import RobotState
 from .interfaces.realtime.packets import RealtimeState
+from .interfaces.tool_serial import ToolSerial
 from .motion.context import MotionContext
 from .motion.motions import Motions
-from .motion.register_link import RegisterPort
+from .motion.point_registers import INPUTS, PointLinks
+from .motion.register_link import NAMES, RegisterLink, RegisterPort
 from .motion.reverse import ReversePort
 
 if TYPE_CHECKING:
@@ -52,8 +54,8 @@ class Control:
         name: of the robot, for threads.
         host: where the controller is.
         ports: name of each port that it serves -> number.
-        peer: by what this process knows the controller again after the robot was closed; None for one that ends with
-            the robot.
+        peers: by what this process knows the controller again after the robot was closed, and each of its services;
+            empty for one that ends with the robot.
         primary, realtime: the streams. A robot without references is collected: the callbacks of the reader threads
             refer to the connections, and not to the streams.
         who: identifies the controller.
@@ -70,7 +72,7 @@ class Control:
         name: str,
         host: str,
         ports: Mapping[str, int],
-        peer: Hashable | None,
+        peers: Sequence[Hashable],
         primary: Stream[RobotState],
         realtime: Stream[RealtimeState],
         who: KnownIdentity,
@@ -85,13 +87,14 @@ class Control:
         #: under the one key "one", since `setdefault` is one step for signal handlers too
         self._dashboards: dict[str, Dashboard] = {}
         self._grippers: dict[str, Gripper] = {}
+        self._serials: dict[str, ToolSerial] = {}
         self._callbacks = callbacks = CallbackThread(f"{name} callbacks")
         # The library's side of the streams, which users do not hold.
         slow, fast = primary._connection, realtime._connection
         section = Section(slow.reads_here, fast.reads_here)
         interlock = Interlock(options.require_enable, options.stale_after)
         self._monitor = monitor = SafetyMonitor(slow, fast, interlock, section, callbacks)
-        self._recall = recall = Recall(host) if peer is None else Recall.of(peer, host, self)
+        self._recall = recall = Recall.of(peers[0], host, self, *peers[1:]) if peers else Recall(host)
         channel = CommandChannel(slow, monitor, section, recall=recall)
         self._programs = programs = Programs(
             slow,
@@ -135,8 +138,10 @@ class Control:
         )
         self.io = IO(self.settings, primary, realtime)
         reverse = ReversePort(host, options.reverse_host, options.reverse_port, options.reverse_peer)
-        registers = RegisterPort(lambda names: rtde().inputs(*names))
-        self.motion = Motions(MotionContext(programs, channel, realtime, who, reverse, registers, section))
+        registers = RegisterPort(lambda names: rtde().inputs(*names), timeout, NAMES, RegisterLink)
+        links = PointLinks(lambda *names: rtde().outputs(*names))
+        points = RegisterPort(lambda names: rtde().inputs(*names), timeout, INPUTS, links)
+        self.motion = Motions(MotionContext(programs, channel, realtime, who, reverse, registers, points, section))
 
     @property
     def dashboard(self) -> Dashboard:
@@ -179,6 +184,27 @@ class Control:
         )
         return self._grippers.setdefault("one", made)
 
+    @property
+    def tool_serial(self) -> ToolSerial:
+        """The serial line in the tool connector.
+
+        Raises:
+            LocalError: a controller without one, or a simulated one that was told not to serve its port.
+            Closed: the robot was closed before it was used.
+        """
+        known = self._serials.get("one")
+        if known is not None:
+            return known
+        firmware = self.settings.firmware
+        if not firmware.is_e_series or "tool_serial" not in self._ports:
+            raise LocalError(
+                f"firmware {firmware} has no serial line in the tool connector; e-Series have, from 5.0 on"
+            )
+        if self._is_closed:
+            raise Closed("the robot was closed")
+        made = ToolSerial(self._host, self._ports["tool_serial"], timeout=self._timeout)
+        return self._serials.setdefault("one", made)
+
     def settle(self, timeout: float) -> None:
         """Wait until nothing is left that was given up and is to be taken back, for at most `timeout` seconds."""
         self._recall.settle(timeout)
@@ -195,4 +221,6 @@ class Control:
         self.interpreters.close()
         for gripper in self._grippers.values():
             gripper._disconnect()
+        for serial in self._serials.values():
+            serial.close()
         self._callbacks.close(max(until - time.monotonic(), 0.0))

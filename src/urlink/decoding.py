@@ -7,14 +7,14 @@ from functools import lru_cache, partial
 from typing import Literal, overload
 
 from linkcore.errors import BadValue, PacketError
+from linkcore.wire.framing import check_explained, is_strict, strictly
 from linkcore.wire.packet import State
-from linkcore.wire.strict import check_explained, is_strict, strictly
 
-from .firmware import Firmware, release_of
+from .firmware import Firmware, known_firmware
 from .interfaces.primary.decoder import PackageDecoder
-from .interfaces.primary.framing import PackageBoundary
-from .interfaces.realtime.framing import RealtimeBoundary
+from .interfaces.primary.protocol import PackageBoundary
 from .interfaces.realtime.packets import RealtimeState
+from .interfaces.realtime.protocol import RealtimeBoundary
 
 __all__ = ["INTERFACES", "Interface", "decode"]
 
@@ -95,10 +95,8 @@ def decode(
 
 @lru_cache
 def _known(firmware: str | Firmware) -> Firmware:
-    """The firmware, if something is known about it."""
-    version = Firmware.parse(firmware)
-    release_of(version)
-    return version
+    """As `known_firmware`, kept: a recording asks for each of its packets."""
+    return known_firmware(firmware)
 
 
 def _strict_decoder(interface: Interface, version: Firmware | None) -> Callable[[bytes], State]:

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from linkcore.errors import BadVersion
-from linkcore.wire.version import parse_version
+from linkcore.wire.fields import parse_version
 
-__all__ = ["NEWEST", "RELEASES", "Firmware", "Release", "infer", "release_of"]
+__all__ = ["NEWEST", "RELEASES", "Firmware", "Release", "infer", "known_firmware", "release_of"]
 
 # Types of sub-packages. Kinematics and configuration come with the first state of a connection only.
 _MASTERBOARD = 3
@@ -217,6 +217,17 @@ def release_of(firmware: Firmware) -> Release:
         known = ", ".join(f"{major}.x" for major in sorted({row.since.major for row in RELEASES}))
         raise BadVersion(f"nothing is known of firmware {firmware}; the table has {known}, from {RELEASES[0].since} on")
     return (same or rows)[-1]
+
+
+def known_firmware(text: str | Firmware) -> Firmware:
+    """The firmware, if the table has a row for it.
+
+    Raises:
+        BadVersion: it is no version, or one that is older than every row.
+    """
+    firmware = Firmware.parse(text)
+    release_of(firmware)
+    return firmware
 
 
 def infer(sizes: Mapping[int, int]) -> Firmware | None:

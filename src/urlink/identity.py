@@ -25,7 +25,7 @@ from .firmware import Firmware, infer, release_of
 from .interfaces.primary.protocol import PrimaryProtocol
 from .interfaces.primary.robot_state import ConfigurationData, KinematicsInfo, RobotState
 from .models import MODELS, Model, model_of
-from .services import refusal_hint
+from .ports import refusal_hint
 
 if TYPE_CHECKING:
     from .kinematics import Arm, DenavitHartenberg

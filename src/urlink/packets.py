@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 from linkcore.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from linkcore.stamp import Stamp as Stamp
-    from linkcore.streaming.events import Chunk as Chunk, Traffic as Traffic
+    from linkcore.clock import Stamp as Stamp
+    from linkcore.streaming.connection_life import Chunk as Chunk, Traffic as Traffic
     from linkcore.wire.packet import State as State
     from urlink.commanding.interpreter import InterpreterState as InterpreterState
     from urlink.commanding.io import Analog as Analog
@@ -81,8 +81,8 @@ else:
     __getattr__, __dir__, __all__ = lazy_names(
         __name__,
         {
-            "linkcore.stamp": "Stamp",
-            "linkcore.streaming.events": "Chunk Traffic",
+            "linkcore.clock": "Stamp",
+            "linkcore.streaming.connection_life": "Chunk Traffic",
             "linkcore.wire.packet": "State",
             "urlink.commanding.interpreter": "InterpreterState",
             "urlink.commanding.io": "Analog",

@@ -7,9 +7,9 @@ from typing import Any
 
 from linkcore.errors import BadRecording
 from linkcore.net.transport import Transport
-from linkcore.recording.file import Recording
+from linkcore.recording.file import RecordingFile
 from linkcore.recording.player import ReplayClock, ReplayTransport
-from linkcore.streaming.backoff import Backoff
+from linkcore.streaming.connection_life import Backoff
 
 from .address import RecordingAddress
 from .identity import Identity, described_identity
@@ -24,7 +24,7 @@ def recorded(place: RecordingAddress) -> Source:
     Raises:
         BadRecording: it does not exist, or is none.
     """
-    recording = Recording(place.path)
+    recording = RecordingFile(place.path)
     clock = ReplayClock(recording, place.rate)
 
     def ask() -> Identity:

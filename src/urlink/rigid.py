@@ -28,7 +28,7 @@ __all__ = [
     "IDENTITY",
     "ROWS",
     "FloatArray",
-    "Functions",
+    "MathFunctions",
     "Number",
     "Rigid",
     "Six",
@@ -67,7 +67,7 @@ IDENTITY: Rigid[float] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0,
 
 
 @dataclass(frozen=True)  # a NamedTuple cannot be generic before Python 3.11
-class Functions(Generic[Number]):
+class MathFunctions(Generic[Number]):
     """The functions that formulas need, for floats or for arrays."""
 
     sin: Callable[[Number], Number]
@@ -79,10 +79,12 @@ class Functions(Generic[Number]):
     positive: Callable[[Number], Number]
 
 
-FLOATS: Functions[float] = Functions(
+FLOATS: MathFunctions[float] = MathFunctions(
     math.sin, math.cos, math.sqrt, math.atan2, math.hypot, lambda x: x if x > 0.0 else 0.0
 )
-ROWS: Functions[FloatArray] = Functions(np.sin, np.cos, np.sqrt, np.arctan2, np.hypot, lambda x: np.maximum(x, 0.0))
+ROWS: MathFunctions[FloatArray] = MathFunctions(
+    np.sin, np.cos, np.sqrt, np.arctan2, np.hypot, lambda x: np.maximum(x, 0.0)
+)
 
 
 def floats(values: ArrayLike, n: int, what: str) -> list[float]:

@@ -7,13 +7,13 @@ import time
 import warnings
 import weakref
 from collections.abc import Callable, Collection, Hashable, Sequence
-from pathlib import PurePath
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 from linkcore.arguments import check_callable, check_choice, check_number
 from linkcore.errors import BadValue, Closed, ConnectFailed, LocalError
 from linkcore.net.recall import Recall
-from linkcore.streaming.backoff import Backoff
+from linkcore.streaming.connection_life import Backoff
 from linkcore.streaming.stream import Stream
 
 from .address import Address, RecordingAddress, RobotAddress, SimulatorAddress, parse_address
@@ -24,6 +24,8 @@ from .foreign_names import AnswersForeignNames
 from .identity import Identity, KnownIdentity
 from .interfaces.primary.robot_state import RobotState
 from .interfaces.realtime.packets import RealtimeState
+from .ports import service_of
+from .robot_clock import RobotClock
 from .source import Source, networked
 from .urscript.text import integer
 from .urscript.wrapping import StartPlace
@@ -40,6 +42,7 @@ if TYPE_CHECKING:
     from .control import Control
     from .interfaces.dashboard.client import Dashboard
     from .interfaces.gripper.client import Gripper
+    from .interfaces.tool_serial import ToolSerial
     from .kinematics import Arm
     from .motion import Freedrive, Motions
     from .motion.motions import LinkName
@@ -48,6 +51,7 @@ if TYPE_CHECKING:
     from .rtde import OutputStream, Registers, Rtde
     from .simulator import Controller
     from .vectors import Numbers
+    from .view.arm_view import ArmView
 
 __all__ = ["Robot", "connect"]
 
@@ -77,7 +81,7 @@ def connect(
 
     Asks the controller who it is; the streams themselves connect when first used. What this process gave up at the same
     address before, and may still be carried out, is taken back first, for at most `timeout` seconds; see
-    docs/moving.md, "What was given up is not carried out". A connection with `read_only` takes nothing back.
+    docs/motion-ends.md, "What was given up is not carried out". A connection with `read_only` takes nothing back.
 
     Args:
         address: ``"192.168.56.101"``, ``"ur://host"``, ``"sim://ur5e?firmware=5.11"``,
@@ -232,12 +236,18 @@ def simulated(place: SimulatorAddress) -> tuple[Controller, RobotAddress]:
     """A simulated controller that serves, and where it is.
 
     Raises:
-        UnknownModel, BadValue: no such arm, or it does not run the firmware.
+        UnknownModel, BadValue: no such arm, it does not run the firmware, or the file of an arm is none or of another.
     """
     from .simulator import Controller, Demonstration
 
+    like = None
+    if place.like is not None:
+        from .arm_file import read_arm_file
+
+        like = read_arm_file(place.like)
+
     motion = Demonstration() if place.motion == "demo" else None
-    controller = Controller(model=place.model, firmware=place.firmware, motion=motion)
+    controller = Controller(model=place.model, firmware=place.firmware, motion=motion, like=like)
     controller.start()
     return controller, RobotAddress(controller.host, dict(controller.ports))
 
@@ -275,7 +285,7 @@ def assemble(
             address,
             place.host,
             place.ports,
-            peer_of(place) if controller is None else None,
+            peers_of(place) if controller is None else (),
             robot.primary,
             robot.realtime,
             robot._who,
@@ -290,14 +300,16 @@ def assemble(
     return Robot(address, source, controller, known=known, control=control)
 
 
-def peer_of(place: RobotAddress) -> Hashable:
-    """By what this process knows a controller again."""
-    return place.host.casefold(), frozenset(place.ports.items())
+def peers_of(place: RobotAddress) -> tuple[Hashable, ...]:
+    """By what this process knows a controller again, and each of the services that can be used without a robot."""
+    services = ("dashboard", "robot_api", "gripper")
+    parts = (service_of(place.host, place.ports[name]) for name in services if name in place.ports)
+    return (place.host.casefold(), frozenset(place.ports.items())), *parts
 
 
 def owes(robot: Robot, place: RobotAddress) -> bool:
     """This process gave something up at that controller that may still be carried out, and the robot may command it."""
-    return robot._make_control is not None and Recall.is_owed(peer_of(place))
+    return robot._make_control is not None and Recall.is_owed(*peers_of(place))
 
 
 def take_back(robot: Robot, timeout: float) -> None:
@@ -353,6 +365,11 @@ class Robot(AnswersForeignNames):
     def secondary(self) -> Stream[RobotState]:
         """As `primary`, without messages but the version (port 30002)."""
         return self._stream("secondary")
+
+    @property
+    def clock(self) -> RobotClock:
+        """The controller's clock beside this computer's, by the real-time stream."""
+        return RobotClock(self.realtime, self._who)
 
     @property
     def rtde(self) -> Rtde:
@@ -513,23 +530,35 @@ class Robot(AnswersForeignNames):
         """A Robotiq gripper whose URCap runs on the controller (port 63352). Nothing of it is interlocked."""
         return self._commanded().gripper
 
+    @property
+    def tool_serial(self) -> ToolSerial:
+        """The RS485 line in the tool connector of an e-Series, which a URCap forwards (port 54321). Not interlocked.
+
+        Raises:
+            LocalError: a controller that has none.
+        """
+        return self._commanded().tool_serial
+
     def set_payload(
         self,
         mass: float,
         cog: Sequence[float] | None = None,
         inertia: Sequence[float] | None = None,
         *,
+        transition_time: float = 0.0,
         confirm: float | None = 1.0,
     ) -> None:
-        """Tell what the arm carries; motion goes on.
+        """Tell what the arm carries; motion, and a program that runs, go on.
 
         Args:
             mass: kg; no more than a quarter above what the arm carries by its data sheet, which for a UR5e is that of
                 the UR7e: it reports the same type.
             cog: centre of gravity in the flange's frame, (3,), m, each within 1 m; not on CB2.
             inertia: about it: xx, yy, zz, xy, xz, yz, kg m²; from 5.10 on.
-            confirm: seconds within which the robot has to show it, from 5.10 on; before that nothing shows it. None
-                does not wait.
+            transition_time: s over which the controller goes over to it, so that an arm that grips or lets go does not
+                jerk; with `cog` and `inertia`, from 5.10 on.
+            confirm: seconds after that within which the robot has to show it, from 5.10 on; before that nothing shows
+                it. None does not wait.
 
         Raises:
             BadValue: a number out of range, or what this firmware cannot be told; nothing was sent.
@@ -537,7 +566,23 @@ class Robot(AnswersForeignNames):
             NotConfirmed: the robot does not show it. The likely cause is in the message: an e-Series in local control.
             LocalError: in a callback that was subscribed with ``inline=True``, unless `confirm` is None.
         """
-        self._commanded().settings.payload(mass, cog, inertia, confirm)
+        self._commanded().settings.payload(mass, cog, inertia, confirm, transition_time)
+
+    def set_gravity(self, acceleration: Sequence[float]) -> None:
+        """Tell which way is up, for an arm on a wall, a ceiling or a base that moves; motion goes on.
+
+        The controller holds the arm up by this: with a wrong one, the arm gives way or jumps, or stops with a safety
+        stop. No state shows it, so it is not confirmed, and in local control an e-Series ignores it.
+
+        Args:
+            acceleration: (3,) m/s² in the base frame, of an arm at rest: upwards, [0, 0, 9.82] for one that stands, and
+                5 to 15 long.
+
+        Raises:
+            BadValue: not that; nothing was sent.
+            NotRunning: the robot does not run, or nothing is known of it; nothing was sent.
+        """
+        self._commanded().settings.gravity(acceleration)
 
     def set_tcp(self, pose: Sequence[float], *, confirm: float | None = 1.0) -> None:
         """Put the tool centre point at a pose in the flange's frame: m, and rotation vector in rad.
@@ -662,6 +707,43 @@ class Robot(AnswersForeignNames):
             control.close(0.0)
         return control
 
+    def view(
+        self,
+        *,
+        plots: Sequence[str] = ("qd_actual", "tcp_force"),
+        urdf: str | os.PathLike[str] | None = None,
+        jog: bool = False,
+        port: int = 0,
+    ) -> ArmView:
+        """Show the arm in 3D in a browser of this computer; a notebook shows it in the cell.
+
+        It goes on until it is closed, or the block of a ``with`` is left. The extra ``view`` is needed.
+
+        Args:
+            plots: names of fields of `RealtimeState` to draw as curves.
+            urdf: a file with bodies for the links, as meshes; None for cylinders and spheres.
+            jog: show buttons that move the arm while they are held; otherwise it is only watched.
+            port: to serve the page at; 0 for a free one.
+
+        Raises:
+            BadValue: there is no such field.
+            ConnectFailed: the port cannot be listened on.
+            LocalError: the extra is not installed, the model is unknown, or the file cannot be drawn.
+            RemoteError: the robot cannot be connected to.
+        """
+        from .view.arm_view import ArmView
+        from .view.page import Page
+        from .view.windows import LiveWindow
+
+        page = Page(f"urlink {self.address}", port=port)
+        try:
+            begin = self.motion.jog if jog else None
+            file = None if urdf is None else Path(urdf)
+            return ArmView(page, self.kinematics, LiveWindow(self.realtime), plots, file, begin).start()
+        except BaseException:
+            page.close()
+            raise
+
     # -- its end -------------------------------------------------------------------------------------
 
     def close(self, timeout: float = 2.0) -> None:
@@ -689,7 +771,7 @@ class Robot(AnswersForeignNames):
             warnings.warn(f"{self!r} was not closed; its simulator goes on", ResourceWarning, source=self, stacklevel=2)
 
     def _repr_html_(self) -> str:
-        from linkcore.html_view import html_table  # imported here: importing the library stays cheap
+        from linkcore.text import html_table  # imported here: importing the library stays cheap
 
         known = self._who.last
         streams = tuple(self._streams.items())

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from linkcore.errors import BadValue, PacketError
 from linkcore.wire.packet import State
 
-from .firmware import Firmware, release_of
+from .firmware import Firmware, known_firmware
 from .interfaces.headers import PACKAGE
 from .interfaces.primary.robot_state import SUB_PACKAGES, RobotState
 from .interfaces.rtde.packets import HEADER
@@ -63,8 +63,7 @@ def schema(packet: type[State] | Recipe, version: str | Firmware | None = None) 
 def _version_of(packet: type[State], version: str | Firmware | None) -> str | Firmware | None:
     """The version by which the packet has its layouts; one of a controller's software has to be known."""
     if version is not None and packet.LAYOUTS.of().header not in (HEADER, DATA_HEADER):
-        version = Firmware.parse(version)
-        release_of(version)
+        return known_firmware(version)
     return version
 
 

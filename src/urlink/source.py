@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from linkcore.errors import BadValue, ConnectFailed, unraised
 from linkcore.net.transport import TcpTransport, Transport
-from linkcore.streaming.backoff import Backoff
 from linkcore.streaming.connection import Connection
+from linkcore.streaming.connection_life import Backoff
 from linkcore.streaming.fanout import FanOut
 from linkcore.streaming.stream import Stream
+from linkcore.streaming.thread_connection import ThreadConnection
+from linkcore.wire.framing import PacketProtocol
 from linkcore.wire.packet import State
-from linkcore.wire.protocol import PacketProtocol
 
 from .address import RobotAddress
 from .decoding import INTERFACES
@@ -23,10 +24,10 @@ from .interfaces.primary.robot_message import OtherPackage, RobotMessage
 from .interfaces.primary.robot_state import RobotState, SubPackage
 from .interfaces.realtime.packets import RealtimeState
 from .interfaces.realtime.protocol import RealtimeProtocol
-from .services import refusal_hint
+from .ports import refusal_hint
 
 if TYPE_CHECKING:
-    from .interfaces.rtde.protocol import Plan
+    from .interfaces.rtde.protocol import Requests
     from .interfaces.rtde.transport import RtdeTransport
 
 __all__ = ["Source", "networked"]
@@ -54,8 +55,8 @@ class Source(NamedTuple):
     silence: float | None
     is_lossless: bool
     channel: Callable[[str], Mapping[str, Any]] | None = None
-    connection: Callable[..., Connection] = Connection
-    rtde: Callable[[Any, Plan], RtdeTransport] | None = None
+    connection: Callable[..., Connection] = ThreadConnection
+    rtde: Callable[[Any, Requests], RtdeTransport] | None = None
 
     def stream(self, interface: str, name: str, reconnected: Callable[[], object]) -> Stream[Any]:
         """A stream of one interface. Nothing connects before it is used.
@@ -145,7 +146,7 @@ def networked(
         if isolate and interface == "realtime":
             from linkcore.isolation.isolated_transport import IsolatedTransport
 
-            boundary = "urlink.interfaces.realtime.framing:RealtimeBoundary"
+            boundary = "urlink.interfaces.realtime.protocol:RealtimeBoundary"
             decode = RealtimeProtocol().decode
             return IsolatedTransport(place.host, place.ports[port], silence=silence, boundary=boundary, decode=decode)
         return tcp(

@@ -20,17 +20,18 @@ from numpy.typing import NDArray
 
 from . import rigid
 from .kinematics import Arm
-from .kinematics.geometry import Link
+from .kinematics.geometry import ArmLink
 from .models import Model
 from .poses import compose, rotvec_to_rpy
 from .rigid import Rigid
 
-__all__ = ["JOINTS", "link_poses", "to_urdf"]
+__all__ = ["JOINTS", "LINKS", "link_frames", "link_poses", "to_urdf"]
 
 #: Of the shapes that links are drawn with, m.
 _RADIUS = 0.05
 
-_LINKS = ("shoulder_link", "upper_arm_link", "forearm_link", "wrist_1_link", "wrist_2_link", "wrist_3_link")
+#: The links that move, from the shoulder on.
+LINKS = ("shoulder_link", "upper_arm_link", "forearm_link", "wrist_1_link", "wrist_2_link", "wrist_3_link")
 #: The joints, from the base on.
 JOINTS = (
     "shoulder_pan_joint",
@@ -66,15 +67,11 @@ def to_urdf(arm: Arm | Model | str, *, name: str | None = None, shapes: bool = F
     root = ElementTree.Element("robot", name=name or model.name.lower().replace(" ", ""))
     parent_element = ElementTree.SubElement(root, "link", name="base_link")
     parent, origin = "base_link", rigid.IDENTITY
-    for i, (link, child, joint) in enumerate(zip(arm.geometry.links, _LINKS, JOINTS, strict=True)):
-        # The joint turns about the z axis of the frame before the link. Along that axis a joint may sit anywhere: as in
-        # the vendor's description, it sits where the link begins, at the link's offset d.
-        origin = rigid.product(origin, _begin(link))
+    for i, ((begin, origin), child, joint) in enumerate(zip(link_frames(arm), LINKS, JOINTS, strict=True)):
         if shapes:
-            _add_shapes(parent_element, origin)
-        _add_joint(root, model, i, joint, parent, child, origin)
+            _add_shapes(parent_element, begin)
+        _add_joint(root, model, i, joint, parent, child, begin)
         element = ElementTree.SubElement(root, "link", name=child)
-        origin = _end(link)
         _add_inertial(element, model, i, origin)
         parent, parent_element = child, element
     if shapes:
@@ -88,31 +85,43 @@ def to_urdf(arm: Arm | Model | str, *, name: str | None = None, shapes: bool = F
     return f'<?xml version="1.0"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
 
 
+def link_frames(arm: Arm) -> Iterator[tuple[Rigid[float], Rigid[float]]]:
+    """Of each link, where it is in the link before when its joint stands at 0, and where its end is in itself.
+
+    The joint turns about the z axis of the frame before the link. Along that axis a joint may sit anywhere: as in the
+    vendor's description, it sits where the link begins, at the link's offset d.
+    """
+    end = rigid.IDENTITY
+    for link in arm.geometry.links:
+        begin = rigid.product(end, _begin(link))
+        end = _end(link)
+        yield begin, end
+
+
 def link_poses(arm: Arm, q: NDArray[np.float64]) -> Iterator[tuple[str, str, NDArray[np.float64]]]:
     """Where each frame of the URDF is in the one before it, for joint positions (n, 6), rad.
 
     Yields the name of the frame before, the name of the frame, and its poses (n, 6): m, and rotation vector in rad.
     """
-    parent, origin = "base_link", rigid.IDENTITY
-    for i, (link, child) in enumerate(zip(arm.geometry.links, _LINKS, strict=True)):
-        origin = rigid.product(origin, _begin(link))
+    frames, parent = list(link_frames(arm)), "base_link"
+    for i, ((begin, _), child) in enumerate(zip(frames, LINKS, strict=True)):
         turned = np.zeros((len(q), 6))
         turned[:, 5] = q[:, i]
-        yield parent, child, compose(_pose(origin), turned)
-        parent, origin = child, _end(link)
-    yield parent, "tool0", np.tile(_pose(origin), (len(q), 1))
+        yield parent, child, compose(_pose(begin), turned)
+        parent = child
+    yield parent, "tool0", np.tile(_pose(frames[-1][1]), (len(q), 1))
 
 
 def _pose(frame: Rigid[float]) -> NDArray[np.float64]:
     return np.array([*frame[9:], *rigid.rotation_vector(frame)])
 
 
-def _begin(link: Link) -> Rigid[float]:
+def _begin(link: ArmLink) -> Rigid[float]:
     """Where the joint of a link sits in the frame before it, and how that is turned when the joint stands at 0."""
     return rigid.from_pose([0.0, 0.0, link.d, 0.0, 0.0, link.offset])
 
 
-def _end(link: Link) -> Rigid[float]:
+def _end(link: ArmLink) -> Rigid[float]:
     """The end of a link in the frame that turns with its joint."""
     ca, sa, cb, sb = link.turns
     return (cb, 0.0, sb, sa * sb, ca, -sa * cb, -ca * sb, sa, ca * cb, link.a, 0.0, 0.0)

@@ -1,12 +1,22 @@
-"""Each program in examples/ is run as a user would run it, and each command in the documents is one that exists."""
+"""Each program in examples/ is run as a user would run it, and each command in the documents is one that exists.
 
+Most run in simulated time and in this process; some, of each kind one, are processes of their own.
+"""
+
+import ast
+import contextlib
 import csv
+import io
+import json
 import os
 import re
+import runpy
 import shlex
 import subprocess
 import sys
+import traceback
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import pytest
@@ -14,7 +24,7 @@ import pytest
 import rhdlink.cli
 import urlink.cli
 
-pytestmark = pytest.mark.real_time  # each is a process
+pytestmark = pytest.mark.simulated_time
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "examples"
@@ -24,19 +34,44 @@ DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 
 
 def run(name: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """In this process: what it prints, and what it would exit with."""
+    command = [str(EXAMPLES / name), *arguments]
+    code: object = 0
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        contextlib.redirect_stdout(io.StringIO()) as out,
+        contextlib.redirect_stderr(io.StringIO()) as errors,
+    ):
+        patch.setattr(sys, "argv", command)
+        try:
+            runpy.run_path(command[0], run_name="__main__")
+        except SystemExit as ended:
+            code = ended.code or 0
+        except Exception:
+            traceback.print_exc()
+            code = 1
+    assert isinstance(code, int)
+    return subprocess.CompletedProcess(command, code, out.getvalue(), errors.getvalue())
+
+
+def run_process(name: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-W", "error", str(EXAMPLES / name), *arguments]
     return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
 
 
 def output(name: str, *arguments: str) -> str:
-    done = run(name, *arguments)
+    return checked(run(name, *arguments))
+
+
+def checked(done: subprocess.CompletedProcess[str]) -> str:
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     return done.stdout
 
 
+@pytest.mark.real_time
 def test_print_state() -> None:
-    lines = output("print_state.py", "sim://ur10?firmware=3.4", "--duration", "0.7").splitlines()
+    lines = checked(run_process("print_state.py", "sim://ur10?firmware=3.4", "--duration", "0.7")).splitlines()
     assert lines[0] == "UR10, firmware 3.4"
     assert lines[1].endswith("rad  RUNNING")
     assert lines[-1].endswith("states received")
@@ -47,6 +82,7 @@ def test_print_state_of_the_oldest_firmware_that_sends_no_robot_mode() -> None:
     assert lines[1].endswith("rad  ?")
 
 
+@pytest.mark.real_time
 def test_watch_safety() -> None:
     """Read until everything has been told; a connection that is lost and made again tells the mode once more."""
     command = [sys.executable, "-W", "error", str(EXAMPLES / "watch_safety.py"), "--demonstrate", "--duration", "40"]
@@ -76,33 +112,33 @@ def test_press_and_teach() -> None:
     assert lines[2:] == ["a waypoint is kept", "a waypoint is kept", "played"]
 
 
-NOTEBOOK = """
-import ast, json, sys
-import matplotlib
-matplotlib.use("agg")
-names = {}
-for cell in json.load(open(sys.argv[1], encoding="utf-8"))["cells"]:
-    if cell["cell_type"] != "code":
-        continue
+@pytest.mark.slow
+def test_soft_press() -> None:
+    assert output("soft_press.py").splitlines() == ["presses softly", "let go of"]
+
+
+def shown(cell: dict[str, Any], names: dict[str, Any]) -> list[str]:
+    """Run a cell as a kernel would, and what a notebook would show of its last value."""
     *statements, last = ast.parse("".join(cell["source"])).body
     exec(compile(ast.Module(statements, []), "cell", "exec"), names)
     if not isinstance(last, ast.Expr):
         exec(compile(ast.Module([last], []), "cell", "exec"), names)
-        continue
+        return []
     value = eval(compile(ast.Expression(last.value), "cell", "eval"), names)
-    for show in ("_repr_html_", "_repr_png_"):
-        if hasattr(value, show):
-            print(type(value).__name__, show, len(getattr(value, show)()) > 100)
-"""
+    return [
+        f"{type(value).__name__} {show} {len(getattr(value, show)()) > 100}"
+        for show in ("_repr_html_", "_repr_png_")
+        if hasattr(value, show)
+    ]
 
 
-def test_the_notebook_runs_cell_by_cell(tmp_path: Path) -> None:
+def test_the_notebook_runs_cell_by_cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As a kernel would run it, and each cell's last value shows as a notebook would show it."""
-    command = [sys.executable, "-W", "error", "-c", NOTEBOOK, str(EXAMPLES / "notebook.ipynb")]
-    environment = {**os.environ, "TMPDIR": str(tmp_path), "TEMP": str(tmp_path)}
-    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False, env=environment)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines() == [
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    cells = json.loads((EXAMPLES / "notebook.ipynb").read_text(encoding="utf-8"))["cells"]
+    names: dict[str, Any] = {}
+    assert [line for cell in cells if cell["cell_type"] == "code" for line in shown(cell, names)] == [
         "Robot _repr_html_ True",
         "RealtimeState _repr_html_ True",
         "Motion _repr_html_ True",
@@ -147,6 +183,7 @@ def test_two_robots() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.real_time
 @pytest.mark.parametrize(("name", "passed"), [("test_your_own_program.py", 7), ("simulated_cell.py", 3)])
 def test_examples_of_tests(name: str, passed: int) -> None:
     """In the checkout, with pytest and without the plugins of the project's own tests."""
@@ -186,6 +223,11 @@ def test_servo_loop() -> None:
     first, second = output("servo_loop.py", "--duration", "0.5").splitlines()
     assert re.fullmatch(r"\d+ set-points, every \d+\.\d{3} ms, \d+ late", first)
     assert second.startswith("off by less than")
+
+
+def test_policy_chunks() -> None:
+    text = output("policy_chunks.py", "--duration", "1.5")
+    assert re.fullmatch(r"\d+ chunks in 1\.5 s, starved 0 times\n", text)
 
 
 def test_umi_schedule() -> None:
@@ -247,9 +289,10 @@ def test_rhd_arc_ends_where_it_should(tmp_path: Path, options: tuple[str, ...]) 
     assert len(way(tmp_path / "arc.svg")) > 50
 
 
+@pytest.mark.real_time
 def test_rhd_mission_docks_however_it_was_begun(tmp_path: Path) -> None:
     """From Python, from the command line, and through the server's port."""
-    lines = output("rhd_mission.py", str(tmp_path / "way.svg")).splitlines()
+    lines = checked(run_process("rhd_mission.py", str(tmp_path / "way.svg"))).splitlines()
     assert [line.strip() for line in lines[:2]] == ["userevent round", "userevent docked"]
     ends = [re.match(r"(.*?) +ended at x (.*) m, y (.*) m, heading (.*) deg", line) for line in lines[2:]]
     found = {end.group(1): tuple(map(float, end.groups()[1:])) for end in ends if end is not None}

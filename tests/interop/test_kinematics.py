@@ -1,6 +1,6 @@
-"""Kinematics and dynamics beside those of ur-analytic-ik and Pinocchio, which others wrote.
+"""Kinematics and dynamics beside those of ur-analytic-ik, Pinocchio and MuJoCo, which others wrote.
 
-`nox -s kinematics` installs both; elsewhere the tests of what is not there are skipped.
+`nox -s kinematics` installs them; elsewhere the tests of what is not there are skipped.
 """
 
 from __future__ import annotations
@@ -14,7 +14,9 @@ import pytest
 from tests.urlink.arms import calibrated
 from urlink.dynamics import GRAVITY, Dynamics
 from urlink.kinematics import Arm
+from urlink.mjcf import to_mjcf
 from urlink.models import MODELS
+from urlink.motors import motors_of
 from urlink.poses import from_matrix, to_matrix
 from urlink.urdf import to_urdf
 
@@ -113,3 +115,60 @@ class TestPinocchio:
             np.testing.assert_allclose(ours.torque(q, qd, qdd), torque, rtol=0.0, atol=1e-10)
             back = pinocchio.aba(model, data, x, qd, torque)
             np.testing.assert_allclose(ours.acceleration(q, qd, torque), back, rtol=1e-8, atol=1e-7)
+
+
+class TestMujoco:
+    """MuJoCo reads the MJCF that urlink writes, with the rotors; and the URDF, which has no place for them."""
+
+    @pytest.fixture
+    def arm(self, name: str, is_calibrated: bool) -> Arm:
+        return calibrated(name, 1) if is_calibrated else Arm(name)
+
+    @staticmethod
+    def compare(arm: Arm, text: str, rotors: bool) -> None:
+        mujoco: Any = pytest.importorskip("mujoco")
+        model = mujoco.MjModel.from_xml_string(text)
+        data = mujoco.MjData(model)
+        # What rubs is no part of the rigid bodies.
+        model.dof_damping[:] = model.dof_frictionloss[:] = 0.0
+        model.opt.gravity[:] = 0.0, 0.0, -GRAVITY
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+        ours = Dynamics(arm, rotors=rotors)
+        rng = np.random.default_rng(6)
+        for q in postures(7)[:50]:
+            qd, qdd = rng.uniform(-3.0, 3.0, 6), rng.uniform(-10.0, 10.0, 6)
+            data.qpos[:], data.qvel[:], data.qacc[:] = q, 0.0, 0.0
+            mujoco.mj_inverse(model, data)
+            np.testing.assert_allclose(ours.gravity_torque(q), data.qfrc_inverse, rtol=0.0, atol=1e-10)
+            data.qvel[:], data.qacc[:] = qd, qdd
+            mujoco.mj_inverse(model, data)
+            np.testing.assert_allclose(ours.torque(q, qd, qdd), data.qfrc_inverse, rtol=0.0, atol=1e-10)
+            matrix = np.column_stack([_times(mujoco, model, data, axis) for axis in np.eye(6)])
+            np.testing.assert_allclose(ours.mass_matrix(q), matrix, rtol=0.0, atol=1e-10)
+            if model.nsite:
+                found = np.eye(4)
+                found[:3, :3], found[:3, 3] = data.site_xmat[0].reshape(3, 3), data.site_xpos[0]
+                np.testing.assert_allclose(to_matrix(arm.forward(q)), found, rtol=0.0, atol=1e-10)
+
+    @EVERY
+    @BOTH
+    def test_mjcf(self, arm: Arm) -> None:
+        self.compare(arm, to_mjcf(arm), rotors=True)
+
+    @EVERY
+    @BOTH
+    def test_urdf(self, arm: Arm) -> None:
+        self.compare(arm, to_urdf(arm), rotors=False)
+
+    def test_friction_is_that_of_the_motors(self) -> None:
+        mujoco: Any = pytest.importorskip("mujoco")
+        model, motors = mujoco.MjModel.from_xml_string(to_mjcf("UR10e")), motors_of("UR10e")
+        np.testing.assert_allclose(model.dof_frictionloss, np.multiply(motors.torque_constants, motors.coulomb))
+        np.testing.assert_allclose(model.dof_damping, np.multiply(motors.torque_constants, motors.viscous))
+
+
+def _times(mujoco: Any, model: Any, data: Any, vector: np.ndarray) -> np.ndarray:
+    """The mass matrix times a vector."""
+    found = np.zeros(6)
+    mujoco.mj_mulM(model, data, found, vector)
+    return found

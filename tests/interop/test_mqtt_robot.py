@@ -22,7 +22,7 @@ EXAMPLE = Path(__file__).parents[2] / "examples" / "mqtt_robot.py"
 HOME = [0.0, -1.5, 1.5, -1.5, -1.5, 0.0]
 
 # The example is a process that has to start.
-pytestmark = [needs_broker, pytest.mark.timeout(240)]
+pytestmark = [needs_broker, pytest.mark.real_time, pytest.mark.timeout(240)]
 
 
 def test_a_robot_behind_a_broker(broker: int) -> None:

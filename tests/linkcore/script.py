@@ -10,18 +10,17 @@ import time
 from collections import deque
 from pathlib import Path
 
+from linkcore.clock import Stamp
 from linkcore.errors import ConnectionLost, LinkTimeout, PacketError
 from linkcore.net.transport import Transport
-from linkcore.stamp import Stamp
-from linkcore.streaming.backoff import Backoff
-from linkcore.streaming.connection import Connection
+from linkcore.streaming.connection_life import Backoff
 from linkcore.streaming.fanout import FanOut
 from linkcore.streaming.stream import Stream
+from linkcore.streaming.thread_connection import ThreadConnection
 from linkcore.wire.cycles import MissedCycles
-from linkcore.wire.fields import Header
+from linkcore.wire.fields import Header, Int8ub, Int32ub
 from linkcore.wire.framing import Framer
 from linkcore.wire.packet import State, packet, wire
-from linkcore.wire.shapes import Int8ub, Int32ub
 
 HEADER = Header(size=Int8ub)
 
@@ -112,6 +111,7 @@ class ScriptedTransport:
     """
 
     name = "script"
+    round_trip = 1e-4
 
     def __init__(self, *openings: Exception | None) -> None:
         self._openings = list(openings)
@@ -203,5 +203,5 @@ def scripted(
     lossless: bool = False,
 ) -> Stream[Count]:
     """A stream of `Count` over a transport."""
-    connection = Connection(name, transport, CountProtocol, FanOut(Count), backoff=backoff, silence=silence)
+    connection = ThreadConnection(name, transport, CountProtocol, FanOut(Count), backoff=backoff, silence=silence)
     return Stream(connection, Count, lossless=lossless)

@@ -16,9 +16,9 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from linkcore.callbacks import CallbackThread
 from linkcore.errors import BadValue, Cancelled, ConnectionLost, LinkTimeout, LocalError
 from linkcore.handle import TRANSITIONS, Event, Handle, Lifecycle, Motion, Phase
+from linkcore.threads import CallbackThread
 from tests.waiting import interrupted, until
 
 pytestmark = pytest.mark.simulated_time

@@ -48,6 +48,7 @@ def test_another_name_is_no_attribute(package: ModuleType) -> None:
     assert not hasattr(package, "json")
 
 
+@pytest.mark.real_time
 def test_a_module_is_imported_when_it_is_first_asked_for() -> None:
     program = "import sys, urlink; before = 'urlink.poses' in sys.modules; urlink.poses.compose; print(before)"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
@@ -102,6 +103,7 @@ def test_what_has_moved_is_there(package: ModuleType) -> None:
 
 
 @pytest.mark.parametrize("package", PACKAGES)
+@pytest.mark.real_time
 def test_importing_a_package_imports_nothing_of_it(package: ModuleType) -> None:
     program = f"import sys; import {package.__name__}; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)

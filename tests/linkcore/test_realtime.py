@@ -47,6 +47,7 @@ linux = pytest.mark.skipif(sys.platform != "linux", reason="asks the system for 
 
 
 @linux
+@pytest.mark.real_time
 def test_readers_have_it_whenever_they_began(monkeypatch: pytest.MonkeyPatch) -> None:
     system = System(monkeypatch)
     cpu = min(os.sched_getaffinity(0))

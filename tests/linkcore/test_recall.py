@@ -215,6 +215,40 @@ def test_users_share_what_is_owed_and_the_last_one_ends_the_thread() -> None:
     recall.close(first)
 
 
+def test_who_uses_a_part_alone_shares_what_is_owed_with_who_uses_all() -> None:
+    peer, whole, part, first, second = Peer(), object(), object(), User(), User()
+    recall = Recall.of(whole, "robot", first, part)
+    assert Recall.of(part, "dashboard", second) is recall
+    give_up(recall, peer)
+    recall.close(first)
+    recall.close(second)
+    assert Recall.is_owed(whole)
+    assert Recall.is_owed(part)
+    peer.contact.set()
+    assert Recall.of(part, "dashboard", second).settle(TIMEOUT)
+    assert peer.undone == ["play"]
+    recall.close(second)
+
+
+@pytest.mark.parametrize("is_used", [False, True])
+def test_who_uses_all_takes_back_what_several_parts_owe_unless_they_do(is_used: bool) -> None:
+    peer, parts, users = Peer(), [object(), object()], [User(), User(), User()]
+    owed = [Recall.of(part, "part", user) for part, user in zip(parts, users[:2], strict=True)]
+    for recall, name, user in zip(owed, ("play", "gripper"), users[:2], strict=True):
+        give_up(recall, peer, name)
+        if not is_used:
+            recall.close(user)
+    whole = Recall.of("whole", "robot", users[2], *parts)
+    assert whole is owed[0]
+    assert whole.pending == (("play",) if is_used else ("gripper", "play"))
+    peer.contact.set()
+    assert whole.settle(TIMEOUT)
+    until(lambda: not Recall.is_owed(*parts))
+    assert sorted(peer.undone) == ["gripper", "play"]
+    for recall, user in zip((*owed, whole), users, strict=True):
+        recall.close(user)
+
+
 def test_an_attempt_that_waits_is_broken_off_by_the_last_close() -> None:
     waiting = threading.Event()
 

@@ -15,6 +15,8 @@ from tests.waiting import until
 from urlink import LocalError
 from urlink.simulator import Controller
 
+pytestmark = pytest.mark.real_time
+
 pytest_plugins = ["pytester"]
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "testing.md"

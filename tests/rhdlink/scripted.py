@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable
 
 from rhdlink.variables.database import Database, TimeStamp
-from rhdlink.wire.messages import Row
+from rhdlink.wire.messages import SymbolRow
 
 #: Seconds after which a client that says nothing has failed the test.
 TIMEOUT = 10.0
@@ -105,7 +105,7 @@ class Robot:
     """A robot's side to script with: one read and two write variables, and a tick."""
 
     def __init__(self, read: tuple[str, ...] = ("tick", "encl"), write: tuple[str, ...] = ("speedl", "speedr")) -> None:
-        self.database = Database([Row(name, 1) for name in read], [Row(name, 1) for name in write])
+        self.database = Database([SymbolRow(name, 1) for name in read], [SymbolRow(name, 1) for name in write])
 
     def greet(self, peer: Peer, access: str = "r") -> None:
         peer.hear(b"a" + access.encode())

@@ -27,7 +27,7 @@ from linkcore.errors import (
     PacketError,
     WrongPeer,
 )
-from linkcore.streaming.events import ConnectionEvent
+from linkcore.streaming.connection_life import ConnectionEvent
 from rhdlink import (
     AccessDenied,
     ConnectionState,
@@ -45,7 +45,7 @@ from rhdlink.plugins.turtle import Turtle
 from rhdlink.replica import Replica
 from rhdlink.variables.database import Database, TimeStamp
 from rhdlink.wire.decoder import ServerDecoder
-from rhdlink.wire.messages import Row
+from rhdlink.wire.messages import SymbolRow
 from tests.rhdlink import recorded
 from tests.rhdlink.scripted import Peer, Robot, ScriptedServer, endless, nothing_more_after_greeting, serving
 from tests.waiting import until
@@ -472,7 +472,7 @@ def test_a_late_answer_is_collected_before_anything_else_is_said() -> None:
 
 def test_values_by_name() -> None:
     side = Robot()
-    side.database = Database([Row("tick", 1), Row("line", 3)], side.database.write.rows)
+    side.database = Database([SymbolRow("tick", 1), SymbolRow("line", 3)], side.database.write.rows)
     side.database.read.set(1, [1, 2, 3])
     with (
         ScriptedServer(serving(side, "w", 1)) as server,

@@ -11,13 +11,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from linkcore.clock import Stamp
 from linkcore.errors import ConnectionLost, LinkError, LinkTimeout
-from linkcore.stamp import Stamp
 from rhdlink import Variables
 from rhdlink.variables.database import Database
-from rhdlink.wire.messages import Row
+from rhdlink.wire.messages import SymbolRow
 
-HANDSHAKE = Database(read=[Row("tick", 1), Row("line", 8)], write=[Row("speed", 1)]).encode_handshake("w")
+HANDSHAKE = Database(read=[SymbolRow("tick", 1), SymbolRow("line", 8)], write=[SymbolRow("speed", 1)]).encode_handshake(
+    "w"
+)
 
 
 class Says:

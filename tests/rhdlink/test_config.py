@@ -212,6 +212,7 @@ def test_what_clients_are_told_and_may_ask_for() -> None:
             parse_config(f"<rhd><server>{wrong}</server></rhd>")
 
 
+@pytest.mark.simulated_time
 def test_a_host_has_what_the_file_says_of_clients() -> None:
     """A batch with more than the file allows costs the client its connection."""
     text = """<rhd><server><port value='0'/><limits batch='64'/></server>

@@ -7,13 +7,13 @@ from types import SimpleNamespace
 import pytest
 
 import rhdlink.connection
+from linkcore.clock import Stamp
 from linkcore.errors import LinkTimeout
-from linkcore.stamp import Stamp
 from rhdlink.connection import Connection
 from rhdlink.variables.database import Database
-from rhdlink.wire.messages import Batch, Row
+from rhdlink.wire.messages import Batch, SymbolRow
 
-HANDSHAKE = Database([Row("tick", 1)]).encode_handshake("r")
+HANDSHAKE = Database([SymbolRow("tick", 1)]).encode_handshake("r")
 BATCH = b"dr\0\0\0\0ee"
 
 

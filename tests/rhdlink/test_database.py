@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from linkcore.errors import BadValue, LocalError
-from rhdlink.variables.database import Database, Table, TimeStamp, now
+from rhdlink.variables.database import Database, TimeStamp, VariableTable, now
 from rhdlink.variables.dirty_set import DirtySet
 from rhdlink.wire.data import DataPackage, Selection, TableLayout
 from rhdlink.wire.decoder import ServerDecoder
-from rhdlink.wire.messages import Row
+from rhdlink.wire.messages import SymbolRow
 
 words = st.integers(-(2**31), 2**31 - 1)
 stamps = st.builds(TimeStamp, st.integers(0, 2**32 - 1), st.integers(0, 999_999))
@@ -28,7 +28,7 @@ class DatabaseModel(RuleBasedStateMachine):
     def begin(self, lengths: list[int], many: bool) -> None:
         # With many variables, DirtySet looks at all marks rather than sorting few.
         self.lengths = lengths * (20 if many else 1)
-        self.table = Table("r", [Row(f"v{number}", length) for number, length in enumerate(self.lengths)])
+        self.table = VariableTable("r", [SymbolRow(f"v{number}", length) for number, length in enumerate(self.lengths)])
         count = len(self.lengths)
         self.values = [[0] * length for length in self.lengths]
         self.stamps = [TimeStamp(0, 0)] * count
@@ -68,7 +68,7 @@ class DatabaseModel(RuleBasedStateMachine):
     @rule(data=st.data(), updates=st.booleans(), width=st.sampled_from([2, 4]))
     def receive(self, data: st.DataObject, updates: bool, width: int) -> None:
         ids = list(dict.fromkeys(self.some(data)))
-        other = Table("r", self.table.rows)
+        other = VariableTable("r", self.table.rows)
         for identity in ids:
             if data.draw(st.booleans()):
                 other.set(identity, self.values[identity], self.stamps[identity])
@@ -152,7 +152,7 @@ def test_variables_are_made_until_the_first_handshake() -> None:
     ("name", "length"), [("", 1), ("n" * 33, 1), ("a\0", 1), ("€", 1), ("there", 1), ("a", 0), ("a", -1)]
 )
 def test_variables_that_cannot_be(name: str, length: int) -> None:
-    table = Table("r", [Row("there", 1)])
+    table = VariableTable("r", [SymbolRow("there", 1)])
     with pytest.raises(BadValue):
         table.add(name, length)
     assert len(table) == 1
@@ -160,7 +160,7 @@ def test_variables_that_cannot_be(name: str, length: int) -> None:
 
 @pytest.mark.parametrize("identity", [-1, 2, 100])
 def test_ids_that_cannot_be(identity: int) -> None:
-    table = Table("r", [Row("a", 1), Row("b", 2)])
+    table = VariableTable("r", [SymbolRow("a", 1), SymbolRow("b", 2)])
     for use in (
         lambda: table.set(identity, 1),
         lambda: table.value(identity),
@@ -173,7 +173,7 @@ def test_ids_that_cannot_be(identity: int) -> None:
 
 @pytest.mark.parametrize("value", [2**31, -(2**31) - 1, [1], [1, 2, 3], 1.5, [2**40, 0], "x", [None, None]])
 def test_values_that_cannot_be(value: Any) -> None:
-    table = Table("r", [Row("a", 2)])
+    table = VariableTable("r", [SymbolRow("a", 2)])
     with pytest.raises(BadValue):
         table.set(0, value)
     with pytest.raises(BadValue):
@@ -183,7 +183,7 @@ def test_values_that_cannot_be(value: Any) -> None:
 
 
 def test_a_view_of_a_variable_is_read_only_and_changes_with_it() -> None:
-    table = Table("r", [Row("a", 2)])
+    table = VariableTable("r", [SymbolRow("a", 2)])
     view = table.value(0)
     table.set(0, [1, 2])
     assert view.tolist() == [1, 2]
@@ -192,14 +192,14 @@ def test_a_view_of_a_variable_is_read_only_and_changes_with_it() -> None:
 
 
 def test_of_two_with_the_same_name_the_first_is_found() -> None:
-    table = Table("r", [Row("a", 1), Row("a", 2)])
+    table = VariableTable("r", [SymbolRow("a", 1), SymbolRow("a", 2)])
     assert table.find("a") == 0
     assert table.find("b") is None
     assert "a" in table
 
 
 def test_a_selection_does_not_follow_the_array_it_was_made_from() -> None:
-    table = Table("r", [Row("a", 1), Row("b", 1)])
+    table = VariableTable("r", [SymbolRow("a", 1), SymbolRow("b", 1)])
     ids = np.array([0])
     assert table.select(ids).ids.tolist() == [0]
     ids[0] = 1
@@ -207,7 +207,7 @@ def test_a_selection_does_not_follow_the_array_it_was_made_from() -> None:
 
 
 def test_what_two_are_told_alike_is_prepared_once() -> None:
-    table = Table("r", [Row(f"v{number}", 1 + number % 3) for number in range(300)])
+    table = VariableTable("r", [SymbolRow(f"v{number}", 1 + number % 3) for number in range(300)])
     table.set_many(table.select(range(300)), 5)
     ids = table.dirty.take()
     one, other = DirtySet(300), DirtySet(300)
@@ -226,7 +226,7 @@ def test_the_present_is_exact() -> None:
 @pytest.mark.property
 @given(st.integers(0, 5), st.sampled_from([2, 4]))
 def test_a_server_with_no_write_variables(count: int, width: int) -> None:
-    database = Database(read=[Row(f"v{number}", 1) for number in range(count)])
+    database = Database(read=[SymbolRow(f"v{number}", 1) for number in range(count)])
     stream = ServerDecoder(width=width)
     stream.feed(database.encode_handshake(None, width))
     handshake = stream.take_handshake()

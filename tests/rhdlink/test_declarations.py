@@ -14,7 +14,7 @@ from rhdlink import AccessDenied, NotThere, Plugin, Variables, WrongVariables, r
 from rhdlink.variables.database import Database
 from rhdlink.variables.declarations import Declarations, Read, Write, bind, create_variables
 from rhdlink.variables.value_types import Bool, Float32, Float64, Int32, Int64, Scaled, Structure, Text, UInt32
-from rhdlink.wire.messages import Row
+from rhdlink.wire.messages import SymbolRow
 
 if TYPE_CHECKING:
     from typing_extensions import assert_type  # in typing since Python 3.11
@@ -133,7 +133,8 @@ def test_the_order_of_a_class_and_of_a_declaration() -> None:
 
 def test_all_differences_are_one_error() -> None:
     database = Database(
-        read=[Row("whole", 2), Row("speed", 1), Row("bits", 1), Row("maybe", 1)], write=[Row("line", 8), Row("on", 1)]
+        read=[SymbolRow("whole", 2), SymbolRow("speed", 1), SymbolRow("bits", 1), SymbolRow("maybe", 1)],
+        write=[SymbolRow("line", 8), SymbolRow("on", 1)],
     )
     with pytest.raises(WrongVariables) as caught:
         bind(Everything(), database)
@@ -162,7 +163,7 @@ def test_what_a_robot_may_lack() -> None:
         gyro = Read(Int32, 3, optional=True)
 
     it = Hopeful()
-    bind(it, Database(read=[Row("tick", 1)]))
+    bind(it, Database(read=[SymbolRow("tick", 1)]))
     assert it.tick == 0
     assert not hasattr(it, "gyro")
     with pytest.raises(NotThere, match="no read variable 'gyro'"):

@@ -11,10 +11,10 @@ from rhdlink.variables.database import Database
 from rhdlink.wire.data import DataPackage, TableLayout
 from rhdlink.wire.decoder import ClientDecoder, ServerDecoder
 from rhdlink.wire.dissection import Piece, dissect
-from rhdlink.wire.messages import Row
+from rhdlink.wire.messages import SymbolRow
 
-READ, WRITE = (Row("tick", 1), Row("scan", 3)), (Row("speed", 1), Row("arm", 2))
-TABLES: dict[str, tuple[Row, ...]] = {"r": READ, "w": WRITE}
+READ, WRITE = (SymbolRow("tick", 1), SymbolRow("scan", 3)), (SymbolRow("speed", 1), SymbolRow("arm", 2))
+TABLES: dict[str, tuple[SymbolRow, ...]] = {"r": READ, "w": WRITE}
 
 
 def int32(*values: int) -> bytes:

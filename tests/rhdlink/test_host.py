@@ -24,7 +24,7 @@ from rhdlink.host import host as host_module
 from rhdlink.host.config import BadConfiguration, Element, parse_config
 from rhdlink.host.host import Host, HostFailed, HostStatistics, PluginFailed
 from rhdlink.host.plugin import Plugin
-from rhdlink.host.schedule import Schedule
+from rhdlink.host.server import TickSchedule
 from rhdlink.variables.declarations import Read, Write
 from rhdlink.variables.value_types import Int32
 from tests.rhdlink.raw_client import RawClient
@@ -178,6 +178,12 @@ def test_a_plugin_that_exits_has_failed() -> None:
     with Host([exits], port=0, period=0.001) as host:
         until(lambda: host.stats.failed_plugins == ("exits",))
         assert not host.wait(0.0)
+
+
+@pytest.mark.parametrize("timeout", [True, -1.0, float("nan"), "1"])
+def test_who_waits_says_for_how_many_seconds(timeout: Any) -> None:
+    with Host([Noted("a", [])], port=0, period=0.01) as host, pytest.raises(BadValue, match="number of seconds"):
+        host.wait(timeout)
 
 
 def test_a_plugin_that_exits_at_the_end_keeps_nobody_from_ending() -> None:
@@ -700,7 +706,7 @@ def test_missed_ticks_are_not_made_up_for() -> None:
     st.lists(st.builds(float.__add__, st.integers(0, 20).map(float), st.floats(0.05, 0.95)), min_size=1, max_size=40),
 )
 def test_ticks_are_due_at_whole_periods_whatever_came_late(period: float, lateness: list[float]) -> None:
-    schedule = Schedule(period, 100.0)
+    schedule = TickSchedule(period, 100.0)
     now = 100.0
     for number, periods in enumerate(lateness, 1):
         due = schedule.advance()

@@ -42,6 +42,7 @@ class Otherwise(Variables):
     count = Read(Int32, 2)
 
 
+@pytest.mark.simulated_time
 def test_columns_of_words_and_of_what_was_declared(tmp_path: Path) -> None:
     path = tmp_path / "drive.urlog"
     with (
@@ -58,7 +59,7 @@ def test_columns_of_words_and_of_what_was_declared(tmp_path: Path) -> None:
     assert words["length"].shape == (len(counts), 2)
     assert words["speed"].tolist() == [0] * len(counts)
     assert words.missing == ()
-    typed = rhdlink.load(path, Robot)
+    typed = rhdlink.load(path, variables=Robot)
     assert typed["how_many"].tolist() == counts
     assert typed.fields["how_many"].doc == "ticks so far"
     assert typed.fields["length"].unit == "m"

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from linkcore.errors import BadValue
-from linkcore.recording.file import Kind, Recording
+from linkcore.recording.file import Kind, RecordingFile
 from rhdlink.host.config import Element
 from rhdlink.host.host import Host, PluginFailed
 from rhdlink.host.plugin import Plugin
@@ -17,6 +17,8 @@ from rhdlink.variables.declarations import Read, Write
 from rhdlink.variables.value_types import Float32, Float64, Int32, Scaled, Structure, Text
 from rhdlink.wire.decoder import ServerDecoder
 from tests.rhdlink.raw_client import RawClient
+
+pytestmark = pytest.mark.simulated_time
 
 
 class Double(Plugin):
@@ -98,7 +100,7 @@ def test_values_are_typed_as_they_are_declared_and_no_two_columns_have_a_name(tm
 
 def test_a_recording_is_what_a_reader_would_have_been_sent(tmp_path: Path) -> None:
     drive(Logger(tmp_path / "drive.urlog"))
-    recording = Recording(tmp_path / "drive.urlog")
+    recording = RecordingFile(tmp_path / "drive.urlog")
     assert recording.is_complete
     assert recording.channels[0]["name"] == "rhd"
     stream = ServerDecoder()

@@ -19,8 +19,8 @@ from rhdlink.plugins.mqtt import (
     ROBOBOT,
     ROBOBOT_TABLE,
     MqttRobot,
+    MqttTopic,
     MqttTurtle,
-    Topic,
     parse_topics,
     read_topics,
 )
@@ -36,7 +36,7 @@ def test_the_table_is_a_file_that_can_be_edited(tmp_path: Path) -> None:
     path = tmp_path / "topics.txt"
     path.write_text(ROBOBOT_TABLE.replace("robobot/drive", "mine/drive") + "read mine/battery battery time volts\n")
     topics = read_topics(path)
-    assert topics.pose == Topic("read", "mine/drive/T0/pose", "pose", ("time", "x", "y", "heading"))
+    assert topics.pose == MqttTopic("read", "mine/drive/T0/pose", "pose", ("time", "x", "y", "heading"))
     assert [topic.variable for topic in topics.read] == ["pose", "battery"]
     assert (topics.command.values, topics.alive.name) == (("linear", "angular"), "robobot/cmd/ti/alive")
 
@@ -106,6 +106,7 @@ class Robobot(VelocityOmega):
 
 
 @needs_broker
+@pytest.mark.real_time
 def test_a_mission_drives_a_robot_behind_a_broker(broker: int) -> None:
     world = World(1000.0)
     with (
@@ -124,6 +125,7 @@ def test_a_mission_drives_a_robot_behind_a_broker(broker: int) -> None:
 
 
 @needs_broker
+@pytest.mark.real_time
 def test_a_robot_whose_master_has_gone_stands(broker: int) -> None:
     """The master's host is killed without a word: nothing is sent any more."""
     now = [0.0]
@@ -145,6 +147,7 @@ def test_a_robot_whose_master_has_gone_stands(broker: int) -> None:
 
 
 @needs_broker
+@pytest.mark.real_time
 def test_a_program_that_leaves_has_the_robot_stand_at_once(broker: int) -> None:
     world = World(1000.0)
     turtle = MqttTurtle(port=broker, world=world)
@@ -157,6 +160,7 @@ def test_a_program_that_leaves_has_the_robot_stand_at_once(broker: int) -> None:
 
 
 @needs_broker
+@pytest.mark.real_time
 def test_a_robot_that_tells_no_pose_is_told_to_stand(broker: int) -> None:
     now = [0.0]
     world = World(1000.0)
@@ -173,7 +177,7 @@ def test_a_robot_that_tells_no_pose_is_told_to_stand(broker: int) -> None:
             until(drives)
             told: list[float] = []
 
-            def send(topic: Topic, values: Mapping[str, float]) -> None:
+            def send(topic: MqttTopic, values: Mapping[str, float]) -> None:
                 told.append(values.get("linear", -1.0))
 
             assert bridge._broker is not None
@@ -185,6 +189,7 @@ def test_a_robot_that_tells_no_pose_is_told_to_stand(broker: int) -> None:
 
 
 @needs_broker
+@pytest.mark.real_time
 def test_a_second_master_has_to_wait(broker: int) -> None:
     now = [0.0]
     turtle = MqttTurtle(clock=lambda: now[0])
@@ -201,6 +206,7 @@ def test_a_second_master_has_to_wait(broker: int) -> None:
 
 
 @needs_broker
+@pytest.mark.real_time
 def test_a_broker_that_comes_back_is_used_again_and_nothing_is_sent_late(broker: int, tmp_path: Path) -> None:
     bridge = MqttRobot(port=broker)
     with Host([bridge], port=0) as host, connect(host.address, VelocityOmega, access="w") as robot:
@@ -219,6 +225,7 @@ def test_a_broker_that_comes_back_is_used_again_and_nothing_is_sent_late(broker:
         assert bridge.mqtt.sent == sent
 
 
+@pytest.mark.real_time
 def test_no_broker_is_an_error() -> None:
     with socket.create_server(("127.0.0.1", 0)) as probe:
         port = probe.getsockname()[1]

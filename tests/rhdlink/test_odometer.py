@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linkcore.errors import BadValue
-from rhdlink.plugins.odometer import Odometer, wrapped
+from rhdlink.plugins.velocity import Odometer, wrapped
 
 
 def test_the_first_pose_is_where_counting_begins() -> None:

@@ -146,6 +146,7 @@ print(json.dumps({
 """
 
 
+@pytest.mark.real_time
 def test_importing_it_starts_nothing_and_brings_in_nothing_that_is_not_needed() -> None:
     done = subprocess.run([sys.executable, "-W", "error", "-c", PROGRAM], capture_output=True, text=True, check=True)
     told = json.loads(done.stdout)

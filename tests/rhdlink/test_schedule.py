@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rhdlink.host.schedule import Schedule
+from rhdlink.host.server import TickSchedule
 
 
-def ticked(*lateness: float) -> Schedule:
+def ticked(*lateness: float) -> TickSchedule:
     """A schedule of a period of one second, of which so many ticks have come, each so late."""
-    schedule = Schedule(1.0, 100.0)
+    schedule = TickSchedule(1.0, 100.0)
     for late in lateness:
         schedule.came(schedule.advance() + late)
     return schedule
@@ -31,13 +31,13 @@ def test_whole_periods_that_were_missed_are_skipped() -> None:
     assert schedule.advance() == 105.0
     schedule = ticked(1.25, 0.0, 2.5)
     assert (schedule.overruns, schedule.skipped, schedule.worst) == (2, 3, 2.5)
-    schedule = Schedule(0.5, 100.0)
+    schedule = TickSchedule(0.5, 100.0)
     schedule.came(schedule.advance() + 1.25)
     assert (schedule.skipped, schedule.due) == (2, 101.5)
 
 
 def test_a_tick_that_the_host_waits_with_is_not_late() -> None:
-    schedule = Schedule(1.0, 100.0)
+    schedule = TickSchedule(1.0, 100.0)
     schedule.advance()
     schedule.postpone(0.75)
     schedule.came(101.75)

@@ -18,7 +18,7 @@ from rhdlink.host import server as server_module
 from rhdlink.host.server import MOST_NEW, Server
 from rhdlink.host.service import AHEAD, Client, Service
 from rhdlink.variables.database import Database
-from rhdlink.wire.messages import Row
+from rhdlink.wire.messages import SymbolRow
 from tests.rhdlink.raw_client import RawClient
 from tests.waiting import until
 
@@ -36,7 +36,7 @@ class Stand:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now = 1000.0
         monkeypatch.setattr(server_module, "SelectorLoop", lambda: SelectorLoop(lambda: self.now))
-        self.database = Database([Row("tick", 1), Row("scan", WORDS)], [Row("speed", 1)])
+        self.database = Database([SymbolRow("tick", 1), SymbolRow("scan", WORDS)], [SymbolRow("speed", 1)])
         self.service = Service(self.database, clients=3)
         self.server = Server(self.service, "127.0.0.1", 0, client_timeout=TIMEOUT, inactivity_timeout=INACTIVITY)
         self._exits = ExitStack()

@@ -17,7 +17,7 @@ from rhdlink.host import service as service_module
 from rhdlink.host.service import Client, Service
 from rhdlink.variables.database import Database
 from rhdlink.wire.decoder import Limits, ServerDecoder
-from rhdlink.wire.messages import Row, encode_data
+from rhdlink.wire.messages import SymbolRow, encode_data
 
 READ = {"tick": 1, "encoders": 2, "scan": 5, "once": 1}
 WRITE = {"speed": 1, "arm": 3, "lamp": 1}
@@ -57,7 +57,9 @@ class Rounds(RuleBasedStateMachine):
         allwriters=st.booleans(), resend=st.sampled_from(["changed", "original"]), width=st.sampled_from([2, 4])
     )
     def begin(self, allwriters: bool, resend: str, width: int) -> None:
-        self.database = Database([Row(*item) for item in READ.items()], [Row(*item) for item in WRITE.items()])
+        self.database = Database(
+            [SymbolRow(*item) for item in READ.items()], [SymbolRow(*item) for item in WRITE.items()]
+        )
         self.allwriters, self.original, self.width = allwriters, resend == "original", width
         self.service = Service(
             self.database,
@@ -235,7 +237,7 @@ TestRounds.settings = settings(stateful_step_count=40, deadline=None)
 @pytest.mark.property
 @given(st.lists(st.one_of(st.binary(max_size=60), st.sampled_from([b"aw", b"ar", b"rwee", b"rree", b"dw", b"ee"]))))
 def test_arbitrary_bytes_give_a_value_or_a_closed_connection(pieces: list[bytes]) -> None:
-    service = Service(Database([Row("tick", 1)], [Row("speed", 1), Row("arm", 3)]))
+    service = Service(Database([SymbolRow("tick", 1)], [SymbolRow("speed", 1), SymbolRow("arm", 3)]))
     client = service.connect("stranger")
     assert client is not None
     for piece in pieces:
@@ -249,7 +251,7 @@ def test_arbitrary_bytes_give_a_value_or_a_closed_connection(pieces: list[bytes]
 
 
 def service(clients: int = 10, width: int = 2) -> tuple[Service, Database]:
-    database = Database([Row(*item) for item in READ.items()], [Row(*item) for item in WRITE.items()])
+    database = Database([SymbolRow(*item) for item in READ.items()], [SymbolRow(*item) for item in WRITE.items()])
     return Service(database, clients=clients, width=width), database
 
 
@@ -354,7 +356,7 @@ def test_four_kilobytes_are_read_ahead_of_the_reply() -> None:
 
 
 def test_a_service_has_its_slots_and_variables_for_good() -> None:
-    database = Database([Row("tick", 1)])
+    database = Database([SymbolRow("tick", 1)])
     assert Service(database, clients=10_000).slots == 10_000
     with pytest.raises(BadValue, match="clients"):
         Service(Database(), clients=10_001)
@@ -405,7 +407,7 @@ def test_a_client_may_set_all_variables_at_once_and_a_kilobyte_more(width: int) 
 
 
 def test_limits_that_are_given_are_kept() -> None:
-    generous = Service(Database(write=[Row("speed", 1)]), limits=Limits(batch=1 << 20))
+    generous = Service(Database(write=[SymbolRow("speed", 1)]), limits=Limits(batch=1 << 20))
     writer = granted(generous, b"aw")
     generous.receive(writer, b"rw" * 10_000 + b"ee")
     assert writer.failure is None

@@ -19,6 +19,8 @@ from rhdlink.world import World
 from tests.real_captures import folder
 from tests.rhdlink.raw_client import RawClient
 
+pytestmark = pytest.mark.simulated_time
+
 
 @pytest.fixture
 def drives() -> Path:

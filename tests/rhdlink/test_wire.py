@@ -21,7 +21,7 @@ from rhdlink.wire.messages import (
     Batch,
     Handshake,
     Request,
-    Row,
+    SymbolRow,
     encode_access,
     encode_data,
     encode_ready,
@@ -30,7 +30,7 @@ from rhdlink.wire.messages import (
 from rhdlink.wire.schema import schema
 
 names = st.text(st.characters(min_codepoint=1, max_codepoint=255), min_size=1, max_size=32)
-rows = st.lists(st.builds(Row, names, st.integers(1, 9)), max_size=6).map(tuple)
+rows = st.lists(st.builds(SymbolRow, names, st.integers(1, 9)), max_size=6).map(tuple)
 widths = st.sampled_from([2, 4])
 words = st.integers(-(2**31), 2**31 - 1)
 stamps = st.builds(TimeStamp, st.integers(0, 2**32 - 1), st.integers(0, 999_999))
@@ -158,7 +158,7 @@ def test_packages_there_and_back_as_construct_has_them(sizes: list[int], width: 
 
 @pytest.mark.property
 @given(rows)
-def test_tables_as_construct_has_them(table: tuple[Row, ...]) -> None:
+def test_tables_as_construct_has_them(table: tuple[SymbolRow, ...]) -> None:
     declared = schema("table", "server")
     parsed = declared.parse(encode_table("r", table))
     assert [(row.name.rstrip(b"\0").decode("latin-1"), row.length) for row in parsed["items"]] == list(table)
@@ -172,7 +172,7 @@ def test_small_packages_as_construct_has_them() -> None:
 
 
 def test_stamps_of_64_bits() -> None:
-    database = Database(read=[Row("tick", 1)])
+    database = Database(read=[SymbolRow("tick", 1)])
     late = TimeStamp(2**33 + 5, 7)
     database.read.set(0, 1, late)
     (found,) = read_server([database.encode_handshake("r", 4)])
@@ -180,7 +180,7 @@ def test_stamps_of_64_bits() -> None:
 
 
 def test_of_a_variable_that_is_there_twice_the_last_counts() -> None:
-    database = Database(write=[Row("a", 1), Row("b", 2)])
+    database = Database(write=[SymbolRow("a", 1), SymbolRow("b", 2)])
     stream = ClientDecoder(database.write.layout)
     entry = struct.Struct(">iiii")
     stream.feed(b"awdw" + struct.pack(">i", 2) + entry.pack(0, 1, 2, 10) + entry.pack(0, 3, 4, 20) + b"ee")
@@ -204,7 +204,7 @@ def test_of_a_variable_that_is_there_twice_the_last_counts() -> None:
     ],
 )
 def test_values_are_those_of_their_variables(ids: list[int], is_ordered: bool, values: list[int]) -> None:
-    database = Database(write=[Row("a", 1), Row("b", 2), Row("c", 1), Row("d", 1)])
+    database = Database(write=[SymbolRow("a", 1), SymbolRow("b", 2), SymbolRow("c", 1), SymbolRow("d", 1)])
     table = database.write
     found = Selection(table.layout, np.array(ids, np.int64), 2)
     assert found.is_ordered == is_ordered
@@ -250,9 +250,9 @@ def test_no_more_than_there_are_variables_in_one_package() -> None:
 
 # -- what cannot be ----------------------------------------------------------------------------
 
-HANDSHAKE = Database(read=[Row("tick", 1), Row("line", 8)], write=[Row("speed", 1), Row("arm", 3)]).encode_handshake(
-    "r"
-)
+HANDSHAKE = Database(
+    read=[SymbolRow("tick", 1), SymbolRow("line", 8)], write=[SymbolRow("speed", 1), SymbolRow("arm", 3)]
+).encode_handshake("r")
 #: Where what begins in it: ar, tw and its rows, tr and its rows, dw, dr.
 TW, TR, DW, DR = 2, 2 + 80, 2 + 160, 2 + 160 + 6 + 12 + 12 + 12 + 4
 
@@ -308,7 +308,7 @@ def test_a_handshake_that_cannot_be_says_where(data: bytes, reason: str, offset:
         (b"dr" + struct.pack(">ii", 1, -1), "entry of variable -1", 6),
         (b"dr" + struct.pack(">ii", 1, 1000000), "entry of variable 1000000", 6),
         (b"dr" + struct.pack(">iiiii", 2, 0, 0, 0, 0) + struct.pack(">i", 2**31 - 1), "of variable 2147483647", 22),
-        (encode_table("r", [Row("tick", 2)]), "another table 'tr' than in the handshake", 0),
+        (encode_table("r", [SymbolRow("tick", 2)]), "another table 'tr' than in the handshake", 0),
     ],
 )
 def test_a_batch_that_cannot_be_says_where(data: bytes, reason: str, offset: int) -> None:
@@ -417,7 +417,7 @@ def test_limits_that_cannot_be(name: str) -> None:
 
 def test_a_batch_without_an_end_is_refused() -> None:
     limits = Limits(batch=1000)
-    for endless in (b"dr\0\0\0\0" * 300, encode_table("r", [Row("tick", 1), Row("line", 8)]) * 30):
+    for endless in (b"dr\0\0\0\0" * 300, encode_table("r", [SymbolRow("tick", 1), SymbolRow("line", 8)]) * 30):
         assert "no end within 1000 bytes" in str(read_server([HANDSHAKE, endless], limits=limits)[-1])
     for endless in (b"rr" * 600, b"dw\0\0\0\0" * 300):
         assert "no end within 1000 bytes" in str(read_client([b"ar", endless], TableLayout([1]), 2, limits)[-1])
@@ -432,11 +432,13 @@ def test_widths_that_cannot_be(width: int) -> None:
 
 
 def test_the_largest_row() -> None:
-    assert encode_table("r", [Row("n" * 32, 2**31 - 1)]) == b"tr\0\0\0\1\x7f\xff\xff\xff" + b"n" * 32 + b"\0"
+    assert encode_table("r", [SymbolRow("n" * 32, 2**31 - 1)]) == b"tr\0\0\0\1\x7f\xff\xff\xff" + b"n" * 32 + b"\0"
 
 
-@pytest.mark.parametrize("row", [Row("n" * 33, 1), Row("a\0b", 1), Row("€", 1), Row("a", 0), Row("a", 1 << 31)])
-def test_rows_that_cannot_be(row: Row) -> None:
+@pytest.mark.parametrize(
+    "row", [SymbolRow("n" * 33, 1), SymbolRow("a\0b", 1), SymbolRow("€", 1), SymbolRow("a", 0), SymbolRow("a", 1 << 31)]
+)
+def test_rows_that_cannot_be(row: SymbolRow) -> None:
     with pytest.raises(BadValue):
         encode_table("r", [row])
 
@@ -459,7 +461,7 @@ def bytewise(data: bytes) -> list[bytes]:
 
 
 def test_it_does_not_matter_how_a_connection_is_cut() -> None:
-    table = encode_table("r", [Row("tick", 1), Row("line", 8)])
+    table = encode_table("r", [SymbolRow("tick", 1), SymbolRow("line", 8)])
     one = b"dr" + struct.pack(">i4i", 1, 0, 5, 6, 7)
     server = HANDSHAKE + one + b"ee" + table + one + b"dw\0\0\0\0ex" + b"ee"
     told = ("r", [0], [[5, 6]], [7])

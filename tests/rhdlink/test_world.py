@@ -12,8 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linkcore.errors import BadValue
-from rhdlink.drawing import save, svg
-from rhdlink.world import Moved, Pose, World
+from rhdlink.world import Moved, Pose, World, save, svg
 
 
 def test_it_begins_in_the_middle() -> None:

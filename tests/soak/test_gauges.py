@@ -39,6 +39,7 @@ def test_slope() -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="/proc is read")
+@pytest.mark.real_time
 def test_what_is_held_is_seen() -> None:
     # Objects that a collection frees in between are fewer than half of those that this test makes.
     before = sample(0.0)

@@ -7,11 +7,11 @@ from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any, cast
 
-from linkcore.callbacks import CallbackThread
+from linkcore.clock import Stamp
 from linkcore.handle import Handle, Lifecycle
-from linkcore.stamp import Stamp
 from linkcore.streaming.connection import Connection
-from linkcore.streaming.events import ConnectionEvent, ConnectionState
+from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
+from linkcore.threads import CallbackThread
 from urlink.commanding.channel import CommandChannel
 from urlink.commanding.interlock import Interlock
 from urlink.commanding.monitor import SafetyMonitor

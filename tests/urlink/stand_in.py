@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from linkcore.callbacks import CallbackThread
 from linkcore.handle import Handle
-from linkcore.streaming.backoff import Backoff
+from linkcore.streaming.connection_life import Backoff
 from linkcore.streaming.stream import Stream
+from linkcore.threads import CallbackThread
 from tests.linkcore.script import ScriptedTransport
 from tests.urlink.line import START_PLACE
 from tests.waiting import until

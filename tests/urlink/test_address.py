@@ -98,7 +98,7 @@ def test_recordings(text: str, path: str, rate: float) -> None:
         ("ur://host?realtime=-1", "is not a port"),
         ("ur://host?realtime=" + "9" * 5000, "is not a port"),
         ("ur://host#30003", "nothing is known of #30003"),
-        ("sim://?speed=3", "unknown option 'speed'; expected firmware or motion"),
+        ("sim://?speed=3", "unknown option 'speed'; expected firmware, motion or like"),
         ("sim://?motion=dance", "motion='dance'; expected still or demo"),
         ("sim://?motion=", "motion=''; expected still or demo"),
         ("sim://?firmware=new", "'new' is not a version"),
@@ -160,6 +160,7 @@ def test_connecting_to_a_file_that_is_none(tmp_path: Path) -> None:
         urlink.connect(f"replay://{tmp_path}/notes.txt")
 
 
+@pytest.mark.simulated_time
 def test_a_recording_without_the_interface_says_so_at_once(tmp_path: Path) -> None:
     with urlink.connect("sim://ur5?firmware=3.4") as robot, robot.record(tmp_path / "run.urlog", ["primary"]):
         robot.primary.wait()

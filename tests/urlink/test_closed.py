@@ -15,6 +15,8 @@ from linkcore.net.awaited import AwaitedTcp
 from linkcore.net.transport import TcpTransport
 from urlink.simulator import Controller
 
+pytestmark = pytest.mark.simulated_time
+
 #: What is used of a robot, in either face. `rtde` and `registers` have a connection of their own.
 USES: dict[str, Callable[[Any], Any]] = {
     "popup": lambda robot: robot.popup("x"),
@@ -47,7 +49,7 @@ USES: dict[str, Callable[[Any], Any]] = {
 NOT_AWAITED = {"freedrive"}
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def controller() -> Iterator[Controller]:
     with Controller("UR5e", "5.11") as controller:
         yield controller

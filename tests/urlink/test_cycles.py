@@ -2,7 +2,8 @@
 
 Each public method that sends something is called several times with the collector off, on a controller in a process of
 its own; then nothing may be left that only the collector finds. `URLINK_CYCLES` says how often, as in
-`URLINK_CYCLES=10000 pytest tests/urlink/test_cycles.py`.
+`URLINK_CYCLES=10000 pytest tests/urlink/test_cycles.py`. In simulated time, `python -m tests.urlink.many_cycles` makes
+ten thousand calls of each.
 """
 
 from __future__ import annotations
@@ -30,14 +31,19 @@ from urlink.commanding.safety import Safety
 from urlink.commanding.scripts import Scripts
 from urlink.interfaces.dashboard.client import Dashboard
 from urlink.interfaces.gripper.client import Gripper
+from urlink.interfaces.tool_serial import ToolSerial
 from urlink.motion.force_mode import ForceMode
+from urlink.motion.impedance import Impedance
 from urlink.motion.jog import Jog
 from urlink.motion.motions import Motions
+from urlink.motion.point_stream import PointStream
 from urlink.motion.servo import Servo
 from urlink.motion.teaching import Teaching
 from urlink.motion.torque import Torque
 from urlink.robot import Robot
 from urlink.rtde import Inputs, Registers, Rtde
+
+pytestmark = pytest.mark.real_time
 
 HOME = np.array([0.0, -1.57, 1.57, -1.57, -1.57, 0.0])
 NEAR = HOME + 0.01
@@ -82,6 +88,10 @@ def _trajectory() -> urlink.Trajectory:
     return urlink.Trajectory([urlink.TrajectoryPoint(HOME, 0.0), urlink.TrajectoryPoint(HOME, 0.3)])
 
 
+#: A Modbus gripper is asked for its status.
+STATUS = bytes.fromhex("09 03 07 D0 00 01 85 CF")
+
+
 def servo(robot: Robot, use: Callable[[Servo], object], **options: Any) -> None:
     robot.motion.move_joints(HOME, wait=True)
     with robot.motion.servo(watchdog=2.0, **options) as block:
@@ -98,6 +108,25 @@ def measured(block: Servo) -> None:
         block.measure_delay()
 
 
+def appended(stream: PointStream) -> None:
+    stream.append(urlink.TrajectoryPoint(NEAR, stream.end + 0.5, [0] * 6))
+
+
+def replaced(stream: PointStream) -> None:
+    stream.replace(stream.time, urlink.TrajectoryPoint(NEAR, stream.time + 0.5, [0] * 6))
+
+
+def asked_over_the_line(robot: Robot) -> None:
+    robot.io.set_tool_communication()
+    robot.tool_serial.ask(STATUS, 7)
+
+
+def read_over_the_line(robot: Robot) -> None:
+    robot.io.set_tool_communication()
+    robot.tool_serial.write(STATUS)
+    robot.tool_serial.read(7)
+
+
 def pose(robot: Robot) -> Any:
     return robot.realtime.wait().tool_vector_actual
 
@@ -107,10 +136,20 @@ def block(opened: Any, use: Callable[[Any], object] = lambda opened: None) -> No
         use(opened)
 
 
-def moved_to(robot: Robot, offset: tuple[float, float, float] = (0.0, 0.0, 0.002)) -> Any:
+def moved_by(robot: Robot, offset: tuple[float, float, float]) -> Any:
     there = np.array(pose(robot))
     there[:3] += offset
     return there
+
+
+def moved(robot: Robot) -> None:
+    robot.motion.move_linear(moved_by(robot, (0, 0, 0.002 * next(_directions))), wait=True)
+
+
+def circled(robot: Robot) -> None:
+    by = 0.002 * next(_directions)
+    via, end = moved_by(robot, (by, 0, 0.002)), moved_by(robot, (2 * by, 0, 0))
+    robot.motion.move_circular(via, end, wait=True)
 
 
 def recorded(robot: Robot, folder: Path) -> None:
@@ -129,7 +168,7 @@ def cancelled(robot: Robot) -> None:
 
 def untouched(robot: Robot) -> None:
     with contextlib.suppress(urlink.NoContact):
-        robot.motion.until_contact([0, 0, 1], speed=0.05, distance=0.001, wait=True)
+        robot.motion.until_contact([0, 0, next(_directions)], speed=0.05, distance=0.001, wait=True)
 
 
 def connected(address: str) -> None:
@@ -138,12 +177,15 @@ def connected(address: str) -> None:
 
 
 _dials = itertools.cycle([True, False])
+#: There and back again, so that the arm stays where it is however often it is called.
+_directions = itertools.cycle([1, -1])
 
 #: Each method that sends, with how it is called.
 CALLS: dict[str, Callable[[Robot], object]] = {
     "Robot.freedrive": lambda robot: block(robot.freedrive()),
     "Robot.interpreter": lambda robot: interpreted(robot, lambda interpreter: None),
     "Robot.popup": lambda robot: robot.popup("x"),
+    "Robot.set_gravity": lambda robot: robot.set_gravity((0, 0, -9.82)),
     "Robot.set_payload": lambda robot: robot.set_payload(0.5, (0, 0, 0.01)),
     "Robot.set_speed_slider": lambda robot: robot.set_speed_slider(1.0),
     "Robot.set_tcp": lambda robot: robot.set_tcp((0, 0, 0.1, 0, 0, 0)),
@@ -153,14 +195,14 @@ CALLS: dict[str, Callable[[Robot], object]] = {
     "Motions.force_mode": lambda robot: block(
         robot.motion.force_mode("base", (0, 0, 1, 0, 0, 0), [0] * 6, [0.1] * 6), lambda mode: mode.set_wrench([0] * 6)
     ),
+    "Motions.impedance": lambda robot: block(robot.motion.impedance(), lambda soft: soft.send(HOME)),
     "Motions.jog": lambda robot: block(robot.motion.jog(), lambda jog: jog.move([0.0] * 6)),
-    "Motions.move_circular": lambda robot: robot.motion.move_circular(
-        moved_to(robot, (0.002, 0, 0.002)), moved_to(robot, (0.004, 0, 0)), wait=True
-    ),
+    "Motions.move_circular": circled,
     "Motions.move_joints": lambda robot: robot.motion.move_joints(NEAR, wait=True),
-    "Motions.move_linear": lambda robot: robot.motion.move_linear(moved_to(robot), wait=True),
+    "Motions.move_linear": moved,
     "Motions.path": lambda robot: robot.motion.path([urlink.Joint(NEAR)], wait=True),
     "Motions.servo": lambda robot: servo(robot, lambda block: block.send(HOME)),
+    "Motions.stream": lambda robot: block(robot.motion.stream(), lambda stream: stream.clear()),
     "Motions.speed_joints": lambda robot: robot.motion.speed_joints([0.0] * 6, duration=0.02).wait(),
     "Motions.speed_linear": lambda robot: robot.motion.speed_linear([0.0] * 6, duration=0.02).wait(),
     "Motions.stop": lambda robot: robot.motion.stop(wait=True),
@@ -173,6 +215,7 @@ CALLS: dict[str, Callable[[Robot], object]] = {
     "IO.set_digital_out": lambda robot: robot.io.set_digital_out(0, next(_dials)),
     "IO.set_flag": lambda robot: robot.io.set_flag(1, True),
     "IO.set_tool_digital_out": lambda robot: robot.io.set_tool_digital_out(0, next(_dials)),
+    "IO.set_tool_communication": lambda robot: robot.io.set_tool_communication(),
     "IO.set_tool_voltage": lambda robot: robot.io.set_tool_voltage(12),
     "Interpreter.abort": lambda robot: interpreted(robot, lambda interpreter: interpreter.abort()),
     "Interpreter.clear": lambda robot: interpreted(robot, lambda interpreter: interpreter.clear()),
@@ -182,8 +225,14 @@ CALLS: dict[str, Callable[[Robot], object]] = {
     "Servo.send": lambda robot: servo(robot, lambda block: block.send(HOME), target_filter="jerk_limited"),
     "Servo.schedule": lambda robot: servo(robot, lambda block: block.schedule(HOME, robot.realtime.wait().time + 0.1)),
     "Servo.measure_delay": lambda robot: servo(robot, measured),
+    "PointStream.append": lambda robot: block(robot.motion.stream(), appended),
+    "PointStream.clear": lambda robot: block(robot.motion.stream(), lambda stream: stream.clear()),
+    "PointStream.replace": lambda robot: block(robot.motion.stream(), replaced),
+    "PointStream.wait_until_dry": lambda robot: block(robot.motion.stream(), lambda stream: stream.wait_until_dry()),
     "Jog.move": lambda robot: block(robot.motion.jog(), lambda jog: jog.move([0.01] * 6)),
     "Jog.stop": lambda robot: block(robot.motion.jog(), lambda jog: jog.stop()),
+    "Impedance.send": lambda robot: block(robot.motion.impedance(), lambda soft: soft.send(HOME)),
+    "Impedance.set_gains": lambda robot: block(robot.motion.impedance(), lambda soft: soft.set_gains(500)),
     "Torque.send": lambda robot: block(robot.motion.torque(), lambda torque: torque.send([0.01] * 6)),
     "Handle.cancel": cancelled,
     "Registers.write_bit": lambda robot: robot.registers.write_bit(64, True),
@@ -207,6 +256,9 @@ CALLS: dict[str, Callable[[Robot], object]] = {
     "Gripper.get": lambda robot: robot.gripper.get("POS"),
     "Gripper.status": lambda robot: robot.gripper.status(),
     "Gripper.set": lambda robot: robot.gripper.set(POS=10),
+    "ToolSerial.ask": asked_over_the_line,
+    "ToolSerial.read": read_over_the_line,
+    "ToolSerial.write": lambda robot: robot.tool_serial.write(STATUS),
     "ForceMode.set_wrench": lambda robot: block(
         robot.motion.force_mode("base", (0, 0, 1, 0, 0, 0), [0] * 6, [0.1] * 6), lambda mode: mode.set_wrench([0] * 6)
     ),
@@ -215,7 +267,8 @@ CALLS: dict[str, Callable[[Robot], object]] = {
 
 #: What else these have in public: it sends nothing, or belongs to what is tried beside `CALLS`.
 SENDS_NOTHING = """
-    Robot.close Robot.record
+    Robot.close Robot.record Robot.view
+    ToolSerial.close ToolSerial.discard
     IO.analog_in IO.analog_out IO.configurable_digital_in IO.configurable_digital_out IO.digital_in IO.digital_out
     IO.tool_analog_in IO.tool_digital_in IO.tool_digital_out
     IO.wait_configurable_digital_in IO.wait_digital_in IO.wait_tool_digital_in
@@ -235,11 +288,14 @@ SURFACE = (
     Safety,
     Interpreter,
     Gripper,
+    Impedance,
+    ToolSerial,
     Rtde,
     Inputs,
     Registers,
     Servo,
     Jog,
+    PointStream,
     ForceMode,
     Torque,
     Teaching,

@@ -19,6 +19,8 @@ from tests.waiting import until
 from urlink.compat import rtde_control, rtde_io, urx
 from urlink.interfaces.realtime.protocol import RealtimeProtocol
 
+pytestmark = pytest.mark.real_time
+
 ZEROS = [0.0] * 6
 DOWN = ([0, 0, 1, 0, 0, 0], ZEROS, [0.1] * 6)
 _dials = itertools.cycle([True, False])

@@ -16,6 +16,7 @@ from tests.urlink.arms import Array, calibrated, joints, models
 from urlink.dynamics import GRAVITY, Dynamics
 from urlink.kinematics import Arm
 from urlink.models import MODELS, Model
+from urlink.motors import motors_of
 
 cogs = st.lists(st.floats(-0.3, 0.3), min_size=3, max_size=3)
 speeds = st.lists(st.floats(-3.0, 3.0), min_size=6, max_size=6)
@@ -128,6 +129,24 @@ def test_rows_are_what_one_is() -> None:
     np.testing.assert_allclose(arm.mass_matrix(q)[1, 2], arm.mass_matrix(q[1, 2]), atol=1e-12)
     assert arm.mass_matrix(q).shape == (2, 4, 6, 6)
     assert arm.acceleration(q, qd, qdd).shape == (2, 4, 6)
+
+
+@pytest.mark.parametrize("of", MODELS.values(), ids=MODELS)
+def test_rotors_are_on_the_diagonal(of: Model) -> None:
+    q, qd, qdd = np.full(6, 0.3), np.full(6, 0.5), np.arange(6.0)
+    bare, whole, own = Dynamics(of), Dynamics(of, rotors=True), Dynamics(of, rotors=[1, 2, 3, 4, 5, 6])
+    rotors = np.array(motors_of(of).rotor_inertias)
+    for q_ in (q, np.tile(q, (3, 1))):
+        np.testing.assert_allclose(
+            whole.mass_matrix(q_) - bare.mass_matrix(q_), np.broadcast_to(np.diag(rotors), (*q_.shape, 6)), atol=1e-12
+        )
+        np.testing.assert_allclose(
+            whole.torque(q_, qd, qdd) - bare.torque(q_, qd, qdd), np.broadcast_to(rotors * qdd, q_.shape), atol=1e-12
+        )
+    np.testing.assert_allclose(own.torque(q, qd, qdd) - bare.torque(q, qd, qdd), [0, 2, 6, 12, 20, 30], atol=1e-12)
+    np.testing.assert_allclose(whole.acceleration(q, qd, whole.torque(q, qd, qdd)), qdd, atol=1e-9)
+    with pytest.raises(BadValue, match="rotor inertia"):
+        Dynamics(of, rotors=[1, 1, 1, 1, 1, -1])
 
 
 @pytest.mark.parametrize("bad", [-1.0, float("nan"), float("inf")])

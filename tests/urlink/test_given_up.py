@@ -16,8 +16,11 @@ from linkcore.errors import LinkError
 from linkcore.net.recall import Recall
 from tests.waiting import until
 from urlink.address import RobotAddress, parse_address
-from urlink.robot import peer_of
+from urlink.firmware import Firmware
+from urlink.robot import peers_of
 from urlink.simulator import Controller, Still
+
+pytestmark = pytest.mark.simulated_time
 
 TIMEOUT = 20.0
 #: rad; it takes some 15 s to get there, so an arm that moves was not stopped by its arrival.
@@ -48,7 +51,7 @@ def moves(controller: Controller) -> bool:
 def is_owed(controller: Controller) -> bool:
     place = parse_address(controller.address)
     assert isinstance(place, RobotAddress)
-    return Recall.is_owed(peer_of(place))
+    return Recall.is_owed(*peers_of(place))
 
 
 def play(controller: Controller, robot: urlink.Robot) -> None:
@@ -149,10 +152,70 @@ def test_a_newer_program_supersedes_it(controller: Controller, monkeypatch: pyte
         assert not is_owed(controller)
 
 
+def dashboard_of(controller: Controller) -> urlink.Dashboard:
+    return urlink.Dashboard(controller.host, controller.ports["dashboard"], lambda: Firmware(5, 11))
+
+
+def gripper_of(controller: Controller) -> urlink.Gripper:
+    return urlink.Gripper(controller.host, controller.ports["gripper"], timeout=ANSWER)
+
+
+def give_up_alone(controller: Controller) -> None:
+    """A `play` of a dashboard without a robot fails, and the dashboard is closed."""
+    with dashboard_of(controller) as dashboard:
+        dashboard.load("/p.urp")
+        controller.faults.stall(HANGS, "dashboard")
+        with pytest.raises(LinkError, match="it may still be carried out"):
+            dashboard.send("play", ANSWER)
+    until(lambda: not [each for each in threading.enumerate() if each.name.endswith("take back")])
+    assert is_owed(controller)
+    until(lambda: moves(controller), TIMEOUT)
+
+
+def dashboard_anew(controller: Controller) -> None:
+    with dashboard_of(controller) as dashboard:
+        assert dashboard._recall.settle(TIMEOUT)
+
+
+@pytest.mark.parametrize("connect", [dashboard_anew, anew, anew_with_asyncio])
+def test_what_a_dashboard_alone_gave_up_is_taken_back_by_whoever_comes_next(
+    controller: Controller, connect: Callable[[Controller], None]
+) -> None:
+    give_up_alone(controller)
+    connect(controller)
+    assert not is_owed(controller)
+    until(lambda: not moves(controller), TIMEOUT)
+    assert controller.arm.setpoint.q[0] < 1.0
+
+
+def test_a_dashboard_alone_takes_back_what_a_robot_gave_up(controller: Controller) -> None:
+    give_up(controller, play)
+    until(lambda: moves(controller), TIMEOUT)
+    dashboard_anew(controller)
+    assert not is_owed(controller)
+    until(lambda: not moves(controller), TIMEOUT)
+
+
+def test_fingers_that_a_gripper_alone_moved_are_stopped(controller: Controller) -> None:
+    gripper = gripper_of(controller)
+    gripper.activate()
+    controller.faults.stall(HANGS, "gripper")
+    with pytest.raises(LinkError, match="it may still be carried out"):
+        gripper.set(POS=255, SPE=0, GTO=1)
+    gripper._disconnect()
+    assert is_owed(controller)
+    until(lambda: controller.gripper.position > 20, TIMEOUT)
+    again = gripper_of(controller)
+    assert again._recall.settle(TIMEOUT)
+    assert not is_owed(controller)
+    assert controller.gripper.position < 250
+    again._disconnect()
+
+
 def test_a_simulator_that_ends_with_its_robot_is_owed_nothing() -> None:
     with urlink.connect("sim://ur5e?firmware=5.11") as robot:
         place = parse_address(robot.controller.address)
         assert isinstance(place, RobotAddress)
         with pytest.raises(LinkError, match="it may still be carried out"):
             execute(robot.controller, robot)
-    assert not Recall.is_owed(peer_of(place))
+    assert not Recall.is_owed(*peers_of(place))

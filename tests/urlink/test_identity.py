@@ -18,7 +18,7 @@ from urlink.interfaces.primary.protocol import PrimaryProtocol
 from urlink.models import MODELS
 from urlink.packets import RobotState, VersionMessage
 from urlink.simulator import Controller
-from urlink.simulator.ports.form import package
+from urlink.simulator.ports.port import package
 
 pytestmark = pytest.mark.simulated_time
 

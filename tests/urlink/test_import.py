@@ -11,6 +11,8 @@ import pytest
 
 import urlink
 
+pytestmark = pytest.mark.real_time
+
 #: What the commands, the simulator and the plots need, and a reading program does not.
 NOT_NEEDED = (
     "rich",

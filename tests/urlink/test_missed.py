@@ -23,11 +23,13 @@ from urlink.packets import RobotModeData, Stamp
 from urlink.rtde.outputs import OutputStream
 from urlink.simulator import Controller
 
+pytestmark = pytest.mark.simulated_time
+
 #: Seconds for which the controller is silent.
 SILENT = 0.3
 
 
-@pytest.fixture(scope="module", params=["3.4", "3.15", "5.11"])
+@pytest.fixture(params=["3.4", "3.15", "5.11"])
 def controller(request: pytest.FixtureRequest) -> Iterator[Controller]:
     with Controller("UR5" if request.param[0] == "3" else "UR5e", request.param) as controller:
         yield controller
@@ -149,6 +151,7 @@ def test_asyncio(controller: Controller) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="processes share no descriptors there")
+@pytest.mark.real_time
 def test_what_another_process_reads(controller: Controller) -> None:
     period = 1 / urlink.Firmware.parse(controller.firmware).rate
     with urlink.connect(controller.address, isolate=True) as robot:

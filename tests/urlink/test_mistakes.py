@@ -111,6 +111,7 @@ MISTAKES: list[tuple[Try, type[Exception], str]] = [
 
 
 @pytest.mark.parametrize(("attempt", "kind", "advice"), MISTAKES, ids=[advice for _, _, advice in MISTAKES])
+@pytest.mark.real_time
 def test_a_mistake_is_answered_with_advice(robot: Any, attempt: Try, kind: type[Exception], advice: str) -> None:
     with pytest.raises(kind, match=advice):
         attempt(robot)
@@ -148,6 +149,7 @@ def test_a_notebook_shows_the_robot_and_its_parts(robot: Any, part: str) -> None
     assert shown.count("<tr>") >= 2
 
 
+@pytest.mark.simulated_time
 def test_a_notebook_shows_a_robot_before_a_stream_is_open() -> None:
     with urlink.connect("sim://ur10e?firmware=5.11") as robot:
         assert "<td>UR10e</td>" in robot._repr_html_()

@@ -28,10 +28,12 @@ NAMES = [
     "ConnectionState",
     "Dashboard",
     "DashboardRefused",
+    "Expiry",
     "Feed",
     "Firmware",
     "Gripper",
     "GripperFault",
+    "Group",
     "Handle",
     "History",
     "IO",
@@ -135,30 +137,34 @@ def test_each_is_there_and_says_what_it_is() -> None:
 HANDLE = "add_done_callback cancel done error name phase wait"
 #: The attributes and methods of what users hold, as tab completion shows them.
 SURFACES = {
-    "robot": """address close controller dashboard firmware freedrive gripper identity interpreter io kinematics model
-        motion popup primary realtime record registers rtde safety script secondary set_payload set_speed_slider
-        set_tcp teach zero_force_sensor""",
+    "robot": """address clock close controller dashboard firmware freedrive gripper identity interpreter io kinematics
+        model motion popup primary realtime record registers rtde safety script secondary set_gravity set_payload
+        set_speed_slider set_tcp teach tool_serial view zero_force_sensor""",
+    "robot.tool_serial": "ask close discard read write",
     "robot.gripper": """activate close deactivate get move object_detected open position position_of set status stop
         wait""",
     "robot.interpreter()": f"{HANDLE} abort clear end execute skip state texts wait_executed",
+    "robot.clock": "bound drift offset restarts to_controller to_local",
     "robot.identity": "arm description dh_table firmware kinematics model said_so",
-    "robot.motion": """current follow force_mode jog move_circular move_joints move_linear path servo speed_joints
-        speed_linear stop torque until_contact""",
+    "robot.motion": """current follow force_mode impedance jog move_circular move_joints move_linear path servo
+        speed_joints speed_linear stop stream torque until_contact""",
     "robot.motion.force_mode('base', [1] * 6, [0] * 6, [1] * 6)": f"{HANDLE} progress set_wrench wrench",
     "robot.motion.until_contact([0, 0, 1])": f"{HANDLE} contact progress",
     "robot.motion.stop()": f"{HANDLE} progress",
     "robot.motion.path([urlink.Joint([0, -1.5, 1.5, -1.5, -1.5, 0])])": f"{HANDLE} progress segment segments",
     "robot.motion.jog()": f"{HANDLE} frame move progress stop timeout",
+    "robot.motion.stream()": f"""{HANDLE} append buffer buffered clear end is_dry progress replace room starved time
+        wait_until_dry""",
     "robot.teach()": "freedrive record taught",
     "robot.teach().taught": "add load model play points remove_last save waypoints",
     "robot.freedrive()": f"{HANDLE} progress",
-    "robot.motion.servo()": f"{HANDLE} measure_delay progress rate schedule send stats",
+    "robot.motion.servo()": f"{HANDLE} measure_delay progress rate scaling schedule send stats",
     "robot.script": "run send_line",
     "robot.script.run('sync()')": f"{HANDLE} texts",
     "robot.io": """analog_in analog_out configurable_digital_in configurable_digital_out digital_in digital_out
-        set_analog_out set_configurable_digital_out set_digital_out set_flag set_tool_digital_out set_tool_voltage
-        tool_analog_in tool_digital_in tool_digital_out tool_voltage wait_configurable_digital_in wait_digital_in
-        wait_tool_digital_in""",
+        set_analog_out set_configurable_digital_out set_digital_out set_flag set_tool_communication
+        set_tool_digital_out set_tool_voltage tool_analog_in tool_digital_in tool_digital_out tool_voltage
+        wait_configurable_digital_in wait_digital_in wait_tool_digital_in""",
     "robot.safety": """cause enable is_enabled mode on_stop policy refusal robot_mode wait_enabled wait_for_stop
         wait_until_clear""",
     "robot.dashboard": """add_to_log brake_release clear_operational_mode close close_popup close_safety_popup
@@ -175,31 +181,34 @@ SURFACES = {
         follow greeting gripper host is_running_program is_serving is_up modbus model modes passing pendant
         ports program_name push realtime_packet received registers remote_control robot_api rtde schedule
         serial signals speed_fraction start state_package step stopped_since take take_messages teach_button
-        time world""",
+        time tool_serial world""",
     "robot.controller.world": """add carry clear contacts force_limit is_empty joint_torques load push push_joints
         remove wrench""",
-    "robot.controller.gripper": "fault holds_object is_active is_connected place position registers reply take_away",
+    "robot.controller.gripper": """exchange fault holds_object is_active is_connected place position registers reply
+        take_away""",
+    "robot.controller.tool_serial": "device exchange greeting is_offered next_cycle packets receiver skip",
     "robot.controller.faults": """append clear cut emergency_stop garbage heal merge power_off power_on protective_stop
         reboot rtde_data_before_start rtde_hello rtde_late_data rtde_no_data rtde_reboot_at_request
         rtde_refuse_protocol_2 rtde_refuse_start rtde_stale_inputs rtde_text rtde_text_before_reply
-        rtde_text_instead_of_reply split stall unknown_package unknown_sub_package""",
+        rtde_text_instead_of_reply safeguard_stop split stall unknown_package unknown_sub_package""",
 }
 
 
 #: The same of a robot for programs that use asyncio.
 ASYNC_SURFACES = {
-    "robot": """address call close controller dashboard firmware freedrive gripper identify identity interpreter io
-        kinematics model motion popup primary realtime record registers rtde safety script secondary set_payload
-        set_speed_slider set_tcp teach zero_force_sensor""",
+    "robot": """address call clock close controller dashboard firmware freedrive gripper identify identity interpreter
+        io kinematics model motion popup primary realtime record registers rtde safety script secondary set_gravity
+        set_payload set_speed_slider set_tcp teach tool_serial view zero_force_sensor""",
     "robot.realtime": """close connection description failure history iterate join latest name of plot start
         stats stream subscribe wait wait_until""",
     "robot.realtime.of(urlink.packets.RealtimeState)": "history iterate latest plot subscribe wait wait_until",
     "robot.realtime.iterate()": "aclose next open stats",
-    "robot.motion": """current follow force_mode jog move_circular move_joints move_linear path servo speed_joints
-        speed_linear stop torque until_contact""",
+    "robot.motion": """current follow force_mode impedance jog move_circular move_joints move_linear path servo
+        speed_joints speed_linear stop stream torque until_contact""",
 }
 
 
+@pytest.mark.simulated_time
 def test_an_awaited_robot_shows_what_they_should_touch() -> None:
     async def look() -> dict[str, list[str]]:
         shown = {}
@@ -212,6 +221,7 @@ def test_an_awaited_robot_shows_what_they_should_touch() -> None:
     assert asyncio.run(look()) == {path: sorted(names.split()) for path, names in ASYNC_SURFACES.items()}
 
 
+@pytest.mark.simulated_time
 def test_what_users_hold_shows_what_they_should_touch() -> None:
     shown = {}
     with urlink.connect("sim://ur5e?firmware=5.11") as robot:
@@ -228,23 +238,32 @@ DEFAULTS = {
     "robot.interpreter": "start_timeout=10.0, finish_timeout=60.0, on_text=None",
     "robot.popup": "title='Popup', warning=False, error=False",
     "robot.record": "interfaces=('realtime', 'primary')",
-    "robot.set_payload": "cog=None, inertia=None, confirm=1.0",
+    "robot.set_payload": "cog=None, inertia=None, transition_time=0.0, confirm=1.0",
     "robot.set_speed_slider": "confirm=1.0",
     "robot.set_tcp": "confirm=1.0",
     "robot.teach": (
         "digital_input=None, bank='standard', button=False, on_point=None, axes=None, frame='base', watchdog=0.5, "
         "link='reverse'"
     ),
+    "robot.view": "plots=('qd_actual', 'tcp_force'), urdf=None, jog=False, port=0",
     "robot.motion.follow": (
         "low_bandwidth=False, path_tolerance=None, goal_tolerance=0.01, goal_time=1.0, start_tolerance=0.05, "
-        "feedback=None, delay=None, watchdog=0.1, lookahead_time=0.03, gain=300.0, link='reverse', wait=False"
+        "feedback=None, delay=None, watchdog=0.1, lookahead_time=0.03, gain=300.0, scaling='follow', "
+        "link='reverse', wait=False"
     ),
     "robot.motion.force_mode": "kind=2, damping=None, gain=None, watchdog=0.5, link='reverse'",
+    "robot.motion.impedance": (
+        "stiffness=None, damping=1.0, torque=None, speed=1.0, error=0.2, friction_compensation=True, watchdog=0.5, "
+        "link='reverse'"
+    ),
     "robot.motion.jog": "frame='joints', acceleration=1.2, timeout=0.3, watchdog=0.2, link='reverse'",
     "robot.motion.move_circular": "speed=0.25, acceleration=1.2, wait=False",
     "robot.motion.move_joints": "speed=1.05, acceleration=1.4, time=None, wait=False",
     "robot.motion.move_linear": "speed=0.25, acceleration=1.2, time=None, wait=False",
     "robot.motion.path": "speed=0.25, acceleration=1.2, joint_speed=1.05, joint_acceleration=1.4, wait=False",
+    "robot.motion.stream": (
+        "buffer=0.5, acceleration=10.0, jerk=100.0, watchdog=1.0, lookahead_time=0.03, gain=300.0, link='reverse'"
+    ),
     "robot.motion.servo": (
         "rate=None, target_filter=None, speed=1.05, acceleration=3.0, jerk=30.0, delay=None, watchdog=0.1, "
         "lookahead_time=0.03, gain=300.0, link='reverse'"
@@ -257,6 +276,9 @@ DEFAULTS = {
     "robot.io.set_analog_out": "confirm=1.0",
     "robot.io.set_configurable_digital_out": "confirm=1.0",
     "robot.io.set_digital_out": "confirm=1.0",
+    "robot.io.set_tool_communication": (
+        "enabled=True, baud_rate=115200, parity='none', stop_bits=1, rx_idle_chars=1.5, tx_idle_chars=3.5, confirm=1.0"
+    ),
     "robot.io.set_tool_digital_out": "confirm=1.0",
     "robot.io.set_tool_voltage": "confirm=1.0",
     "robot.io.wait_configurable_digital_in": "on=True, timeout=5.0",
@@ -269,6 +291,7 @@ DEFAULTS = {
 FACADES = ("robot", "robot.motion", "robot.io", "robot.script", "robot.safety")
 
 
+@pytest.mark.simulated_time
 def test_what_is_left_out_is_what_it_was() -> None:
     found = {}
     with urlink.connect("sim://ur5e?firmware=5.11") as robot:

@@ -8,21 +8,21 @@ import sys
 
 import pytest
 
-import linkcore.wire.strict
+import linkcore.wire.framing
 import urlink
+from linkcore.clock import Stamp
 from linkcore.errors import PacketError
-from linkcore.stamp import Stamp
 from linkcore.streaming.receiver import Receiver
 from linkcore.streaming.statistics import StreamCounters
 from urlink.interfaces.primary.protocol import PrimaryProtocol
 from urlink.interfaces.realtime.protocol import RealtimeProtocol
 from urlink.simulator import Controller
-from urlink.simulator.faults.corruption import with_sub_package, with_tail
+from urlink.simulator.faults.link import with_sub_package, with_tail
 
 
 @pytest.fixture
 def strict(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(linkcore.wire.strict, "_STRICT", True)
+    monkeypatch.setattr(linkcore.wire.framing, "_STRICT", True)
 
 
 @pytest.fixture(scope="module")
@@ -61,8 +61,9 @@ def test_otherwise_they_are_kept(packets: dict[str, bytes]) -> None:
     assert state.tail == b"what may this be"
 
 
+@pytest.mark.real_time
 def test_the_environment_says_so() -> None:
-    program = "from linkcore.wire.strict import is_strict; print(is_strict())"
+    program = "from linkcore.wire.framing import is_strict; print(is_strict())"
     for value, said in (("1", "True"), ("0", "False"), ("", "False")):
         done = subprocess.run(
             [sys.executable, "-c", program], env={**os.environ, "URLINK_STRICT": value}, capture_output=True, text=True

@@ -179,6 +179,7 @@ CASES: dict[str, tuple[Callable[[Tried], object], str]] = {
 
 
 @pytest.mark.parametrize("case", CASES)
+@pytest.mark.real_time
 def test_the_wrong_unit_is_refused(tried: Tried, case: str) -> None:
     call, message = CASES[case]
     where = tried.robot.realtime.wait(5).q_actual
@@ -188,6 +189,7 @@ def test_the_wrong_unit_is_refused(tried: Tried, case: str) -> None:
     assert tried.robot.realtime.wait(5).q_actual == pytest.approx(where, abs=1e-3)
 
 
+@pytest.mark.real_time
 def test_what_is_within_the_limits_is_taken(tried: Tried) -> None:
     """Within 2 mm of the edge of the reach, at the largest speed, and with a turn that was rounded to four digits."""
     tried.robot.motion.move_linear(NEAR, speed=5.0, acceleration=40.0).cancel()

@@ -101,11 +101,14 @@ BLOCK: dict[str, Callable[[Any, Ask], AbstractContextManager[Any]]] = {
     "servo": lambda robot, ask: robot.motion.servo(watchdog=WATCHDOG),
     "servo_rtde": lambda robot, ask: robot.motion.servo(watchdog=WATCHDOG, link="rtde"),
     "servo_filtered": lambda robot, ask: robot.motion.servo(target_filter="jerk_limited", watchdog=WATCHDOG),
+    "stream": lambda robot, ask: robot.motion.stream(buffer=0.1 + ask.size, watchdog=WATCHDOG),
+    "stream_rtde": lambda robot, ask: robot.motion.stream(buffer=0.1 + ask.size, watchdog=WATCHDOG, link="rtde"),
     "jog": lambda robot, ask: robot.motion.jog("base", timeout=0.5, watchdog=WATCHDOG),
     "jog_rtde": lambda robot, ask: robot.motion.jog("joints", timeout=0.5, watchdog=WATCHDOG, link="rtde"),
     "force_mode": lambda robot, ask: robot.motion.force_mode("base", *_DOWN, watchdog=WATCHDOG),
     "force_mode_rtde": lambda robot, ask: robot.motion.force_mode("tool", *_DOWN, watchdog=WATCHDOG, link="rtde"),
     "torque": lambda robot, ask: robot.motion.torque(watchdog=WATCHDOG),
+    "impedance": lambda robot, ask: robot.motion.impedance(watchdog=WATCHDOG),
     "torque_rtde": lambda robot, ask: robot.motion.torque(watchdog=WATCHDOG, link="rtde"),
     "freedrive": lambda robot, ask: robot.freedrive(watchdog=WATCHDOG),
     "freedrive_rtde": lambda robot, ask: robot.freedrive(watchdog=WATCHDOG, link="rtde"),
@@ -126,6 +129,22 @@ def _servo_filtered(robot: Any, servo: Any, ask: Ask) -> None:
     time.sleep(0.3 * ask.size)
 
 
+def _stream(robot: Any, stream: Any, ask: Ask) -> None:
+    q = robot.realtime.wait(_WAIT).q_target
+    speed = 0.3 * ask.size
+    for step in range(1, int(20 * ask.size) + 1):  # it may be starved at any of them
+        stream.append(urlink.TrajectoryPoint(q + 0.05 * step * speed, 0.05 + stream.end, [speed] * 6), wait=2.0)
+        if step == 10:
+            stream.clear()
+            stream.wait_until_dry(3.0)
+            q = robot.realtime.wait(_WAIT).q_target - 0.55 * speed
+        if step == 15:
+            stream.replace(stream.time, [urlink.TrajectoryPoint(q + 0.6 * speed, 1.0 + stream.end, [0.0] * 6)])
+            stream.wait_until_dry(3.0)
+            break
+        time.sleep(0.1 * ask.patience)
+
+
 def _jog(robot: Any, jog: Any, ask: Ask) -> None:
     jog.move([0, 0, 0.1 * (ask.size - 0.5), 0, 0, 0])
     time.sleep(0.5 * ask.size)
@@ -140,6 +159,15 @@ def _torque(robot: Any, torque: Any, ask: Ask) -> None:
     for _ in range(int(30 * ask.size)):
         torque.send([0, 0, 0, 0, 0, 0.5 * ask.size])
         robot.realtime.wait(_WAIT)
+
+
+def _impedance(robot: Any, impedance: Any, ask: Ask) -> None:
+    q = robot.realtime.wait(_WAIT).q_actual
+    for step in range(int(10 * ask.size)):
+        impedance.send(q + 0.02 * step * ask.size)
+        if step == 5:
+            impedance.set_gains(300.0 * ask.size, ask.size)
+        time.sleep(0.1 * ask.patience)
 
 
 def _nothing(robot: Any, block: Any, ask: Ask) -> None:
@@ -164,11 +192,14 @@ DURING: dict[str, Callable[[Any, Any, Ask], None]] = {
     "servo": _servo,
     "servo_rtde": _servo,
     "servo_filtered": _servo_filtered,
+    "stream": _stream,
+    "stream_rtde": _stream,
     "jog": _jog,
     "jog_rtde": _jog,
     "force_mode": _force,
     "force_mode_rtde": _force,
     "torque": _torque,
+    "impedance": _impedance,
     "torque_rtde": _torque,
     "freedrive": _nothing,
     "freedrive_rtde": _nothing,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from linkcore.streaming.connection import Connection
-from linkcore.streaming.events import ConnectionState
+from linkcore.streaming.connection_life import ConnectionState
 from linkcore.streaming.fanout import FanOut
 from linkcore.streaming.subscription import Subscription
 from urlink.interfaces.realtime.packets import RealtimeState

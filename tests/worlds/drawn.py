@@ -37,6 +37,7 @@ BLOCKS = (
     "servo",
     "servo_rtde",
     "servo_filtered",
+    "stream",
     "jog",
     "jog_rtde",
     "force_mode",

@@ -8,6 +8,7 @@ permitted it, and when it moved the arm. All this is beside the library's own ac
 from __future__ import annotations
 
 import contextlib
+import math
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -43,6 +44,8 @@ BRAKING = 1.0
 _OBEYING = 0.5
 #: s for which a speed may go on whose client is gone.
 _SPEED = 0.5
+#: s after the end of a stop in which a client stops what the controller has kept: two states.
+_KEPT = 0.3
 #: s: how much longer than its timeout a wait may take.
 _LATE = 1.5
 #: s: the interlock permits nothing on states that are older.
@@ -164,6 +167,8 @@ class Observed:
         self._held: dict[Computer, float] = {}
         self._since: dict[Computer, float] = {}
         self._dead: set[Computer] = set()
+        #: when a robot object of a computer was closed last
+        self._closed: dict[Computer, float] = {}
         #: of the controller: cycles since it is up in which a stop held
         self.stops: dict[int, bool] = {}
         #: (from, to) of each stop; s
@@ -180,6 +185,7 @@ class Observed:
         runner = self._controller._runner
         around: list[tuple[Any, str, Callable[[Callable[..., Any]], Callable[..., Any]]]] = [
             (Programs, "start", self._start),
+            (Programs, "close", self._close),
             (CommandChannel, "_send_some", self._text),
             (LinkedProgram, "begin", self._link_begins),
             (ReverseLink, "send", self._word),
@@ -431,6 +437,13 @@ class Observed:
 
         return wrapped
 
+    def _close(self, close: Callable[[Programs], None]) -> Callable[[Programs], None]:
+        def wrapped(programs: Programs) -> None:
+            self._closed[here()] = self._sim.now
+            close(programs)
+
+        return wrapped
+
     def _play(self, play: Callable[..., Any]) -> Callable[..., Any]:
         def wrapped(pendant: Pendant) -> Any:
             self.played.append(self._sim.now)
@@ -482,7 +495,21 @@ class Observed:
             return None
         if not sent.is_linked and self.lost_since(sent.computer, sent.ended - 1.0):
             return None  # what stops it may be lost with the connection
+        if self._is_kept(sent):
+            return None
         return f"whose handle ended at {sent.ended:.3f} s: {sent.error}"
+
+    def _is_kept(self, sent: Sent) -> bool:
+        """Given up during a stop, in which the controller takes no program, by a client that did not stay to its end.
+
+        A person has let it go on since; docs/safety.md names this.
+        """
+        assert sent.ended is not None
+        closed = self._closed.get(sent.computer, math.inf)
+        return any(
+            begun <= sent.ended + _KEPT and sent.ended <= over and closed <= over + _KEPT and self.played[-1:] > [over]
+            for begun, over in self.stopped
+        )
 
     # -- at the end --------------------------------------------------------------------------------------
 

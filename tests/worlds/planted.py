@@ -18,7 +18,7 @@ from pathlib import Path
 
 from .drawn import Ask, Client, Event, World
 
-__all__ = ["NAMES", "SHOWN", "planted", "worlds"]
+__all__ = ["NAMES", "SHOWN", "apply", "planted", "worlds"]
 
 ROOT = Path(__file__).resolve().parents[2]
 _PATCHES = Path(__file__).parent / "defects"
@@ -82,15 +82,25 @@ def planted(name: str | None) -> Iterator[Path]:
     """
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
-        shutil.copytree(ROOT / "src", root / "src", ignore=shutil.ignore_patterns("__pycache__"))
+        # With what is compiled, or each run would compile it all anew.
+        shutil.copytree(ROOT / "src", root / "src")
         if name is not None:
-            subprocess.run(
-                ["git", "apply", "--whitespace=nowarn", str(_PATCHES / f"{name}.patch")],
-                cwd=root,
-                check=True,
-                env={**os.environ, "GIT_CEILING_DIRECTORIES": str(root.parent)},
-            )
+            apply(name, root)
         yield root
+
+
+def apply(name: str, root: Path, *options: str) -> None:
+    """Apply a patch to the `src` in that folder, with options of ``git apply``.
+
+    Raises:
+        CalledProcessError: it does not apply any more.
+    """
+    subprocess.run(
+        ["git", "apply", "--whitespace=nowarn", *options, str(_PATCHES / f"{name}.patch")],
+        cwd=root,
+        check=True,
+        env={**os.environ, "GIT_CEILING_DIRECTORIES": str(root.parent)},
+    )
 
 
 def worlds(root: Path, arguments: Sequence[str]) -> subprocess.CompletedProcess[str]:

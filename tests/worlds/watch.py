@@ -12,8 +12,6 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from linkcore.simulated import Simulation
 from urlink.simulator import Controller
 
@@ -74,8 +72,8 @@ class Watch:
         self._until = 0.0
         self._is_admitted = False
         self._reported: set[str] = set()
-        self._q = np.array(controller.arm.setpoint.q)
-        self._qd = np.zeros(6)
+        self._q: tuple[float, ...] = tuple(controller.arm.setpoint.q)
+        self._qd: tuple[float, ...] = (0.0,) * 6
         self._time = 0.0
         #: rad/s², the largest so far
         self.accelerated = 0.0
@@ -128,16 +126,17 @@ class Watch:
     def _look(self) -> None:
         controller, observed = self._controller, self.observed
         setpoint = controller.arm.setpoint
-        q, qd = np.array(setpoint.q), np.array(setpoint.qd)
+        q, qd = tuple(setpoint.q), tuple(setpoint.qd)
         if controller.program_name in _OWNED:
             self._until = self._sim.now + BRAKING
-        speed, before = float(np.max(np.abs(qd))), float(np.max(np.abs(self._qd)))
+        speed, before = max(map(abs, qd)), max(map(abs, self._qd))
         period = 1.0 / controller.firmware.rate
-        if np.max(np.abs(q - self._q)) > 1.2 * period * 3.5:  # rad/s: above each joint's limit of 3.34
-            self._once(f"a leap of {np.max(np.abs(q - self._q)):.4f} rad in one cycle")
+        leap = _most(q, self._q)
+        if leap > 1.2 * period * 3.5:  # rad/s: above each joint's limit of 3.34
+            self._once(f"a leap of {leap:.4f} rad in one cycle")
         if speed > 3.5:
             self._once(f"a joint moves at {speed:.2f} rad/s")
-        self.accelerated = max(self.accelerated, float(np.max(np.abs(qd - self._qd))) / period)
+        self.accelerated = max(self.accelerated, _most(qd, self._qd) / period)
         self._q, self._qd = q, qd
         self._note_stop()
         observed.count_rests()
@@ -177,3 +176,8 @@ class Watch:
         if kind not in self._reported:
             self._reported.add(kind)
             self.fault(text)
+
+
+def _most(values: tuple[float, ...], before: tuple[float, ...]) -> float:
+    """By how much one of six values has changed at most. In most cycles none has."""
+    return 0.0 if values == before else max(abs(a - b) for a, b in zip(values, before, strict=True))

@@ -8,10 +8,10 @@ from collections.abc import Callable
 from typing import Any, Generic, TypeVar
 
 from ..arguments import check_callable, check_seconds
-from ..streaming.events import ConnectionState
+from ..streaming.connection_life import ConnectionState
 from ..streaming.feed import Feed, check_deadline
 from ..streaming.history import History
-from ..streaming.policy import Policy, check_lifespan, drop_oldest, latest
+from ..streaming.packet_queue import Policy, check_lifespan, drop_oldest, latest
 from ..streaming.statistics import StreamStatistics
 from ..streaming.stream import Stream
 from ..streaming.subscription import Subscription

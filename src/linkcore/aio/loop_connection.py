@@ -3,8 +3,7 @@
     transport -> receiver -> fan-out -> queues -> tasks
     [------------------ event loop ------------------]
 
-Its state and events are those of `linkcore.streaming.connection`, but no thread waits: the loop calls when the socket
-has bytes, they are handed out at once, and a timer measures silence.
+No thread waits: the loop calls when the socket has bytes, they are handed out at once, and a timer measures silence.
 
 Other threads may use it as well, to send and to wait, as the code that commands a robot does. For them the thread of
 the loop is the reader. A call that would wait in that thread is refused: it would wait for itself.
@@ -24,7 +23,6 @@ from ..event_loop import happened, within
 from ..net.awaited import AwaitedTransport, watch
 from ..realtime import urgent
 from ..streaming.connection import Connection
-from ..streaming.events import ConnectionState
 from ..streaming.receiver import Receiver
 
 __all__ = ["LoopConnection"]
@@ -56,6 +54,7 @@ class LoopConnection(Connection):
         self._settled: asyncio.Future[None] = loop.create_future()
         self._closing: asyncio.Future[None] = loop.create_future()
         self._has_ended = threading.Event()
+        self._has_ended.set()
         # Of the present connection.
         self._receiver: Receiver | None = None
         self._over: asyncio.Future[Exception | None] | None = None
@@ -71,7 +70,7 @@ class LoopConnection(Connection):
     @property
     def is_running(self) -> bool:
         """It is read, or is about to be."""
-        return self._is_launched and not self._has_ended.is_set()
+        return not self._has_ended.is_set()
 
     def reads_here(self) -> bool:
         """The current thread is that of the loop."""
@@ -94,7 +93,7 @@ class LoopConnection(Connection):
 
     def start(self, add: Callable[[], object] | None = None) -> None:
         """As `Connection.start`, in any thread but that of the loop; there only once it is connected."""
-        if not (self._is_launched and self._attempt.is_settled):
+        if not self._is_settled:
             self.refuse_to_wait("connecting")
         super().start(add)
 
@@ -105,13 +104,13 @@ class LoopConnection(Connection):
             RemoteError: the connection could not be made; the next use tries again.
             Closed: it was closed.
         """
-        if self._is_closing:
+        if self._life.is_closed:
             raise Closed(f"{self.name} was closed")
         if add is not None:
             add()
         with self._changed:
             self._begin(is_patient=False)
-            attempt, settled = self._attempt, self._settled
+            attempt, settled = self._life.attempt, self._settled
         if not attempt.is_settled and not await within(self._timeout + 1.0, settled):
             raise self.error or LinkTimeout(f"{self.name}: no connection within {self._timeout:g} s")
         if attempt.failure is not None:
@@ -124,7 +123,6 @@ class LoopConnection(Connection):
         task = self._task
         if task is not None and task is not asyncio.current_task():
             await asyncio.wait({task})
-        self.state = ConnectionState.CLOSED
 
     async def joined(self, timeout: float | None) -> bool:
         """Wait until nothing will come any more, as `join`, for tasks of the loop; False when time is up."""
@@ -139,22 +137,26 @@ class LoopConnection(Connection):
     def _launch(self) -> None:
         self._has_ended.clear()
         self._settled = self._loop.create_future()
-        self.call(self._start_reading)
+        try:
+            self.call(self._start_reading)
+        except LocalError:
+            self._has_ended.set()
+            raise
 
     def _start_reading(self) -> None:
-        if self._is_closing:  # since another thread asked for it
+        if self._life.is_closed:  # since another thread asked for it
             self._finish(None)
             self._has_ended.set()
             return
         self._task = self._loop.create_task(self._keep_up(), name=f"{self.name} reader")
 
     def _join_reader(self, timeout: float) -> bool:
-        if not self._is_launched or self.reads_here():
+        if self.reads_here():
             return True
         return self._has_ended.wait(min(timeout, threading.TIMEOUT_MAX))
 
     def _hang_up(self) -> None:
-        """`_stop` has told the task, which disconnects."""
+        """The task disconnects: `_stop` has woken it."""
 
     def _settle(self) -> None:
         super()._settle()
@@ -229,7 +231,7 @@ class LoopConnection(Connection):
                 if wait is None:
                     return
                 await within(wait, self._closing)
-                if self._is_closing:
+                if self._life.is_closed:
                     self._finish(None)
                     return
         except asyncio.CancelledError:  # by the end of the loop
@@ -241,17 +243,17 @@ class LoopConnection(Connection):
 
     async def _connect_and_await(self) -> None:
         """One connection, until it is lost or closed; raises what ended it."""
-        self._tell(ConnectionState.CONNECTING)
+        self._connecting()
         self._opening = opening = self._loop.create_task(self._awaited.connect(self._timeout))
         try:
             await opening
         except asyncio.CancelledError:
-            if self._is_closing:
+            if self._life.is_closed:
                 return
             raise
         finally:
             self._opening = None
-        if self._is_closing:
+        if self._life.is_closed:
             return
         self._receiver = self._opened()
         self._over = over = self._loop.create_future()
@@ -324,10 +326,7 @@ class LoopConnection(Connection):
         return True
 
     def look(self) -> None:
-        """Hand out what has come, before anybody concludes that nothing has: the loop may have been held up.
-
-        In the thread of the loop.
-        """
+        """Hand out what has come, before anybody concludes that nothing has: the loop may have been held up."""
         while self._take_waiting():
             pass
 

@@ -9,8 +9,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from ..errors import LocalError
-from ..streaming.packet_queue import is_older
-from ..streaming.policy import Policy
+from ..streaming.packet_queue import Policy, is_older
 from ..streaming.statistics import SubscriptionStatistics
 from .loop_connection import LoopConnection
 

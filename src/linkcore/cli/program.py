@@ -1,4 +1,4 @@
-"""What surrounds every command: parsing, logging, errors, signals and the exit status."""
+"""What surrounds every command: parsing, logging, errors, ends from outside and the exit status."""
 
 from __future__ import annotations
 
@@ -7,23 +7,111 @@ import contextlib
 import io
 import logging
 import os
+import signal
 import sys
+import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib import import_module
-from typing import Protocol
+from types import FrameType, TracebackType
+from typing import Any, Protocol
 
 from ..errors import LinkError
 from ..text import printable, similar
-from .interruption import Interrupted, raise_on_sigterm
 from .options import Subparsers
 
-__all__ = ["Command", "program"]
+__all__ = ["CommandModule", "Interrupted", "Interruption", "program"]
+
+
+class Interrupted(KeyboardInterrupt):
+    """Raised by a signal that ends the program.
+
+    Attributes:
+        number: of the signal.
+    """
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.number = number
+
+
+def raise_on_sigterm() -> contextlib.AbstractContextManager[object]:
+    """A context in which SIGTERM unwinds the program as Ctrl-C does."""
+
+    def handler(number: int, frame: FrameType | None) -> None:
+        raise Interrupted(number)
+
+    return _Handlers({signal.SIGTERM: handler})
+
+
+class Interruption:
+    """A context in which Ctrl-C and SIGTERM are only noted, so that no call is interrupted; a second one raises.
+
+    Attributes:
+        number: the signal that came, or None.
+    """
+
+    def __init__(self) -> None:
+        self.number: int | None = None
+        self._handlers = _Handlers({signal.SIGINT: self._note, signal.SIGTERM: self._note})
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        if self.number is not None:
+            raise Interrupted(number)  # the second signal: end at once, without cleaning up
+        self.number = number
+
+    def wait(self, seconds: float) -> bool:
+        """Sleep until a signal comes, at most `seconds`; returns whether one has come."""
+        until = time.monotonic() + seconds
+        while self.number is None:
+            left = until - time.monotonic()
+            if left <= 0:
+                return False
+            # A signal that is only noted does not end a sleep, so it sleeps in short steps.
+            time.sleep(min(left, 0.05))
+        return True
+
+    def raise_if_any(self) -> None:
+        """End the program as the signal would have ended it.
+
+        Raises:
+            Interrupted: a signal has come.
+        """
+        if self.number is not None:
+            raise Interrupted(self.number)
+
+    def __enter__(self) -> Interruption:
+        self._handlers.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._handlers.__exit__(kind, error, trace)
+
+
+class _Handlers:
+    def __init__(self, wanted: dict[signal.Signals, Any]) -> None:
+        self._wanted = wanted
+        self._before: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> None:
+        # Only the main thread may set handlers; elsewhere the surrounding program handles signals.
+        with contextlib.suppress(ValueError):
+            for number, handler in self._wanted.items():
+                self._before[number] = signal.signal(number, handler)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
 
 #: The distribution of all packages.
 _DISTRIBUTION = "urlink"
 
 
-class Command(Protocol):
+class CommandModule(Protocol):
     """A module with a subcommand; `run` gets the parsed arguments and returns the exit status."""
 
     def add_parser(self, subparsers: Subparsers) -> None:
@@ -55,7 +143,7 @@ def program(
 
     def declare(modules: Iterable[str]) -> argparse.ArgumentParser:
         for module in modules:
-            command: Command = import_module(module if "." in module else f"{name}.cli.{module}")
+            command: CommandModule = import_module(module if "." in module else f"{name}.cli.{module}")
             command.add_parser(subparsers)
         return parser
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import select
 import subprocess
@@ -15,10 +16,9 @@ from collections.abc import Callable
 from typing import Any
 
 from .. import errors
+from ..clock import Stamp
 from ..errors import ConnectionLost, LinkTimeout, LocalError, RemoteError
-from ..stamp import Stamp
-from .hand_over import CONNECTED, DATA, LOST, Record, Records
-from .slot import Slot
+from .hand_over import CONNECTED, DATA, LOST, HandedOver, Records, Slot
 
 __all__ = ["IsolatedTransport"]
 
@@ -56,6 +56,7 @@ class IsolatedTransport:
         if not sys.executable:
             raise LocalError("isolate=True needs a Python interpreter to start, and this program does not say which")
         self.name = f"{host}:{port}"
+        self.round_trip = math.inf
         self._arguments = {"host": host, "port": port, "silence": silence, "boundary": boundary}
         self._silence = silence
         self._decode = decode
@@ -64,7 +65,7 @@ class IsolatedTransport:
         self._is_receiving = False
         self._slot: Slot | None = None
         self._records = Records()
-        self._waiting: deque[Record] = deque()
+        self._waiting: deque[HandedOver] = deque()
         self._seen: tuple[int, Any] = (0, None)
 
     # -- the newest packet -----------------------------------------------------------------------
@@ -118,7 +119,7 @@ class IsolatedTransport:
         self._slot, self._records, self._seen = slot, Records(), (0, None)
         self._waiting.clear()
         try:
-            self._next(timeout + _BEGINNING, CONNECTED)
+            self.round_trip = float(self._next(timeout + _BEGINNING, CONNECTED).payload)
         except BaseException:
             self.abort()
             raise
@@ -133,7 +134,7 @@ class IsolatedTransport:
         record = self._next(self._silence if timeout is None else timeout, DATA)
         return record.payload, record.stamp
 
-    def _next(self, timeout: float, kind: bytes) -> Record:
+    def _next(self, timeout: float, kind: bytes) -> HandedOver:
         until = time.monotonic() + timeout
         while not self._waiting:
             data = self._read(max(until - time.monotonic(), 0.0))

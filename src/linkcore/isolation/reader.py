@@ -18,12 +18,11 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from ..clock import Stamp
 from ..errors import RemoteError
 from ..net.transport import TcpTransport
-from ..stamp import Stamp
 from ..wire.framing import FrameBoundary, Framer
-from .hand_over import CONNECTED, DATA, LOST, Record
-from .slot import Slot
+from .hand_over import CONNECTED, DATA, LOST, HandedOver, Slot
 
 __all__ = ["read_for"]
 
@@ -47,7 +46,7 @@ class _Pipe:
     def waiting(self) -> int:
         return len(self._waiting)
 
-    def put(self, record: Record) -> None:
+    def put(self, record: HandedOver) -> None:
         self._waiting += bytes(record)
         self.flush()
 
@@ -76,11 +75,11 @@ def read_for(parent: int, host: str, port: int, silence: float, timeout: float, 
     transport = TcpTransport(host, port, silence=silence)
     try:
         transport.open(timeout)
-        pipe.put(Record(CONNECTED, b"", Stamp.now()))
+        pipe.put(HandedOver(CONNECTED, repr(transport.round_trip).encode(), Stamp.now()))
         _relay(transport, pipe, newest, Framer(make()), parent)
     except RemoteError as error:
         newest.clear()
-        pipe.put(Record(LOST, f"{type(error).__name__} {error}".encode(), Stamp.now()))
+        pipe.put(HandedOver(LOST, f"{type(error).__name__} {error}".encode(), Stamp.now()))
         # The other process may be busy; what it has not taken yet comes before this.
         while pipe.waiting and _is_wanted(parent, [], [pipe.descriptor])[0]:
             pipe.flush()
@@ -110,7 +109,7 @@ def _relay(transport: TcpTransport, pipe: _Pipe, newest: Slot, framer: Framer, p
                 frames = framer.feed(data)
                 if frames:
                     newest.put(bytes(frames[-1]), stamp)
-                pipe.put(Record(DATA, data, stamp))
+                pipe.put(HandedOver(DATA, data, stamp))
         pipe.flush()
 
 

@@ -12,9 +12,9 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, Protocol
 
+from ..clock import Stamp
 from ..errors import ConnectFailed, LinkTimeout, LocalError
 from ..event_loop import happened, within
-from ..stamp import Stamp
 from .transport import TcpTransport, Transport
 
 __all__ = ["AwaitedTcp", "AwaitedTransport", "watch"]
@@ -53,7 +53,7 @@ class AwaitedTcp(TcpTransport):
         """
         self.abort()
         try:
-            connection = await _connected(self.host, self.port, timeout)
+            connection, self.round_trip = await _connected(self.host, self.port, timeout)
         except (OSError, ValueError) as error:
             raise self.failure(error, timeout) from error
         self.adopt(connection, ConnectFailed)
@@ -109,8 +109,11 @@ async def _is_ready(descriptor: int, seconds: float, *, for_room: bool = False) 
         (loop.remove_writer if for_room else loop.remove_reader)(descriptor)
 
 
-async def _connected(host: str, port: int, timeout: float) -> socket.socket:
-    """A connection to the first address of `host` that answers; `timeout` is for all of them together."""
+async def _connected(host: str, port: int, timeout: float) -> tuple[socket.socket, float]:
+    """A connection to the first address of `host` that answers, and the s of its handshake.
+
+    `timeout` is for all of them together.
+    """
     until = time.monotonic() + timeout
     failure: Exception | None = None
     places = await _addresses(host, port, timeout)
@@ -118,7 +121,9 @@ async def _connected(host: str, port: int, timeout: float) -> socket.socket:
         left = (until - time.monotonic()) / (len(places) - number)
         connection = socket.socket(family, kind, protocol)
         try:
+            began = time.monotonic()
             await _connect(connection, address, max(left, 1e-3))
+            round_trip = time.monotonic() - began
         except OSError as error:
             failure = error
             connection.close()
@@ -126,7 +131,7 @@ async def _connected(host: str, port: int, timeout: float) -> socket.socket:
             connection.close()
             raise
         else:
-            return connection
+            return connection, round_trip
     try:
         raise failure or OSError(f"{host} has no address")
     finally:

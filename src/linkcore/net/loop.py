@@ -665,8 +665,10 @@ class SelectorLoop:
     def _tell_losses(self) -> None:
         while self._lost:
             connection, reason, by_peer = self._lost.popleft()
+            # Most refer to their connection: without this a cycle would stay.
+            handler, connection.handler = connection.handler, Handler()
             try:
-                connection.handler.connection_lost(reason, by_peer=by_peer)
+                handler.connection_lost(reason, by_peer=by_peer)
             except Exception:
                 _log.exception("%s: its handler failed", connection.name)
                 self.failures += 1

@@ -76,20 +76,26 @@ class Recall:
         self._users: weakref.WeakSet[object] | None = None
 
     @classmethod
-    def of(cls, peer: Hashable, name: str, user: object) -> Recall:
+    def of(cls, peer: Hashable, name: str, user: object, *parts: Hashable) -> Recall:
         """That of a peer, the same one for as long as this process lives; what is pending is taken back from now on.
 
         Args:
             peer: what identifies it.
             name: of the peer, for messages.
             user: who uses it, and closes it.
+            parts: what identifies each of its services. Who uses one alone gives that as the peer.
         """
-        key = (os.getpid(), peer)
+        keys = [(os.getpid(), each) for each in (peer, *parts)]
         with _registry:
-            recall = _known.get(key)
-            if recall is None:
-                recall = _known[key] = cls(name)
+            known = [recall for recall in map(_known.get, keys) if recall is not None]
+            recall = known[0] if known else cls(name)
+            if recall._users is None:
                 recall._users = weakref.WeakSet()
+            for key in keys:
+                _known.setdefault(key, recall)
+        for other in known[1:]:
+            if other is not recall:
+                recall._take_over(other)
         # Without the lock of the module, which is a real one in simulated time too: others must not wait for it.
         with recall._lock:
             assert recall._users is not None
@@ -99,10 +105,10 @@ class Recall:
         return recall
 
     @staticmethod
-    def is_owed(peer: Hashable) -> bool:
-        """Something is to be taken back from the peer."""
-        recall = _known.get((os.getpid(), peer))
-        return recall is not None and bool(recall._pending)
+    def is_owed(*peers: Hashable) -> bool:
+        """Something is to be taken back from one of the peers."""
+        known = (_known.get((os.getpid(), peer)) for peer in peers)
+        return any(recall is not None and bool(recall._pending) for recall in known)
 
     @property
     def pending(self) -> tuple[str, ...]:
@@ -166,6 +172,18 @@ class Recall:
             client = self._client
         if client is not None:
             client.close()
+
+    def _take_over(self, other: Recall) -> None:
+        """Have what is pending there, unless somebody uses it, who goes on with it."""
+        with other._lock:
+            if other._users:
+                return
+            pending = dict(other._pending)
+            other.drop()
+        with self._lock:
+            self._pending = {**pending, **self._pending}
+            if self._pending:
+                _owed.add(self)
 
     def _add(self, name: str, take_back: TakeBack[Any]) -> None:
         with self._lock:

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import math
 import os
 import select
 import socket
@@ -27,17 +28,17 @@ import sys
 import time
 import weakref
 from collections.abc import Callable, Iterator
-from typing import Protocol
+from typing import Any, Protocol
 
+from ..clock import Stamp
 from ..errors import ConnectFailed, ConnectionLost, LinkTimeout, RemoteError
 from ..pending_call import check_wanted
-from ..stamp import Stamp
 
 if sys.platform == "linux":
     import fcntl
     import termios
 
-__all__ = ["Finished", "TcpTransport", "Transport"]
+__all__ = ["Finished", "TcpTransport", "Transport", "witnessed"]
 
 #: Bytes asked for at a time: some 60 packets, when the reader has fallen behind.
 _CHUNK = 65536
@@ -62,6 +63,10 @@ class Transport(Protocol):
 
     #: what it is connected to, for messages
     name: str
+
+    @property
+    def round_trip(self) -> float:
+        """Seconds that the handshake of the last connection took, there and back; `inf` where there was none."""
 
     def open(self, timeout: float) -> None:
         """Connect within `timeout` seconds; raises `RemoteError`."""
@@ -98,6 +103,9 @@ class TcpTransport:
             which the kernel gives the connection up.
         refused: what to say beside the error where the connection is refused, such as which setting may be the cause;
             "" for nothing.
+
+    Attributes:
+        round_trip: see `Transport`.
     """
 
     def __init__(self, host: str, port: int, *, silence: float, refused: Callable[[], str] = str) -> None:
@@ -105,6 +113,7 @@ class TcpTransport:
         self.port = port
         self.silence = silence
         self.name = f"{host}:{port}"
+        self.round_trip = math.inf
         self._refused = refused
         self._socket: socket.socket | None = None
         self._receive_timeout = silence  # what the socket has been told
@@ -129,7 +138,7 @@ class TcpTransport:
         """
         self.abort()
         try:
-            connection = _connected(self.host, self.port, timeout)
+            connection, self.round_trip = _connected(self.host, self.port, timeout)
         except (OSError, ValueError) as error:
             raise self.failure(error, timeout) from error
         self.adopt(connection, ConnectFailed)
@@ -152,7 +161,7 @@ class TcpTransport:
             connection.close()
             raise mapped(error, self.name, self.silence, otherwise) from error
         self._receive_timeout = self.silence
-        self._socket = connection
+        self._socket = connection if _witness is None else _witness(self, connection)
         _connections.add(self)
 
     def receive(self, timeout: float | None = None) -> tuple[bytes, Stamp]:
@@ -313,6 +322,26 @@ class TcpTransport:
         self.abort()
 
 
+#: Gets each socket that is connected, and returns what is used in its place.
+_witness: Callable[[TcpTransport, Any], Any] | None = None
+
+
+@contextlib.contextmanager
+def witnessed(witness: Callable[[TcpTransport, Any], Any]) -> Iterator[None]:
+    """Let a witness see every connection of this process that is made within the block.
+
+    Args:
+        witness: gets the transport and its socket, in the thread that has connected; returns what the transport is to
+            use, such as an object that notes what passes and hands it on.
+    """
+    global _witness
+    before, _witness = _witness, witness
+    try:
+        yield
+    finally:
+        _witness = before
+
+
 #: The transports that are connected.
 _connections: weakref.WeakSet[TcpTransport] = weakref.WeakSet()
 
@@ -332,8 +361,11 @@ if hasattr(os, "register_at_fork"):  # not on Windows, which cannot fork
     os.register_at_fork(after_in_child=_leave_to_parent)
 
 
-def _connected(host: str, port: int, timeout: float) -> socket.socket:
-    """A connection to the first address of `host` that answers; `timeout` is for all of them together."""
+def _connected(host: str, port: int, timeout: float) -> tuple[socket.socket, float]:
+    """A connection to the first address of `host` that answers, and the s of its handshake.
+
+    `timeout` is for all of them together.
+    """
     until = time.monotonic() + timeout
     places = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
     failure: OSError | None = None
@@ -343,7 +375,9 @@ def _connected(host: str, port: int, timeout: float) -> socket.socket:
         try:
             connection = socket.socket(family, kind, protocol)
             connection.settimeout(max(left, 1e-3))
+            began = time.monotonic()
             connection.connect(address)
+            round_trip = time.monotonic() - began
         except OSError as error:
             failure = error
             if connection is not None:
@@ -353,7 +387,7 @@ def _connected(host: str, port: int, timeout: float) -> socket.socket:
                 connection.close()
             raise
         else:
-            return connection
+            return connection, round_trip
     try:
         raise failure or OSError(f"{host} has no address")
     finally:

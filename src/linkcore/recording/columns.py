@@ -10,9 +10,9 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ..wire.fields import NOT_A_CODE, Coded, Mask64, OpenInt, Raw
 from ..wire.layout import NATIVE_DOUBLE, WIRE_DOUBLE, Layout, Place
 from ..wire.packet import State
-from ..wire.shapes import NOT_A_CODE, Coded, Mask64, OpenInt, Raw
 from .packets import Part
 
 __all__ = ["ArrayColumns", "Column", "Columns", "JoinedColumns", "PacketColumns", "columns_of", "is_continuous"]
@@ -181,7 +181,7 @@ def _cells(part: Part, places: Sequence[Place]) -> _Raw:
     """
     begin = min(place.offset for place in places)
     end = max(place.offset + place.stride * ((place.count or 1) - 1) + place.width for place in places)
-    wire = np.dtype((WIRE_DOUBLE, (end - begin) // 8))
+    wire = np.dtype((WIRE_DOUBLE, ((end - begin) // 8,)))
     cells = np.empty((_BLOCK, (end - begin) // 8), NATIVE_DOUBLE)
     values = []
     for place in places:

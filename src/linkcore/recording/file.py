@@ -1,4 +1,4 @@
-"""The file format of recordings: raw bytes with their stamps, in a file that survives a crash.
+"""The file format of recordings, and their records: raw bytes with their stamps, in a file that survives a crash.
 
 The file is append-only, big-endian::
 
@@ -18,21 +18,74 @@ incomplete or damaged, and counts the bytes that are left out.
 
 from __future__ import annotations
 
+import enum
 import json
 import os
+import struct
 import threading
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+from ..clock import Stamp
 from ..errors import BadRecording, BadValue, Closed
-from ..progress import Progress
-from ..stamp import Stamp
-from ..streaming.events import Chunk, ConnectionEvent
-from .records import FRAME, HEAD, LARGEST, MAGIC, Kind, Record, described, pack
+from ..streaming.connection_life import Chunk, ConnectionEvent
 
-__all__ = ["Kind", "Record", "Recording", "RecordingWriter"]
+MAGIC = b"LINKREC1"
+#: Length of what follows the checksum; checksum.
+FRAME = struct.Struct(">II")
+#: Kind, channel, monotonic and wall time in ns.
+HEAD = struct.Struct(">BBqq")
+#: No record is larger: a longer length is damage.
+LARGEST = 1 << 26
+
+
+class Kind(enum.IntEnum):
+    """What a record holds."""
+
+    CHANNEL = 0
+    BYTES = 1
+    EVENT = 2
+    END = 3
+
+
+class Record(NamedTuple):
+    """One record of a recording."""
+
+    kind: Kind
+    channel: int
+    stamp: Stamp
+    payload: bytes
+
+
+def pack(kind: Kind, channel: int, stamp: Stamp, payload: bytes) -> bytes:
+    """The bytes of one record."""
+    body = HEAD.pack(kind, channel, round(stamp.monotonic * 1e9), round(stamp.wall * 1e9)) + payload
+    return FRAME.pack(len(body), zlib.crc32(body)) + body
+
+
+def described(path: str | os.PathLike[str], channel: int, payload: bytes, key: str) -> dict[str, Any]:
+    """The JSON object in the payload of a channel (key "name") or of an event (key "state").
+
+    Raises:
+        BadRecording: it is none, or holds no text under `key`.
+    """
+    try:
+        info = json.loads(payload)
+    except (ValueError, RecursionError) as error:
+        raise BadRecording(f"{path}: channel {channel} is not described in JSON") from error
+    if not isinstance(info, dict) or not isinstance(info.get(key), str):
+        raise BadRecording(f"{path}: channel {channel} has no {key}")
+    return info
+
+
+#: Called with the part of the work that is done, 0 to 1.
+Progress = Callable[[float], object]
+
+
+def unseen(part: float) -> None:
+    """Where nobody wants to know."""
 
 
 class RecordingWriter:
@@ -140,7 +193,7 @@ def _reason(error: Exception) -> str:
     return getattr(error, "strerror", None) or str(error)
 
 
-class Recording:
+class RecordingFile:
     """A recording to read. To find its channels the file is read once from beginning to end.
 
     Args:

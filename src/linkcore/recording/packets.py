@@ -14,14 +14,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..clock import Stamp
 from ..errors import PacketError, WrongPeer
-from ..progress import Progress, unseen
-from ..stamp import Stamp
+from ..wire.framing import PacketProtocol
 from ..wire.layout import Layout
 from ..wire.packet import State
-from ..wire.protocol import PacketProtocol
-from .index import Index, Numbers
-from .records import Kind, described
+from .file import Kind, Progress, described, unseen
+from .index import Numbers, RecordIndex
 
 __all__ = ["Channel", "Part", "read_channel", "states_of"]
 
@@ -92,7 +91,7 @@ class Channel(NamedTuple):
 
 
 def read_channel(
-    index: Index,
+    index: RecordIndex,
     number: int,
     protocol: Callable[[], PacketProtocol],
     kind: type[State],
@@ -125,7 +124,7 @@ def states_of(states: Sequence[tuple[int, State]]) -> list[Part]:
     return places.parts(np.empty(0, np.uint8))
 
 
-def _connections(index: Index, number: int) -> Iterator[Numbers]:
+def _connections(index: RecordIndex, number: int) -> Iterator[Numbers]:
     """The records with the bytes of each connection; damage ends a connection too."""
     mine = index.of(number)
     kinds = index.kind[mine]
@@ -190,7 +189,7 @@ class _Places:
 class _Reader:
     """Reads connection after connection of one channel."""
 
-    def __init__(self, index: Index, kind: type[State], is_uniform: bool, progress: Progress) -> None:
+    def __init__(self, index: RecordIndex, kind: type[State], is_uniform: bool, progress: Progress) -> None:
         self.others: list[tuple[int, State]] = []
         self.skipped = 0
         self.failed: list[str] = []

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
+import math
 import threading
 import time
 from collections.abc import Iterator
 
+from ..clock import Stamp
 from ..errors import BadValue, ConnectFailed, ConnectionLost, LinkTimeout
 from ..net.transport import Finished
-from ..stamp import Stamp
-from .file import Kind, Record, Recording
+from .file import Kind, Record, RecordingFile
 
 __all__ = ["ReplayClock", "ReplayTransport"]
 
@@ -23,7 +24,7 @@ class ReplayClock:
         rate: 1 is the speed of the recording, 2 twice that; 0 as fast as possible.
     """
 
-    def __init__(self, recording: Recording, rate: float = 1.0) -> None:
+    def __init__(self, recording: RecordingFile, rate: float = 1.0) -> None:
         if not 0 <= rate < float("inf"):
             raise BadValue(f"rate is {rate}; expected 0 (as fast as possible) or a positive number")
         self.rate = rate
@@ -52,9 +53,10 @@ class ReplayTransport:
     time, and the present monotonic time. Connections are lost and made again when the recorded ones were.
     """
 
-    def __init__(self, recording: Recording, channel: str, clock: ReplayClock) -> None:
+    def __init__(self, recording: RecordingFile, channel: str, clock: ReplayClock) -> None:
         number = recording.channel(channel)
         self.name = f"{recording.path.name} ({channel})"
+        self.round_trip = math.inf
         self._clock = clock
         self._records: Iterator[Record] = (record for record in recording if record.channel == number)
         self._next: Record | None = None  # read, but not yet due

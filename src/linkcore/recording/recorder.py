@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from ..errors import BadRecording, LinkTimeout
-from ..streaming.events import Traffic
-from ..streaming.policy import block
+from ..streaming.connection_life import Traffic
+from ..streaming.packet_queue import block
 from ..streaming.stream import Stream
 from ..streaming.subscription import Subscription
 from .file import RecordingWriter

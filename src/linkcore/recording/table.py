@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import BadValue
-from ..extras import needs
+from ..lazy import needs
 from ..wire.cycles import Gap, Missing, gaps_of
 from .columns import ArrayColumns, Column, Columns, PacketColumns, is_continuous
 
@@ -281,7 +281,7 @@ class Table:
         return f"<Table {self.name}: {len(self)} rows, {self._time[0]:.3f} to {self._time[-1]:.3f} s>"
 
     def _repr_html_(self) -> str:
-        from ..html_view import html_table  # imported here: importing the library stays cheap
+        from ..text import html_table  # imported here: importing the library stays cheap
 
         columns = self._columns.known.values()
         rows = [(column.name, (len(self), *column.shape), column.unit, column.doc) for column in columns]

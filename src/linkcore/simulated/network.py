@@ -161,6 +161,8 @@ class End:
         is_open: neither closed here nor broken.
         linger: seconds of SO_LINGER; None where it is off.
         user_timeout: seconds without an acknowledgement after which it is given up; 0 for no limit.
+        connecting_to: during the handshake, who is asked.
+        refuse: what ends the handshake as a reset does: refused.
     """
 
     def __init__(self, network: Network, computer: Computer, port: int) -> None:
@@ -170,6 +172,8 @@ class End:
         self.address = computer.address
         self.peer: End | None = None
         self.peer_name: tuple[str, int] = ("", 0)
+        self.connecting_to: Computer | None = None
+        self.refuse: Callable[[], object] = lambda: None
         self.owner: Watched | None = None
         self.received = bytearray()
         self.error = 0
@@ -427,12 +431,16 @@ class Network:
         self.route(one, other).is_silent = self.route(other, one).is_silent = False
 
     def reset(self, one: Computer, other: Computer) -> None:
-        """Have every connection between two computers reset at both ends, as by a firewall."""
-        for end in list(one.ends):
-            peer = end.peer
-            if peer is not None and peer.computer is other and end.is_open:
-                peer._break(errno.ECONNRESET)
-                end._break(errno.ECONNRESET)
+        """Have every connection between two computers reset at both ends, as by a firewall.
+
+        One that is being made is refused: so Linux reports a reset during the handshake.
+        """
+        for source, target in ((one, other), (other, one)):
+            for end in list(source.ends):
+                if end.connecting_to is target:
+                    end.refuse()
+                elif end.is_open and end.peer is not None and end.peer.computer is target:
+                    end._break(errno.ECONNRESET)
 
     def connect(self, end: End, host: str, port: int, finished: Callable[[int], object]) -> None:
         """Make a connection; `finished` is called with 0 or an errno, unless `end` is closed before."""
@@ -446,11 +454,15 @@ class Network:
             end.address = "127.0.0.1" if not host or host in ("localhost", "0.0.0.0") else host
         begun = scheduler.now
 
+        def ended(outcome: int) -> None:
+            end.connecting_to, end.refuse = None, lambda: None
+            finished(outcome)
+
         def ask(pause: float) -> None:
             if not end.is_open or end.is_connected:
                 return
             if scheduler.now - begun >= _CONNECT:
-                finished(errno.ETIMEDOUT)
+                ended(errno.ETIMEDOUT)
                 return
             scheduler.call_at(scheduler.now + self.route(source, target).latency, arrive)
             scheduler.call_at(scheduler.now + pause, lambda: ask(2 * pause))
@@ -479,13 +491,14 @@ class Network:
 
         def refused() -> None:
             if end.is_open and not end.is_connected:
-                finished(errno.ECONNREFUSED)
+                ended(errno.ECONNREFUSED)
 
         def connected() -> None:
             if not end.is_open and end.peer is not None:
                 end._send_reset(end.peer)  # given up meanwhile
             elif not end.is_connected and self.carries(target, source):
                 end.is_connected = True
-                finished(0)
+                ended(0)
 
+        end.connecting_to, end.refuse = target, refused
         ask(1.0)

@@ -102,7 +102,7 @@ class Socket(Pollable):
         return self._bound or ("0.0.0.0", 0)
 
     def getpeername(self) -> tuple[str, int]:
-        if self._end is None or self._end.peer is None:
+        if self._end is None or not self._end.is_connected or self._end.peer is None:
             raise OSError(errno.ENOTCONN, "Transport endpoint is not connected")
         return self._end.peer_name
 

@@ -1,32 +1,35 @@
-"""One connection of one peer, kept up: opened, read in a thread of its own, and opened again when it is lost.
+"""One connection of one peer, kept up: its life, its subscribers, and sending, whatever reads it.
 
-    transport -> receiver -> fan-out -> queues -> callbacks
-    [------ reader thread --------]   [own threads]
-
-The library holds connections; users hold a `Stream` or a `Feed`, which refer to one. The reader thread refers to its
-connection too, which therefore exists until it is closed.
+What reads it is one of two: a thread (`linkcore.streaming.thread_connection`) or an event loop
+(`linkcore.aio.loop_connection`). The library holds connections; users hold a `Stream` or a `Feed`, which refer to one.
+What reads refers to its connection too, which therefore exists until it is closed.
 """
 
 from __future__ import annotations
 
+import abc
 import logging
 import threading
 import time
 from collections.abc import Callable
 from typing import Any
 
-from ..errors import Cancelled, Closed, ConnectionLost, LinkTimeout, LocalError, RemoteError, WrongPeer, unraised
+from ..clock import Stamp
+from ..errors import Cancelled, Closed, ConnectionLost, LinkTimeout, LocalError, RemoteError, unraised
 from ..net.transport import Finished, Transport
-from ..realtime import urgent
-from ..stamp import Stamp
 from ..text import printable
-from ..threads import started
-from ..wire.protocol import PacketProtocol
-from .backoff import Backoff
-from .events import ConnectionEvent, ConnectionState
+from ..wire.framing import PacketProtocol
+from .connection_life import (
+    STATES,
+    Backoff,
+    ConnectionEvent,
+    ConnectionLife,
+    ConnectionPhase,
+    ConnectionState,
+    LifeEvent,
+)
 from .fanout import FanOut, Sink
-from .packet_queue import PacketQueue
-from .policy import Policy
+from .packet_queue import PacketQueue, Policy
 from .receiver import Receiver
 from .silence import SilenceMonitor
 from .statistics import StreamCounters
@@ -37,22 +40,8 @@ __all__ = ["Connection"]
 _log = logging.getLogger(__name__)
 
 
-class _Attempt:
-    """How the first connection of a reader goes. Each has its own: as soon as one has failed, another may begin.
-
-    Attributes:
-        is_settled: it was made, or could not be.
-        has_opened: it was made.
-        failure: why it could not be made.
-    """
-
-    def __init__(self) -> None:
-        self.is_settled = self.has_opened = False
-        self.failure: Exception | None = None
-
-
-class Connection:
-    """A connection, its reader, and its subscribers. Connects when first used.
+class Connection(abc.ABC):
+    """A connection and its subscribers. Connects when first used.
 
     Args:
         name: for messages and threads.
@@ -64,7 +53,6 @@ class Connection:
         silence: seconds without a packet after which a connection counts as lost; None for ever.
 
     Attributes:
-        state: what the connection is doing.
         silence: tells how long the peer has been silent.
     """
 
@@ -82,66 +70,78 @@ class Connection:
         self.name = name
         self.fan_out = fan_out
         self.counters = StreamCounters()
-        self.state = ConnectionState.IDLE
-        self._failure: Exception | None = None
-        self._error: Exception | None = None
+        self.silence = SilenceMonitor(name, silence)
         self._transport = transport
         self._protocol = protocol
-        self._backoff = backoff or Backoff()
         self._timeout = timeout
-        self.silence = SilenceMonitor(name, silence)
         # What follows changes under this condition. Its lock is re-entrant: a signal handler, or the collection of a
         # stream that nobody holds any more, can come between any two instructions of the thread that has it.
         self._changed = threading.Condition()
+        self._life = ConnectionLife(name, backoff or Backoff())
         self._sending = threading.Lock()
-        self._reader: threading.Thread | None = None
-        self._retry = self._backoff.waits()
-        self._received_before = 0  # packets, at the try before this one
-        self._is_launched = False  # something reads, or is about to
-        self._attempt = _Attempt()
-        self._is_patient = False  # started without waiting for the first connection: failures are retried
-        self._is_closing = False
-        self._is_finishing = False  # the reader is about to end
-        self._is_over = False
+
+    @property
+    def state(self) -> ConnectionState:
+        """What the connection is doing."""
+        return STATES[self._life.phase]
 
     @property
     def failure(self) -> Exception | None:
         """What ended it, where it was not closed on purpose: a copy, which may be raised."""
-        return None if self._failure is None else unraised(self._failure)
+        failure = self._life.failure
+        return None if failure is None else unraised(failure)
 
     @property
     def error(self) -> Exception | None:
         """What ended the last connection, or kept the next one from being made: a copy, which may be raised."""
-        return None if self._error is None else unraised(self._error)
+        error = self._life.error
+        return None if error is None else unraised(error)
 
-    # -- beginning and ending --------------------------------------------------------------------
+    # -- what reads it ---------------------------------------------------------------------------
 
     @property
+    @abc.abstractmethod
     def is_running(self) -> bool:
-        """A reader has been started, and has not ended."""
-        reader = self._reader
-        return reader is not None and reader.is_alive()
+        """It is read, or is about to be."""
 
-    @property
-    def is_over(self) -> bool:
-        """No packet will ever come again."""
-        return self._is_closing or self._is_over
-
+    @abc.abstractmethod
     def reads_here(self) -> bool:
         """The current thread is the one that reads."""
-        return threading.current_thread() is self._reader
 
+    @abc.abstractmethod
     def refuse_to_wait(self, what: str) -> None:
         """Raise where the current thread would wait for itself.
 
         Raises:
             LocalError: it is the one that reads.
         """
-        if self.reads_here():
-            raise LocalError(
-                f"{what} would wait for ever: it was called in an inline callback, so by the thread that reads "
-                f"{self.name}, which reads nothing meanwhile; subscribe without inline=True, or wait in another thread"
-            )
+
+    @abc.abstractmethod
+    def look(self) -> None:
+        """Hand out what has come already, before anybody concludes that nothing has. In what reads."""
+
+    @abc.abstractmethod
+    def _launch(self) -> None:
+        """Start to read.
+
+        Raises:
+            LocalError: the system has no thread left, or the loop is closed.
+        """
+
+    @abc.abstractmethod
+    def _join_reader(self, timeout: float) -> bool:
+        """Wait until nothing is read any more; False when time is up."""
+
+    @abc.abstractmethod
+    def _hang_up(self) -> None:
+        """Disconnect once what was sent is delivered, and wake what reads. After `_stop`."""
+
+    # -- beginning and ending --------------------------------------------------------------------
+
+    @property
+    def is_over(self) -> bool:
+        """No packet will ever come again."""
+        return self._life.is_over
 
     def start(self, add: Callable[[], object] | None = None) -> None:
         """Connect, if nothing has yet, and wait until it is done.
@@ -155,16 +155,16 @@ class Connection:
             Closed: it was closed.
         """
         with self._changed:
-            if self._is_finishing or not self._attempt.is_settled:
+            if self._life.is_ending or not self._is_settled:
                 self.refuse_to_wait("connecting")
             # A reader that ends closes its subscriptions: one that begins now belongs to the next reader.
-            self._changed.wait_for(lambda: not self._is_finishing, self._timeout)
-            if self._is_closing:
+            self._changed.wait_for(lambda: not self._life.is_ending, self._timeout)
+            if self._life.is_closed:
                 raise Closed(f"{self.name} was closed")
             if add is not None:
                 add()
             self._begin(is_patient=False)
-            attempt = self._attempt
+            attempt = self._life.attempt
             if not self._changed.wait_for(lambda: attempt.is_settled, self._timeout + 1.0):
                 raise self.error or LinkTimeout(f"{self.name}: no connection within {self._timeout:g} s")
         if attempt.failure is not None:
@@ -172,46 +172,25 @@ class Connection:
 
     def start_quietly(self) -> None:
         """Begin to connect, if nothing has yet, without waiting; failures are retried by the back-off."""
-        if not self._is_launched and not self._is_closing:
+        if self._life.phase is ConnectionPhase.IDLE:
             with self._changed:
                 self._begin(is_patient=True)
 
+    @property
+    def _is_settled(self) -> bool:
+        """Nothing is to be waited for: it has been connected once, or is closed."""
+        return self._life.phase is not ConnectionPhase.IDLE and self._life.attempt.is_settled
+
     def _begin(self, is_patient: bool) -> None:
-        if self._is_launched or self._is_closing:
+        """Read, if nothing does yet. With the lock."""
+        if self._life.phase is not ConnectionPhase.IDLE:
             return
-        self._failure = self._error = None
-        self._is_patient = is_patient
-        self._attempt = _Attempt()
-        self._retry = self._backoff.waits()
-        self._received_before = self.counters.received
-        self._is_launched = True
+        self._life.use(is_patient, self.counters.received)
         try:
             self._launch()
         except LocalError:
-            self._is_launched = False
+            self._life.fire(LifeEvent.REST)
             raise
-
-    def _launch(self) -> None:
-        """Start to read.
-
-        Raises:
-            LocalError: the system has no thread left.
-        """
-        # Known before it starts, so that it finds itself there.
-        self._reader = threading.Thread(target=self._read, name=f"{self.name} reader", daemon=True)
-        try:
-            started(self._reader)
-        except LocalError:
-            self._reader = None
-            raise
-
-    def _join_reader(self, timeout: float) -> bool:
-        """Wait until nothing is read any more; False when time is up."""
-        reader = self._reader
-        if reader is None or self.reads_here():
-            return True
-        reader.join(min(timeout, threading.TIMEOUT_MAX))
-        return not reader.is_alive()
 
     def join(self, timeout: float) -> bool:
         """Wait until no packet will come any more and all are delivered; False when time is up."""
@@ -233,11 +212,6 @@ class Connection:
                 self.fan_out.remove_delivery(delivery)
         if not has_ended:
             self.fan_out.close(all=True)
-        self.state = ConnectionState.CLOSED
-
-    def _hang_up(self) -> None:
-        """Disconnect once what was sent is delivered, and wake the reader."""
-        self._transport.close()
 
     def abandon(self) -> None:
         """End everything without waiting for anything."""
@@ -246,7 +220,8 @@ class Connection:
 
     def _stop(self) -> None:
         with self._changed:
-            self._is_closing = self._attempt.is_settled = True
+            self._life.fire(LifeEvent.CLOSE)
+            self._life.attempt.is_settled = True
             self._changed.notify_all()
 
     # -- sending ---------------------------------------------------------------------------------
@@ -298,9 +273,6 @@ class Connection:
             ConnectionLost: the connection is gone.
         """
         return self._transport.wait_for_room(timeout)
-
-    def look(self) -> None:
-        """Hand out what has come already, in the thread that reads; nothing to do where that thread only reads."""
 
     def abort(self) -> None:
         """Give up what was sent: discard what the peer has not acknowledged, and connect again."""
@@ -395,46 +367,28 @@ class Connection:
         expand = self.fan_out.expander(kind)
         return {"name": name, "expand": expand, "deadline": deadline, "on_deadline": on_deadline}
 
-    # -- the reader thread -----------------------------------------------------------------------
-
-    @urgent()
-    def _read(self) -> None:
-        while True:
-            try:
-                self._connect_and_receive()
-            except Exception as error:
-                wait = self._next_try(error)
-            else:
-                wait = self._next_try(None)
-            if wait is None:
-                return
-            with self._changed:
-                if self._changed.wait_for(lambda: self._is_closing, wait):
-                    break
-        self._finish(None)
-
-    def _connect_and_receive(self) -> None:
-        """One connection, until the transport or the protocol raises, or it is closed."""
-        self._tell(ConnectionState.CONNECTING)
-        self._transport.open(self._timeout)
-        if self._is_closing:  # closed while connecting: that could not see this socket
-            return
-        self._receive(self._opened())
-
     # -- what becomes of a connection, whatever reads it -----------------------------------------
+
+    def _connecting(self) -> None:
+        """It is about to be made."""
+        with self._changed:
+            told = self._life.fire(LifeEvent.CONNECT)
+        self._tell(told)
 
     def _opened(self) -> Receiver:
         """The transport is open: publish the event, and receive until the connection is lost."""
         protocol = self._protocol()
-        self.counters.connected(protocol)
-        self._attempt.has_opened = True
-        self._tell(ConnectionState.CONNECTED)
+        self.counters.connected(protocol, self._transport.round_trip)
+        with self._changed:
+            told = self._life.fire(LifeEvent.OPEN)
+            self._life.attempt.has_opened = True
+        self._tell(told)
         self._settle()
         return Receiver(self.name, protocol, self.counters)
 
     def _settle(self) -> None:
         with self._changed:
-            self._attempt.is_settled = True
+            self._life.attempt.is_settled = True
             self._changed.notify_all()
 
     def _next_try(self, error: Exception | None) -> float | None:
@@ -446,43 +400,18 @@ class Connection:
         if isinstance(error, Finished):
             self._finish(None)
             return None
-        # It never was the right one: trying again would not help.
-        is_hopeless = isinstance(error, WrongPeer) and not self.counters.received
         if error is not None and not isinstance(error, RemoteError):
             _log.error("%s: the reader failed", self.name, exc_info=error)
             self._finish(unraised(error))
             return None
-        error = None if error is None else unraised(error)
-        self._error = error  # before `LOST` is told: whoever hears of it may ask why
         self._disconnected(error)
-        if is_hopeless:
-            self._finish(error)
-            return None
-        if self._is_closing:
+        if self._life.is_closed:
             self._finish(None)
             return None
-        if not self._attempt.has_opened and not self._is_patient:
-            self._finish(error)
-            return None
-        if self.counters.received > self._received_before:
-            self._received_before = self.counters.received
-            self._retry = self._backoff.waits()  # reset by success: by packets, not by a mere connection
-        wait = next(self._retry, None)
+        wait = self._life.retry_after(self.counters.received)
         if wait is None:
-            self._finish(error)
+            self._finish(self._life.error)
         return wait
-
-    def _receive(self, receiver: Receiver) -> None:
-        """Hand out what comes, until the transport raises or the peer has been silent for too long."""
-        receive, take, silence = self._transport.receive, self._take, self.silence
-        silence.end(time.monotonic())
-        while True:
-            try:
-                data, stamp = receive(silence.wait)
-            except LinkTimeout:
-                silence.timed_out()
-            else:
-                take(receiver, data, stamp)
 
     def _take(self, receiver: Receiver, data: bytes, stamp: Stamp) -> None:
         """Hand out what bytes that have come complete.
@@ -507,33 +436,29 @@ class Connection:
         self._transport.abort()
         self.fan_out.forget()
         self.counters.disconnected()
-        if not self._is_closing:
+        if not self._life.is_closed:
             _log.info("%s: connection lost: %s", self.name, printable(error))
-        self._tell(ConnectionState.LOST, error)
+        with self._changed:
+            told = self._life.lose(error)
+        self._tell(told, self._life.error)
 
     def _finish(self, failure: Exception | None) -> None:
+        """Nothing is read any more: end every subscription, and let the next use begin anew."""
         with self._changed:
-            self._is_finishing = True
-            self._failure = failure
-            if not self._attempt.has_opened:
-                self._attempt.failure = failure
-            self._is_over = failure is None
+            told = self._life.end(failure)
         self._transport.abort()
         self.counters.disconnected()
-        if failure is not None or self._is_closing:
+        if failure is not None or self._life.is_closed:
             self.fan_out.forget()  # the last of a recording stays: it is no older than the others
-        if failure is not None and self._attempt.has_opened:
-            _log.warning(
-                "%s: given up: %s", self.name, printable(failure)
-            )  # for a callback without an error handler, the log is the only report
-        self._tell(ConnectionState.IDLE if failure is not None else ConnectionState.CLOSED, failure)
+        if failure is not None and self._life.attempt.has_opened:
+            # For a callback without an error handler, the log is the only report.
+            _log.warning("%s: given up: %s", self.name, printable(failure))
+        self._tell(told, failure)
         self.fan_out.end()
         with self._changed:
-            if failure is not None:
-                self._is_launched = False  # the next use tries again
-            self._is_finishing = False
+            self._life.fire(LifeEvent.REST)
             self._settle()
 
-    def _tell(self, state: ConnectionState, error: Exception | None = None) -> None:
-        self.state = state
-        self.fan_out.tell(ConnectionEvent(state, self.name, error, Stamp.now()))
+    def _tell(self, state: ConnectionState | None, error: Exception | None = None) -> None:
+        if state is not None:
+            self.fan_out.tell(ConnectionEvent(state, self.name, error, Stamp.now()))

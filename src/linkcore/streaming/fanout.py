@@ -10,8 +10,8 @@ import threading
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple, Protocol, TypeVar
 
-from ..stamp import Stamp
-from .events import Chunk, ConnectionEvent, Traffic
+from ..clock import Stamp
+from .connection_life import Chunk, ConnectionEvent, Traffic
 from .subscription import Delivery
 
 __all__ = ["FanOut", "Sink"]

@@ -10,9 +10,9 @@ from ..arguments import check_callable, check_seconds
 from ..errors import BadValue, Closed, LinkTimeout
 from ..wire.packet import State
 from .connection import Connection
-from .events import ConnectionEvent, ConnectionState
+from .connection_life import ConnectionEvent, ConnectionState
 from .history import History
-from .policy import Policy, block, check_lifespan, check_policy, drop_oldest, latest
+from .packet_queue import Policy, block, check_lifespan, check_policy, drop_oldest, latest
 from .subscription import Subscription
 
 if TYPE_CHECKING:

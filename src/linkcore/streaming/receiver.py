@@ -10,11 +10,10 @@ import logging
 from collections.abc import Sequence
 from typing import Any
 
+from ..clock import Stamp
 from ..errors import PacketError
-from ..stamp import Stamp
 from ..text import printable
-from ..wire.protocol import PacketProtocol
-from ..wire.strict import is_strict, strictly
+from ..wire.framing import PacketProtocol, is_strict, strictly
 from .statistics import StreamCounters
 
 __all__ = ["Receiver"]
@@ -68,8 +67,8 @@ class Receiver:
                 self._fail(error)
         counters.decoded += len(packets)
         now = counters.arrived = stamp[0]
-        if now >= counters.window_ends:
-            counters.next_window(now)
+        if now >= counters.due:
+            counters.look(now, cycles)
         return packets
 
     def _fail(self, error: PacketError) -> None:

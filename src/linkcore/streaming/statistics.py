@@ -16,8 +16,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
-from ..wire.cycles import Missing
-from ..wire.protocol import PacketProtocol
+from ..wire.cycles import MissedCycles, Missing
+from ..wire.framing import PacketProtocol
+from .peer_clock import ClockEstimator
 
 __all__ = ["SLOW_INLINE", "StreamCounters", "StreamStatistics", "SubscriptionStatistics", "snapshot"]
 
@@ -119,7 +120,9 @@ class StreamCounters:
     Attributes:
         received, decoded, failed, slow_inline, bytes, connections: see `StreamStatistics`.
         arrived: when the last packet was read, by `time.monotonic`; None before the first.
+        clock: of the peer, by the times of its packets.
         window_ends: when `next_window` is due: the rate is that of the last whole window of about a second.
+        due: when `look` is due, by `time.monotonic`.
     """
 
     def __init__(self) -> None:
@@ -135,14 +138,18 @@ class StreamCounters:
         self._protocol: PacketProtocol | None = None
         self.arrived: float | None = None
         self._rate = 0.0
+        self.clock = ClockEstimator()
+        self.due = 0.0
         self._begin_window(time.monotonic())
 
-    def connected(self, protocol: PacketProtocol) -> None:
-        """A connection was made; what its protocol counts belongs to the stream."""
+    def connected(self, protocol: PacketProtocol, round_trip: float) -> None:
+        """A connection was made, by a handshake of so many seconds; what its protocol counts belongs to the stream."""
         self._protocol = protocol
         self.connections += 1
         self._begin_window(time.monotonic())
         self._rate = 0.0
+        self.clock.connected(round_trip)
+        self.due = 0.0
 
     def disconnected(self) -> None:
         """The connection is over; what its protocol counted stays counted."""
@@ -153,6 +160,15 @@ class StreamCounters:
             self._unknown += protocol.unknown
             self._tails += protocol.tails
             self._missing = _sum(self._missing, protocol)
+
+    def look(self, now: float, cycles: MissedCycles | None) -> None:
+        """Do what is not done for each packet, beside the newest one."""
+        clock = self.clock
+        if cycles is not None and now >= clock.due:
+            clock.take(cycles.last, now)
+        if now >= self.window_ends:
+            self.next_window(now)
+        self.due = self.window_ends if cycles is None else min(self.window_ends, clock.due)
 
     def next_window(self, now: float) -> None:
         """The window of the rate is over; the next one begins."""

@@ -10,9 +10,9 @@ from ..arguments import check_seconds
 from ..errors import BadValue
 from ..wire.packet import State
 from .connection import Connection
-from .events import ConnectionEvent, ConnectionState, Traffic
+from .connection_life import ConnectionEvent, ConnectionState, Traffic
 from .feed import Feed
-from .policy import Policy
+from .packet_queue import Policy
 from .statistics import StreamStatistics
 from .subscription import Subscription
 
@@ -132,7 +132,7 @@ class Stream(Feed[T]):
             connection.abandon()
 
     def _repr_html_(self) -> str:
-        from ..html_view import html_table  # imported here: importing the library stays cheap
+        from ..text import html_table  # imported here: importing the library stays cheap
 
         stats = self.stats
         rows = [(name, getattr(stats, name)) for name in ("received", "decoded", "failed", "reconnects", "rate", "age")]

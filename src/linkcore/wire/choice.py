@@ -7,10 +7,8 @@ from functools import cached_property
 from typing import Any, Generic, TypeVar
 
 from ..errors import PacketError
-from .fields import Field
+from .fields import Field, Shape, Version, parse_version, version_text
 from .layout import Layout
-from .shapes import Shape
-from .version import Version, parse_version, version_text
 
 __all__ = ["Layouts"]
 

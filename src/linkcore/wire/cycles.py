@@ -78,6 +78,7 @@ class MissedCycles:
 
     Attributes:
         missing: how much, so far; replaced as a whole, so that other threads can read it.
+        last: the time of the newest packet that has one, s by the controller's clock; NaN before the first.
     """
 
     def __init__(
@@ -88,22 +89,22 @@ class MissedCycles:
         self._period, *self._shorter = sorted(periods, reverse=True)
         self._is_uniform = is_uniform
         self._set_at_most()
-        self._last = float("nan")  # no comparison with it holds
+        self.last = float("nan")  # no comparison with it holds
 
     def take(self, frames: Sequence[bytes]) -> None:
         """Packets have come, at least one, in order."""
         if self._at_most:
             # All of them at once: none is missing if the clock went on by no more than so many periods.
             moment: Any = self._moment(frames[-1])
-            step = moment - self._last
+            step = moment - self.last
             if step <= self._at_most or step <= self._at_most + (len(frames) - 1) * self._period:
-                self._last = moment
+                self.last = moment
                 return
         for frame in frames:
             moment = self._moment(frame)
             if moment is not None:
-                self._step(moment - self._last)
-                self._last = moment
+                self._step(moment - self.last)
+                self.last = moment
 
     def _set_at_most(self) -> None:
         """The longest step between two packets with none missing, where each has a time and the period is known."""

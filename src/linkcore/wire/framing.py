@@ -6,15 +6,23 @@ stand here.
 The work is linear in the bytes that come, however they are cut into chunks, also for bytes that an adversary chose: the
 place that is looked at only moves forward, a boundary looks at a bounded number of bytes beyond it, and returns how
 many bytes it needs before it can decide.
+
+With the environment variable ``URLINK_STRICT=1``, read when this module is imported, decoding is strict: bytes that no
+layout explains are errors, rather than kept and counted. That is for tests against new firmware, not for the operation
+of a robot.
 """
 
 from __future__ import annotations
 
-from typing import Protocol
+import os
+from collections.abc import Callable
+from typing import Any, Protocol
 
-from ..errors import WrongPeer
+from ..clock import Stamp
+from ..errors import PacketError, WrongPeer
+from .cycles import MissedCycles
 
-__all__ = ["FrameBoundary", "Framer"]
+__all__ = ["FrameBoundary", "Framer", "PacketProtocol", "check_explained", "is_strict", "strictly"]
 
 
 class FrameBoundary(Protocol):
@@ -154,3 +162,80 @@ class Framer:
                 raise WrongPeer(f"expected {self._boundary}, but this is {peer}: it begins with {bytes(buffer[:16])!r}")
         self._is_lost = True
         self.skipped += 1
+
+
+class PacketProtocol(Protocol):
+    """The protocol of one connection, sans-IO; a stream makes a new one each time it connects."""
+
+    framer: Framer
+    #: counts the cycles that are missing; None as long as the packets have no time of the peer's clock
+    cycles: MissedCycles | None
+
+    @property
+    def unknown(self) -> int:
+        """Packets, or parts of one, of a type that no layout is known for."""
+
+    @property
+    def tails(self) -> int:
+        """Packets, or parts of one, that end in bytes which no known layout explains."""
+
+    def decode(self, frame: bytes, stamp: Stamp | None = None) -> Any:
+        """The typed packet in one frame.
+
+        Raises:
+            PacketError: no layout holds it. It is not counted in `unknown` or `tails`.
+        """
+
+
+#: Whether it was asked for.
+_STRICT = os.environ.get("URLINK_STRICT", "") not in ("", "0")
+
+
+def is_strict() -> bool:
+    """Whether bytes that no layout explains are errors."""
+    return _STRICT
+
+
+class Counting(Protocol):
+    """Decodes, and counts what it does not know."""
+
+    @property
+    def unknown(self) -> int:
+        """Packets, or parts of one, of a type that no layout is known for."""
+
+    @property
+    def tails(self) -> int:
+        """Packets, or parts of one, that end in bytes which no known layout explains."""
+
+    @property
+    def decode(self) -> Callable[..., Any]:
+        """The packet in one frame."""
+
+
+def check_explained(packet: Any, unknown: int, tails: int) -> None:
+    """Refuse a packet of which so many parts are not known.
+
+    Raises:
+        PacketError: there are any.
+    """
+    kind = type(packet).__name__
+    if unknown:
+        raise PacketError("it is, or holds, a type that is not known (URLINK_STRICT)", packet=kind)
+    if tails:
+        raise PacketError("it, or a part of it, ends in bytes that are not known (URLINK_STRICT)", packet=kind)
+
+
+def strictly(decoder: Counting) -> Callable[..., Any]:
+    """What `decoder.decode` does, for packets of which every byte is known.
+
+    Raises, when it is called:
+        PacketError: no layout holds the packet, or a part of it is of an unknown type, or ends in unknown bytes.
+    """
+
+    def decode(frame: bytes, stamp: Stamp | None = None) -> Any:
+        unknown, tails = decoder.unknown, decoder.tails
+        packet = decoder.decode(frame, stamp)
+        check_explained(packet, decoder.unknown - unknown, decoder.tails - tails)
+        return packet
+
+    return decode

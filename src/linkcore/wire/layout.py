@@ -23,9 +23,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import BadValue, PacketError
-from .fields import Field, Header
-from .shapes import Mask64, Number, Raw, Shape
-from .version import Version, version_text
+from .fields import Field, Header, Mask64, Number, Raw, Shape, Version, version_text
 
 __all__ = ["Layout", "Place", "indices", "is_of_cells"]
 

@@ -23,17 +23,15 @@ import numpy.typing as npt
 
 from ..errors import PacketError
 from .choice import Layouts
-from .dissection import Row, dissect
-from .fields import Field, Header
+from .fields import Field, Header, OpenInt, Raw, Shape, Since, Version, parse_version
 from .layout import Layout, indices, is_of_cells
-from .shapes import OpenInt, Raw, Shape
 from .split import Split, is_split, split_indices
-from .version import Since, Version, parse_version
 
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-    from ..stamp import Stamp
+    from ..clock import Stamp
+    from .schema import Row
 
 __all__ = ["IntVector", "State", "StateLayout", "StateLayouts", "Vector", "packet", "wire"]
 
@@ -160,6 +158,8 @@ class State:
 
     def dissect(self) -> Iterator[Row]:
         """Every stretch of the packet's bytes with offset, name, value and unit; the unknown tail last."""
+        from .schema import dissect  # which imports construct: a program that dissects nothing does not pay for that
+
         return dissect(self._layout, self._data)
 
     def to_dict(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The layouts of packets as construct schemas: they parse and build packets, and check their sizes.
+"""The layouts of packets as construct schemas: they parse and build packets, check their sizes, and dissect them.
 
 Made of the same declarations as the fast decoders, and read by construct alone, so a property test can hold the two
 equal on random bytes, for every layout. `dissect` takes the meaning of each byte from them. construct is imported only
@@ -12,15 +12,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import construct
 
-from .fields import Field, Header
+from .fields import Array, Field, Header, Number, Raw, Shape
 from .layout import Layout
-from .shapes import Array, Number, Raw, Shape
 
-__all__ = ["as_construct", "as_struct", "checked_fields", "packet_schema", "sized"]
+__all__ = ["Row", "as_construct", "as_struct", "checked_fields", "dissect", "header_rows", "packet_schema", "sized"]
 
 #: What becomes of the construct of one field.
 Wrap = Callable[[Field, Any], Any]
@@ -120,3 +119,49 @@ def as_struct(layout: Layout, *, located: bool = False) -> Any:
 def _element(shape: Shape) -> Shape:
     assert isinstance(shape, Array), "what is interleaved is an array"
     return shape.element
+
+
+class Row(NamedTuple):
+    """One line of a dissection: a stretch of bytes and what it means."""
+
+    offset: int
+    data: bytes
+    name: str
+    value: Any
+    unit: str
+    doc: str
+
+
+def header_rows(header: Header, data: bytes) -> Iterator[Row]:
+    """The parts of the header that `data` begins with."""
+    offset = 0
+    for name, value in header.unpack(data).items():
+        end = offset + header.parts[name].width
+        yield Row(offset, data[offset:end], name, value, "B" if name == "size" else "", "header")
+        offset = end
+
+
+def dissect(layout: Layout, data: bytes) -> Iterator[Row]:
+    """Every stretch of `data` with its meaning, in wire order, the unknown tail last.
+
+    Args:
+        layout: that of the packet.
+        data: the whole packet, which has been decoded with this layout.
+    """
+    parsed = as_struct(layout, located=True).parse(data)
+    yield from header_rows(layout.header, data)
+    for run in layout.runs:
+        first = run[0].field
+        if first.interleave is None:
+            yield _row(first, first.name, parsed[first.name])
+            continue
+        for number, element in enumerate(parsed[first.interleave]):
+            for place in run:
+                name = place.field.name
+                yield _row(place.field, f"{name}[{number}]", element[name])
+    if parsed.tail.data:
+        yield Row(parsed.tail.offset1, parsed.tail.data, "tail", None, "", "bytes that no known layout explains")
+
+
+def _row(field: Field, name: str, found: Any) -> Row:
+    return Row(found.offset1, found.data, name, found.value, field.unit, field.doc)

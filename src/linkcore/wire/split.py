@@ -16,9 +16,8 @@ import numpy as np
 from .layout import MANY_CELLS, NATIVE_DOUBLE, WIRE_DOUBLE
 
 if TYPE_CHECKING:
-    from .fields import Field
+    from .fields import Field, Shape
     from .layout import Place
-    from .shapes import Shape
 
 __all__ = ["Split", "is_split", "split_indices"]
 

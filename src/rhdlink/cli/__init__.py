@@ -19,7 +19,7 @@ _COMMANDS = {
     "watch": "watch",
     "record": "recordings",
     "replay": "recordings",
-    "export": "export",
+    "export": "recordings",
     "dissect": "dissect",
     "completion": "linkcore.cli.completion",
 }

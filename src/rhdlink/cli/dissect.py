@@ -11,11 +11,11 @@ from typing import Any
 
 from linkcore.cli.options import Subparsers, add_command, positive_int
 from linkcore.errors import BadRecording
-from linkcore.recording.file import Recording
+from linkcore.recording.file import RecordingFile
 from linkcore.text import printable, strict_json
 
-from ..recording.playback import received
-from ..wire.dissection import Part, Piece, dissect, guess_sender, tables_in
+from ..recording import received
+from ..wire.dissection import PackagePart, Piece, dissect, guess_sender, tables_in
 
 __all__ = ["add_parser", "lines"]
 
@@ -83,7 +83,7 @@ def _connections(path: Path) -> Iterator[bytes]:
     if not data.startswith(b"LINKREC1"):
         yield data
         return
-    for _, records in itertools.groupby(received(Recording(path)), key=operator.itemgetter(0)):
+    for _, records in itertools.groupby(received(RecordingFile(path)), key=operator.itemgetter(0)):
         yield b"".join(record.payload for _, record in records)
 
 
@@ -115,7 +115,7 @@ def lines(number: int, piece: Piece) -> Iterator[str]:
         yield from _part_lines(part)
 
 
-def _part_lines(part: Part) -> Iterator[str]:
+def _part_lines(part: PackagePart) -> Iterator[str]:
     width = 12 if part.meaning else 16
     for at in range(0, len(part.data), width):
         chunk = part.data[at : at + width]

@@ -10,17 +10,17 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, get_args
 
-from linkcore.cli.interruption import Interruption
 from linkcore.cli.options import Subparsers, add_command, seconds
+from linkcore.cli.program import Interruption
 
 from ..address import PORT
-from ..drawing import save
 from ..host.config import read_config
 from ..host.host import Host
 from ..host.service import Resend
 from ..plugins.turtle import SmrTurtle, Turtle
 from ..wire.decoder import Limits
 from ..wire.schema import WIDTHS
+from ..world import save
 from .options import add_world, port, tell, world
 
 __all__ = ["add_parser"]

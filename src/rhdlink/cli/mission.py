@@ -9,13 +9,12 @@ import sys
 import time
 from pathlib import Path
 
-from linkcore.cli.interruption import Interruption
 from linkcore.cli.options import Subparsers, add_command, seconds
+from linkcore.cli.program import Interruption
 from linkcore.errors import LinkError
 from linkcore.text import printable
 
 from ..client import connect
-from ..drawing import save
 from ..plugins.turtle import SmrTurtle, Turtle
 from ..smrcl.mission import Mission, MissionRun
 from ..smrcl.outbox import Said
@@ -23,7 +22,7 @@ from ..smrcl.profile import PROFILES
 from ..smrcl.robot_conf import RobotConf, read_robot_conf
 from ..smrcl.robot_link import ClientLink, PluginLink, RobotLink
 from ..smrcl.server import PORT, MissionServer
-from ..world import World
+from ..world import World, save
 from .options import add_world, port, tell, world
 
 __all__ = ["add_parser"]

@@ -1,4 +1,4 @@
-"""`rhdlink record` and `replay`: write what a robot sends to a file; summarise the file, or play it."""
+"""`rhdlink record`, `replay` and `export`: a recording made, summarised or played, and written for other programs."""
 
 from __future__ import annotations
 
@@ -7,17 +7,16 @@ import itertools
 import time
 from collections.abc import Iterator
 
-from linkcore.cli.interruption import Interruption
-from linkcore.cli.options import Subparsers, add_command, positive_int, seconds
-from linkcore.cli.progress_bar import ProgressBar
+from linkcore.cli.options import ProgressBar, Subparsers, add_command, add_export, positive_int, seconds
+from linkcore.cli.program import Interruption
 from linkcore.errors import BadRecording
-from linkcore.recording.file import Recording
+from linkcore.recording.file import RecordingFile
 from linkcore.recording.player import ReplayClock
 from linkcore.text import printable, strict_json
 
 from ..client import connect
-from ..recording.playback import play
-from ..recording.summary import Summary, summarise
+from ..loading import load
+from ..recording import Summary, play, summarise
 from ..variables.snapshot import Update
 from .options import add_address, tell
 from .units import in_units, update_as_json, words_of, words_text
@@ -51,6 +50,20 @@ _REPLAY_EXAMPLES = (
     "rhdlink replay drive.urlog --rate max --json > drive.jsonl",
 )
 
+_EXPORT = """\
+Write a recording to a file of another program: .csv, .parquet, .mat (MATLAB), .h5 (HDF5) or .mcap (Foxglove,
+ros2 bag), by its suffix.
+
+A column for each variable, as 32-bit words, and a row or message for each batch that the robot sent. A file of
+that name is replaced once the new one is complete. .parquet, .mat, .h5 and .mcap need the extra of the same name:
+pip install 'urlink[parquet]', or 'urlink[data]' for all."""
+
+_EXPORT_EXAMPLES = (
+    "rhdlink export drive.urlog drive.csv encl encr",
+    "rhdlink export drive.urlog drive.parquet --rate 50",
+    "rhdlink export drive.urlog drive.mcap",
+)
+
 
 def add_parser(subparsers: Subparsers) -> None:
     """Declare the commands."""
@@ -69,6 +82,8 @@ def add_parser(subparsers: Subparsers) -> None:
     parser.add_argument("--count", type=positive_int, metavar="N", help="end after N lines (never)")
     parser.add_argument("--json", action="store_true", help="one JSON object a line")
     parser.set_defaults(run=_replay, trailing="names")
+
+    add_export(subparsers, _EXPORT, _EXPORT_EXAMPLES, load, lambda recording: f"{len(recording)} batches", tell)
 
 
 def _rate(text: str) -> float:
@@ -124,7 +139,7 @@ def _replay(args: argparse.Namespace) -> int:
         summary = _summary(args)
         print(strict_json(summary.as_json()) if args.json else _summary_text(summary))
         return 0
-    recording = Recording(args.file)
+    recording = RecordingFile(args.file)
     with Interruption() as interruption:
         for update in itertools.islice(_updates(recording, args, interruption), args.count):
             print(strict_json(update_as_json(update)) if args.json else _line(update), flush=True)
@@ -134,10 +149,10 @@ def _replay(args: argparse.Namespace) -> int:
 
 def _summary(args: argparse.Namespace) -> Summary:
     with ProgressBar(f"reading {args.file}", args.quiet) as progress:
-        return summarise(Recording(args.file, progress), progress)
+        return summarise(RecordingFile(args.file, progress), progress)
 
 
-def _updates(recording: Recording, args: argparse.Namespace, interruption: Interruption) -> Iterator[Update]:
+def _updates(recording: RecordingFile, args: argparse.Namespace, interruption: Interruption) -> Iterator[Update]:
     clock = ReplayClock(recording, args.rate)
     clock.start()
     names = frozenset(args.names) or None

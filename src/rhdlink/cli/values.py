@@ -7,8 +7,8 @@ import re
 import time
 from collections.abc import Collection, Iterable
 
-from linkcore.cli.interruption import Interruption
 from linkcore.cli.options import Subparsers, add_command, seconds
+from linkcore.cli.program import Interruption
 from linkcore.text import printable, strict_json
 
 from ..client import Variables, connect

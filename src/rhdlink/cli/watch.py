@@ -9,11 +9,10 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 
-from linkcore.cli.interruption import Interruption
 from linkcore.cli.options import Subparsers, add_command, positive_int, seconds
-from linkcore.stamp import Stamp
-from linkcore.streaming.packet_queue import PacketQueue
-from linkcore.streaming.policy import drop_oldest
+from linkcore.cli.program import Interruption
+from linkcore.clock import Stamp
+from linkcore.streaming.packet_queue import PacketQueue, drop_oldest
 from linkcore.text import strict_json
 
 from ..client import Variables, connect
@@ -161,7 +160,7 @@ def _panels() -> Iterator[_Draw]:
     from rich.console import Console
     from rich.live import Live
 
-    from .panel import ViewPanel
+    from .view import ViewPanel
 
     # The last panel stays on the screen, where it can be read and copied.
     console, to_terminal = Console(), sys.stderr.isatty()

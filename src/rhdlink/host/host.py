@@ -20,7 +20,7 @@ import numpy as np
 
 from linkcore.arguments import check_choice, check_seconds, check_whole
 from linkcore.errors import BadValue, Closed, LocalError
-from linkcore.runnable import Runnable
+from linkcore.threads import Runnable
 
 from ..address import Address
 from ..variables.database import Database, TimeStamp
@@ -28,8 +28,7 @@ from ..variables.declarations import bind, create_variables
 from ..wire.decoder import Limits
 from .config import Configuration, Element, read_config
 from .plugin import Plugin
-from .schedule import Schedule
-from .server import Server
+from .server import Server, TickSchedule
 from .service import Resend, Service
 
 if TYPE_CHECKING:
@@ -189,7 +188,7 @@ class Host(Runnable):
         self._begun: list[Plugin] = []
         self._failed: list[str] = []
         self._server: Server | None = None
-        self._schedule = Schedule(period, time.monotonic())
+        self._schedule = TickSchedule(period, time.monotonic())
 
     @classmethod
     def from_config(cls, config: Configuration | str | os.PathLike[str], **options: object) -> Self:
@@ -323,7 +322,7 @@ class Host(Runnable):
             client_timeout=self._client_timeout,
             inactivity_timeout=self._inactivity_timeout,
         )
-        self._schedule = Schedule(self.period, time.monotonic())
+        self._schedule = TickSchedule(self.period, time.monotonic())
 
     def _init(self, plugin: Plugin) -> None:
         plugin.name = plugin.name or type(plugin).__name__.lower()

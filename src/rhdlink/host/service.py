@@ -15,7 +15,7 @@ import numpy as np
 from linkcore.arguments import check_choice, check_whole
 from linkcore.errors import BadValue, PacketError
 
-from ..variables.database import Database, Table
+from ..variables.database import Database, VariableTable
 from ..variables.dirty_set import DirtySet
 from ..wire.data import DataPackage, Ids
 from ..wire.decoder import ClientDecoder, Limits
@@ -334,9 +334,9 @@ class _Packages:
 
     def __init__(self, width: int) -> None:
         self._width = width
-        self._made: list[tuple[Table, Ids, bytes]] = []
+        self._made: list[tuple[VariableTable, Ids, bytes]] = []
 
-    def of(self, table: Table, ids: Ids) -> bytes:
+    def of(self, table: VariableTable, ids: Ids) -> bytes:
         for known, known_ids, data in self._made:
             if known is table and np.array_equal(known_ids, ids):
                 return data

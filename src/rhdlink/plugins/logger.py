@@ -13,17 +13,16 @@ from typing import Any, NamedTuple, Protocol, TextIO
 import numpy as np
 
 from linkcore.arguments import check_whole
+from linkcore.clock import Stamp
 from linkcore.errors import BadRecording, BadValue, LinkTimeout
 from linkcore.recording.file import Kind, RecordingWriter
-from linkcore.stamp import Stamp
-from linkcore.streaming.packet_queue import PacketQueue
-from linkcore.streaming.policy import drop_oldest
+from linkcore.streaming.packet_queue import PacketQueue, drop_oldest
 from linkcore.streaming.statistics import SubscriptionStatistics
 from linkcore.streaming.subscription import ThreadedDelivery
 
 from ..host.config import Element
 from ..host.plugin import Plugin
-from ..recording.recorder import CHANNEL
+from ..recording import CHANNEL
 from ..variables.database import Database
 from ..variables.declarations import Declaration
 from ..variables.value_types import Order

@@ -34,7 +34,7 @@ from .velocity import Twist, VelocityBridge
 if TYPE_CHECKING:
     from paho.mqtt.client import Client, MQTTMessage
 
-__all__ = ["ROBOBOT", "MqttRobot", "MqttStatistics", "MqttTurtle", "Topic", "Topics", "parse_topics", "read_topics"]
+__all__ = ["ROBOBOT", "MqttRobot", "MqttStatistics", "MqttTopic", "MqttTurtle", "Topics", "parse_topics", "read_topics"]
 
 _log = logging.getLogger(__name__)
 
@@ -59,7 +59,7 @@ _DIRECTIONS = ("read", "command", "alive")
 
 
 @dataclass(frozen=True)
-class Topic:
+class MqttTopic:
     """One line of the table.
 
     Attributes:
@@ -99,10 +99,10 @@ class Topics:
         read: all variables from the robot, the pose among them.
     """
 
-    pose: Topic
-    command: Topic
-    alive: Topic
-    read: tuple[Topic, ...]
+    pose: MqttTopic
+    command: MqttTopic
+    alive: MqttTopic
+    read: tuple[MqttTopic, ...]
 
 
 def parse_topics(text: str, source: str = "table") -> Topics:
@@ -111,7 +111,7 @@ def parse_topics(text: str, source: str = "table") -> Topics:
     Raises:
         BadValue: it is none; says in which line.
     """
-    found: list[Topic] = []
+    found: list[MqttTopic] = []
     for number, line in enumerate(text.splitlines(), start=1):
         words = line.partition("#")[0].split()
         if not words:
@@ -122,7 +122,7 @@ def parse_topics(text: str, source: str = "table") -> Topics:
         direction, name, variable, *values = words
         if "+" in name or "#" in name or len(values) > _MOST_VALUES:
             raise BadValue(f"{place}: a topic has no wildcards, and at most {_MOST_VALUES} values")
-        found.append(Topic(direction, name, "" if variable == "-" else variable, tuple(values)))
+        found.append(MqttTopic(direction, name, "" if variable == "-" else variable, tuple(values)))
     by_direction = {word: [topic for topic in found if topic.direction == word] for word in _DIRECTIONS}
     poses = [topic for topic in by_direction["read"] if {"x", "y", "heading"} <= set(topic.values)]
     if not (len(poses) == len(by_direction["command"]) == len(by_direction["alive"]) == 1):
@@ -172,7 +172,7 @@ class MqttStatistics(NamedTuple):
 class _Broker:
     """A connection to a broker, and the newest payload of each topic."""
 
-    def __init__(self, address: str, port: int, topics: tuple[Topic, ...]) -> None:
+    def __init__(self, address: str, port: int, topics: tuple[MqttTopic, ...]) -> None:
         self._topics = {topic.name: topic for topic in topics}
         self._place = address, port
         self._newest: dict[str, tuple[float, ...]] = {}
@@ -219,11 +219,11 @@ class _Broker:
         else:
             self._newest[message.topic] = values
 
-    def take(self, topic: Topic) -> tuple[float, ...] | None:
+    def take(self, topic: MqttTopic) -> tuple[float, ...] | None:
         """The newest values of a topic, once; None if none have come since."""
         return self._newest.pop(topic.name, None)
 
-    def send(self, topic: Topic, values: Mapping[str, float]) -> None:
+    def send(self, topic: MqttTopic, values: Mapping[str, float]) -> None:
         """Send values, unless the broker is away: a velocity is not to be sent however late."""
         client = self._client
         if client is None or not client.is_connected():
@@ -296,7 +296,7 @@ class MqttRobot(VelocityBridge):
         self._began = 0.0
         self._told = self._seen = -math.inf
         self._twist = Twist(0.0, 0.0)
-        self._reads: list[tuple[Topic, int]] = []
+        self._reads: list[tuple[MqttTopic, int]] = []
 
     @property
     def mqtt(self) -> MqttStatistics | None:

@@ -18,7 +18,7 @@ from ..host.plugin import Plugin
 from ..variables.declarations import Read, Write
 from ..variables.value_types import Int32
 from ..world import World
-from .odometer import wrapped
+from .velocity import wrapped
 
 __all__ = ["SmrTurtle", "Turtle"]
 

@@ -13,7 +13,7 @@ from linkcore.lazy import lazy_names
 
 if TYPE_CHECKING:
     from linkcore.handle import Handle as Handle, Motion as Motion
-    from .errors import Mistake as Mistake
+    from ..errors import Mistake as Mistake
     from .mission import Debugger as Debugger, MissionRun as MissionRun
     from .server import MissionServer as MissionServer
 
@@ -22,7 +22,7 @@ else:
         __name__,
         {
             "linkcore.handle": "Handle Motion",
-            ".errors": "Mistake",
+            "rhdlink.errors": "Mistake",
             ".mission": "Debugger MissionRun",
             ".server": "MissionServer",
         },

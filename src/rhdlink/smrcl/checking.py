@@ -7,28 +7,28 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
 
+from ..errors import Mistake
 from .commands import COMMANDS
-from .errors import Mistake
 from .parser import FUNCTIONS, Parser
-from .plan import Plan, PlanLine
+from .plan import MissionPlan, PlanLine
 from .symbols import split_index
 from .syntax import (
+    ArrayElement,
     Assign,
     Binary,
     Call,
-    Command,
-    Element,
+    CommandStatement,
     Evaluate,
     Expression,
     If,
-    Line,
     Negate,
-    Number,
+    NumberLiteral,
     Operand,
+    ScriptLine,
     Statement,
     Switch,
-    Text,
-    Variable,
+    TextLiteral,
+    VariableName,
     WaitFor,
 )
 
@@ -36,7 +36,7 @@ __all__ = ["check"]
 
 
 def check(
-    plan: Plan,
+    plan: MissionPlan,
     *,
     functions: Collection[str] = (),
     variables: Collection[str] = (),
@@ -60,7 +60,7 @@ def check(
 
 
 def _check_line(
-    line: PlanLine, tree: Line, plan: Plan, made: Collection[str], system: Collection[str] | None
+    line: PlanLine, tree: ScriptLine, plan: MissionPlan, made: Collection[str], system: Collection[str] | None
 ) -> Iterator[Mistake]:
     # The column counts in the file, where the line may be indented.
     indent = line.indent
@@ -79,13 +79,13 @@ def _check_line(
             yield mistake(statement.column, f'there is no label "{statement.label}"')
         if isinstance(statement, WaitFor) and not statement.conditions:
             yield mistake(statement.column, "a character that is not ASCII can stand in texts and comments only")
-        if isinstance(statement, Command):
+        if isinstance(statement, CommandStatement):
             yield from (mistake(statement.column, text) for text in _command_mistakes(statement, plan))
     if tree.problem is not None:
         yield mistake(tree.problem.column, tree.problem.message)
 
 
-def _command_mistakes(command: Command, plan: Plan) -> Iterator[str]:
+def _command_mistakes(command: CommandStatement, plan: MissionPlan) -> Iterator[str]:
     if command.is_broken:
         return
     signature, parameters = COMMANDS[command.name], command.parameters
@@ -95,32 +95,34 @@ def _command_mistakes(command: Command, plan: Plan) -> Iterator[str]:
     for number, operand in enumerate(parameters):
         if text := signature.mistake(number, operand):
             yield f"{command.name}: {text}"
-    if command.name in ("goto", "call") and isinstance(parameters[0], Text):
+    if command.name in ("goto", "call") and isinstance(parameters[0], TextLiteral):
         label = parameters[0].value
         if plan.find_label(label) is None:
             yield f'there is no label "{label}"'
     if command.name == "addwatch" and not command.conditions:
         yield 'addwatch needs a condition, as in addwatch "name" 1 : ($odox > 1)'
     for setting in command.speeds:
-        if setting.letter == "a" and isinstance(setting.value, Number) and not setting.value.value > 0.0:
+        if setting.letter == "a" and isinstance(setting.value, NumberLiteral) and not setting.value.value > 0.0:
             yield "an acceleration has to be above 0"
 
 
-def _made(trees: Iterable[Line]) -> Iterator[str]:
+def _made(trees: Iterable[ScriptLine]) -> Iterator[str]:
     """The variables that a script makes: by an assignment, or by `array`."""
     for tree in trees:
         for statement in tree.statements:
-            if isinstance(statement, Assign) and isinstance(statement.target, Variable):
+            if isinstance(statement, Assign) and isinstance(statement.target, VariableName):
                 yield statement.target.name
-            elif isinstance(statement, Command) and statement.name == "array":
-                yield from (split_index(each.value)[0] for each in statement.parameters[:1] if isinstance(each, Text))
+            elif isinstance(statement, CommandStatement) and statement.name == "array":
+                yield from (
+                    split_index(each.value)[0] for each in statement.parameters[:1] if isinstance(each, TextLiteral)
+                )
 
 
-def _variables(statement: Statement) -> Iterator[Variable]:
+def _variables(statement: Statement) -> Iterator[VariableName]:
     """The variables that a statement reads."""
-    if isinstance(statement, Command):
+    if isinstance(statement, CommandStatement):
         operands: Sequence[Operand] = [*statement.parameters, *(each.value for each in statement.speeds)]
-        yield from (each for each in operands if isinstance(each, Variable))
+        yield from (each for each in operands if isinstance(each, VariableName))
         yield from _of_all(statement.conditions)
     elif isinstance(statement, WaitFor):
         yield from _of_all(statement.conditions)
@@ -132,21 +134,21 @@ def _variables(statement: Statement) -> Iterator[Variable]:
         yield from _of(statement.value)
     elif isinstance(statement, Assign):
         yield from _of(statement.value)
-        if isinstance(statement.target, Element):
+        if isinstance(statement.target, ArrayElement):
             yield from _of(statement.target)
         elif statement.target.is_system:
             yield statement.target
 
 
-def _of_all(expressions: Iterable[Expression]) -> Iterator[Variable]:
+def _of_all(expressions: Iterable[Expression]) -> Iterator[VariableName]:
     for expression in expressions:
         yield from _of(expression)
 
 
-def _of(expression: Expression) -> Iterator[Variable]:
-    if isinstance(expression, Variable):
+def _of(expression: Expression) -> Iterator[VariableName]:
+    if isinstance(expression, VariableName):
         yield expression
-    elif isinstance(expression, Element):
+    elif isinstance(expression, ArrayElement):
         yield expression.array
         yield from _of(expression.index)
     elif isinstance(expression, Call):

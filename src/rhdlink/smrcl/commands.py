@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from .syntax import Operand, Text
+from .syntax import Operand, TextLiteral
 
 __all__ = ["COMMANDS", "MOST_PARAMETERS", "MOTIONS", "Signature"]
 
@@ -37,9 +37,9 @@ class Signature:
     def mistake(self, number: int, operand: Operand) -> str:
         """The error of a parameter, counted from 0; "" for none."""
         kind = self.kinds[min(number, len(self.kinds) - 1)]
-        if kind == "s" and not isinstance(operand, Text):
+        if kind == "s" and not isinstance(operand, TextLiteral):
             return f'parameter {number + 1} has to be a text, as in "name"'
-        if kind == "d" and isinstance(operand, Text):
+        if kind == "d" and isinstance(operand, TextLiteral):
             return f"parameter {number + 1} has to be a number or a variable, not a text"
         return ""
 

@@ -21,24 +21,24 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from .arithmetic import format_number
-from .dialogue import Dialogue
+from .dialogue import ClientDialogue
 from .effects import Hook, MissionEffects
-from .expressions import Fault
-from .interpreter import Failure, Interpreter, Limits, Run
+from .expressions import LineFault
+from .interpreter import Failure, MissionLimits, Run, ScriptInterpreter
 from .motion.topoint import NoWay
 from .outbox import Outbox, Said
-from .plan import Plan, split_lines
+from .plan import MissionPlan, split_lines
 from .profile import SOUND, Profile
 from .robot_conf import RobotConf
 from .vehicle import Vehicle
 
-__all__ = ["Controller", "Program", "Script"]
+__all__ = ["CycleProgram", "MissionController", "PlanProgram"]
 
 #: As many as MRC has.
 _WARM_UP = 20
 
 
-class Program(Protocol):
+class CycleProgram(Protocol):
     """The program of a controller: a script, or a dialogue with clients."""
 
     @property
@@ -50,7 +50,7 @@ class Program(Protocol):
 
 
 @dataclass
-class Script:
+class PlanProgram:
     """One plan, executed once.
 
     Attributes:
@@ -58,8 +58,8 @@ class Script:
         run: its execution.
     """
 
-    interpreter: Interpreter
-    plan: Plan
+    interpreter: ScriptInterpreter
+    plan: MissionPlan
     run: Run = field(init=False)
 
     def __post_init__(self) -> None:
@@ -70,7 +70,7 @@ class Script:
         return self.interpreter.step(self.run)
 
 
-class Controller:
+class MissionController:
     """Executes a mission cycle by cycle.
 
     Args:
@@ -101,18 +101,18 @@ class Controller:
         profile: Profile = SOUND,
         functions: Mapping[str, Callable[..., float]] | None = None,
         hooks: Mapping[str, Hook] | None = None,
-        limits: Limits | None = None,
+        limits: MissionLimits | None = None,
         warm_up: int = _WARM_UP,
     ) -> None:
         self._warm_up = warm_up
         self.vehicle = Vehicle(conf, read, write, profile)
         self._outbox = Outbox()
         self.vehicle.control.say = self._say_of_motion
-        self.interpreter = Interpreter(self.vehicle, self._outbox, functions or {}, limits or Limits())
+        self.interpreter = ScriptInterpreter(self.vehicle, self._outbox, functions or {}, limits or MissionLimits())
         self.effects = MissionEffects(self.vehicle, self.interpreter, self._outbox, self._outbox, hooks or {})
         self.interpreter.effects = self.effects
         self._profile = profile
-        self._program: Program | None = None
+        self._program: CycleProgram | None = None
         self.failure: Failure | None = None
         self.is_finished = False
         self.cycle = -1
@@ -125,20 +125,20 @@ class Controller:
 
     # -- what is executed -------------------------------------------------------------------------------
 
-    def load(self, source: str, name: str = "") -> Plan:
+    def load(self, source: str, name: str = "") -> MissionPlan:
         """Execute a script."""
-        plan = Plan(list(split_lines(source, cuts=not self._profile.checks_first)), name)
-        self._program = Script(self.interpreter, plan)
+        plan = MissionPlan(list(split_lines(source, cuts=not self._profile.checks_first)), name)
+        self._program = PlanProgram(self.interpreter, plan)
         return plan
 
-    def serve(self, *, exit_ends: bool | None = None) -> Dialogue:
+    def serve(self, *, exit_ends: bool | None = None) -> ClientDialogue:
         """Execute what clients send. `exit` ends all of it under MRC's profile, and otherwise only that client."""
         ends = not self._profile.client_loss_stops if exit_ends is None else exit_ends
-        dialogue = Dialogue(self.vehicle, self.interpreter, self.effects, self._outbox, exit_ends=ends)
+        dialogue = ClientDialogue(self.vehicle, self.interpreter, self.effects, self._outbox, exit_ends=ends)
         self._program = dialogue
         return dialogue
 
-    def execute(self, program: Program) -> None:
+    def execute(self, program: CycleProgram) -> None:
         """Execute a program of one's own."""
         self._program = program
 
@@ -183,13 +183,13 @@ class Controller:
         if self.cycle > self._warm_up:
             is_over = self._program is None or self._program.step()
             run = self.run
-            if run is not None and run.failure is not None and isinstance(self._program, Script):
+            if run is not None and run.failure is not None and isinstance(self._program, PlanProgram):
                 self.failure = run.failure
         written = vehicle.stand() if self.is_held else self._act()
         self._supervise()
         self.effects.log.update()
         if vehicle.is_told_to_stop:
-            if not isinstance(self._program, Dialogue) or self._program.exit_ends:
+            if not isinstance(self._program, ClientDialogue) or self._program.exit_ends:
                 is_over = True
             elif self._program.run is not None:
                 self._fail("the input stop of mrccontrol is not 0")
@@ -218,7 +218,7 @@ class Controller:
         """End what is executed: the script, or of a dialogue the present command. The robot stands."""
         self.vehicle.control.rest()
         failure = self.interpreter.failure(self.run, reason)
-        if isinstance(self._program, Dialogue):
+        if isinstance(self._program, ClientDialogue):
             self._program.fail(failure)
         else:
             self.failure = failure
@@ -232,7 +232,7 @@ class Controller:
         for watch in tuple(self.effects.watches):
             try:
                 has_risen = watch.update(self.interpreter)
-            except Fault as fault:
+            except LineFault as fault:
                 self.effects.watches.remove(watch)
                 self._fail(f'watch "{watch.name}": {fault}')
                 return
@@ -241,7 +241,7 @@ class Controller:
                 self._tell(f"watch {watch.name} fired {time} \n", f'<watch name="{watch.name}" time="{time}" /> \n')
 
     def _tell(self, plain: str, xml: str) -> None:
-        if isinstance(self._program, Dialogue):
+        if isinstance(self._program, ClientDialogue):
             self._program.tell(plain, xml)
         else:
             self._outbox.event(plain.strip())

@@ -16,13 +16,13 @@ from dataclasses import dataclass
 
 from .arithmetic import format_number, leading_number
 from .effects import MissionEffects
-from .interpreter import ERROR, FREE_LINE, Failure, Interpreter, Run
-from .motion.standing import Stop
+from .interpreter import ERROR, FREE_LINE, Failure, Run, ScriptInterpreter
+from .motion.basic import Stop
 from .outbox import Outbox
-from .plan import LONGEST_LINE, Plan, PlanLine
+from .plan import LONGEST_LINE, MissionPlan, PlanLine
 from .vehicle import Vehicle
 
-__all__ = ["Dialogue", "Session"]
+__all__ = ["ClientDialogue", "Session"]
 
 #: Commands that wait, events of a client, and plans: as in MRC.
 MOST_COMMANDS, MOST_EVENTS, MOST_PLANS = 400, 100, 10
@@ -44,7 +44,7 @@ class Session:
         uses_xml: the form of its events.
     """
 
-    def __init__(self, dialogue: Dialogue) -> None:
+    def __init__(self, dialogue: ClientDialogue) -> None:
         self._dialogue = dialogue
         self._line = bytearray()
         self._lines: deque[str] = deque()
@@ -57,7 +57,7 @@ class Session:
         self.commands = 0
         self.uses_xml = False
         self.is_closed = False
-        self.recorded: Plan | None = None
+        self.recorded: MissionPlan | None = None
 
     # -- bytes --------------------------------------------------------------------------------------
 
@@ -209,7 +209,7 @@ class _Queued:
     text: str
 
 
-class Dialogue:
+class ClientDialogue:
     """Executes what clients send, stepped once per cycle.
 
     Args:
@@ -229,7 +229,7 @@ class Dialogue:
     def __init__(
         self,
         vehicle: Vehicle,
-        interpreter: Interpreter,
+        interpreter: ScriptInterpreter,
         effects: MissionEffects,
         outbox: Outbox,
         *,
@@ -246,7 +246,7 @@ class Dialogue:
         self.failures: deque[Failure] = deque(maxlen=100)
         self.time = 0.0
         self._queue: deque[_Queued] = deque()
-        self._plans: list[Plan] = []
+        self._plans: list[MissionPlan] = []
         self._run: Run | None = None
         self._current: _Queued | None = None
         # MRC leaves the result of the command before in place, where an empty plan ends with it.
@@ -425,7 +425,7 @@ class Dialogue:
 
     def _begin_plan(self, session: Session, name: str) -> None:
         if len(self._plans) < MOST_PLANS:
-            session.recorded = Plan([], name)
+            session.recorded = MissionPlan([], name)
             self._plans.append(session.recorded)
             self.say(f"beginplan {name}\n")
             session.send("ok\n")
@@ -458,7 +458,7 @@ class Dialogue:
                 self._plans.remove(plan)
                 return
 
-    def _is_named(self, plan: Plan, name: str) -> bool:
+    def _is_named(self, plan: MissionPlan, name: str) -> bool:
         # MRC takes the blank before a name for a part of it.
         return plan.name == name or (self._profile.names_are_checked and plan.name.strip() == name.strip())
 
@@ -508,11 +508,11 @@ class Dialogue:
         if run.failure is not None:
             self.failures.append(run.failure)
 
-    def _plan(self, text: str) -> Plan:
+    def _plan(self, text: str) -> MissionPlan:
         if not text.startswith("runplan"):
-            return Plan([PlanLine(text, 1)])
+            return MissionPlan([PlanLine(text, 1)])
         for plan in self._plans:
             if self._is_named(plan, text[7:]):
-                return Plan(plan.lines, plan.name)
+                return MissionPlan(plan.lines, plan.name)
         # MRC executes a line of two blanks instead.
-        return Plan([PlanLine("  ", 1)])
+        return MissionPlan([PlanLine("  ", 1)])

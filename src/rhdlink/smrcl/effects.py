@@ -13,21 +13,20 @@ from typing import Any, Protocol
 from linkcore.errors import BadValue
 
 from .arithmetic import cosine, divide, format_number, sine, truncate
-from .data_log import DataLog
-from .expressions import Fault, Value
-from .interpreter import Interpreter, Outcome, Output, Run, never
-from .motion.control import Motion, Standing
+from .expressions import LineFault, Value
+from .interpreter import Outcome, Output, Run, ScriptInterpreter, never
+from .motion.basic import Align, FollowDirection, Forward, FunctionGenerator, Stop, Wheels
+from .motion.control import ControlledMotion, Standing
 from .motion.following import FollowLine, FollowWall, FollowWallTable
-from .motion.standing import Align, FunctionGenerator, Stop
-from .motion.straight import FollowDirection, Forward, Wheels
 from .motion.topoint import DriveToPoint
-from .motion.turning import Arc, Clothoid, Turn
+from .motion.turning import ArcTurn, Clothoid, Turn
 from .odometry import Pose
+from .outbox import DataLog
 from .sensors import LineKind
 from .symbols import split_index
 from .vehicle import Vehicle
 
-__all__ = ["Client", "Hook", "MissionEffects", "Watch", "always"]
+__all__ = ["Hook", "MissionEffects", "Recipient", "Watch", "always"]
 
 #: What fulfils a command that needs hardware: it is given the parameters, and may return system variables by name. The
 #: one for `read` returns a text.
@@ -50,7 +49,7 @@ _STORED_ONLY = frozenset(
 _WRITTEN = {"hakomanual": "hakomanual", "hakoenginespeed": "enginespeedref"}
 
 
-class Client(Protocol):
+class Recipient(Protocol):
     """Receives what a script says to its client: the session of the client that sent the command, or an outbox."""
 
     @property
@@ -84,7 +83,7 @@ class Watch:
         self._conditions = conditions
         self._value = 0.0
 
-    def update(self, interpreter: Interpreter) -> bool:
+    def update(self, interpreter: ScriptInterpreter) -> bool:
         """Whether it has risen in this cycle.
 
         Raises:
@@ -122,7 +121,12 @@ class MissionEffects:
     MOST_WATCHES = 100
 
     def __init__(
-        self, vehicle: Vehicle, interpreter: Interpreter, output: Output, client: Client, hooks: Mapping[str, Hook]
+        self,
+        vehicle: Vehicle,
+        interpreter: ScriptInterpreter,
+        output: Output,
+        client: Recipient,
+        hooks: Mapping[str, Hook],
     ) -> None:
         self._vehicle = vehicle
         self._interpreter = interpreter
@@ -151,10 +155,10 @@ class MissionEffects:
 
     # -- motions ------------------------------------------------------------------------------------
 
-    def _move(self, motion: Motion, *lengths: float) -> Outcome:
+    def _move(self, motion: ControlledMotion, *lengths: float) -> Outcome:
         for length in lengths if self._profile.numbers_are_checked else ():
             if not abs(length) <= _FARTHEST:
-                raise Fault(f"{format_number(length)} is no length or angle")
+                raise LineFault(f"{format_number(length)} is no length or angle")
         control = self._vehicle.control
         control.start(motion)
         self._interpreter.default_end = lambda: motion.is_done(control)
@@ -168,7 +172,7 @@ class MissionEffects:
         return self._move(Turn(_radians(angle, unit)), angle)
 
     def _turnr(self, radius: float, angle: float, unit: object = None) -> Outcome:
-        return self._move(Arc(radius, _radians(angle, unit)), radius, angle)
+        return self._move(ArcTurn(radius, _radians(angle, unit)), radius, angle)
 
     def _turnc(self, radius: float, angle: float, unit: object = None) -> Outcome:
         return self._move(Clothoid(radius, _radians(angle, unit)), radius, angle)
@@ -209,7 +213,7 @@ class MissionEffects:
         except ValueError:
             if self._profile.names_are_checked:
                 names = ", ".join(each.value for each in LineKind)
-                raise Fault(f'followline knows no line "{kind}", only {names}') from None
+                raise LineFault(f'followline knows no line "{kind}", only {names}') from None
             self._vehicle.line_kind = LineKind.BLACK_MIDDLE
         return self._move(FollowLine())
 
@@ -222,9 +226,9 @@ class MissionEffects:
         if side[1:2] not in ("d", "r"):
             self._reject_name(f'followwall2 knows no method "{side[1:2]}", only d and r', "Wrong parameter \n")
         if side[1:2] == "r":
-            raise Fault("followwall2 by regression needs an estimator of walls, which is not there; use rd or ld")
+            raise LineFault("followwall2 by regression needs an estimator of walls, which is not there; use rd or ld")
         if not self._vehicle.control.parameters.wall_table:
-            raise Fault("followwall2 needs the table of wdssparam.dat (wall_table of the robot's configuration)")
+            raise LineFault("followwall2 needs the table of wdssparam.dat (wall_table of the robot's configuration)")
         return self._move(FollowWallTable(self._side_is_left, distance), distance)
 
     def _choose_side(self, side: str) -> None:
@@ -319,7 +323,7 @@ class MissionEffects:
     def _array(self, name: str, size: float) -> Outcome:
         count = truncate(size)
         if count < 0 or self._symbols.make_array(name, count) is None:
-            raise Fault(
+            raise LineFault(
                 f"there is no room for an array of {format_number(size)} values; {self._symbols.free} are free",
                 is_limit=True,
             )
@@ -342,7 +346,7 @@ class MissionEffects:
             special(self, value)
         elif name in _STORED_ONLY:
             if self._profile.needs_are_checked:
-                raise Fault(f'set "{name}" is for hardware that this robot has not')
+                raise LineFault(f'set "{name}" is for hardware that this robot has not')
         elif name in _WRITTEN:
             self._set_raw(name, _WRITTEN[name], value)
         else:
@@ -354,11 +358,11 @@ class MissionEffects:
             return
         if not abs(value) <= _FARTHEST or (is_positive and value <= 0.0):
             expected = "a number above 0" if is_positive else "a number"
-            raise Fault(f"{what} takes {expected} of at most {_FARTHEST:g}, not {format_number(value)}")
+            raise LineFault(f"{what} takes {expected} of at most {_FARTHEST:g}, not {format_number(value)}")
 
     def _set_raw(self, name: str, variable: str, value: float) -> None:
         if not self._vehicle.set_word(variable, value) and self._profile.needs_are_checked:
-            raise Fault(f'set "{name}" needs a write variable {variable}, which this robot has not')
+            raise LineFault(f'set "{name}" needs a write variable {variable}, which this robot has not')
 
     def _set_variable(self, text: str, value: float) -> None:
         name, index = split_index(text)
@@ -370,13 +374,13 @@ class MissionEffects:
             return
         place = symbol.place + index
         if self._profile.indices_are_checked and not 0 <= index < symbol.size:
-            raise Fault(f"index {index} is beyond {name}, which has {symbol.size} values")
+            raise LineFault(f"index {index} is beyond {name}, which has {symbol.size} values")
         if 0 <= place < len(self._symbols.pool):
             self._symbols.pool[place] = value
 
     def _set_counter(self, value: float) -> None:
         if not self._interpreter.compiler.reset_counter(truncate(value)) and self._profile.names_are_checked:
-            raise Fault(f"there is no condition counter {format_number(value)}, only 0 to 9")
+            raise LineFault(f"there is no condition counter {format_number(value)}, only 0 to 9")
 
     def _set_odometry_ratio(self, ratio: float) -> None:
         odometry = self._vehicle.odometry
@@ -393,7 +397,7 @@ class MissionEffects:
     def _set_kalman(self, value: float) -> None:
         vehicle = self._vehicle
         if value and "xkalman" not in vehicle.external and self._profile.needs_are_checked:
-            raise Fault('set "usekalmanodo" needs a filter that provides $xkalman, $ykalman and $thkalman')
+            raise LineFault('set "usekalmanodo" needs a filter that provides $xkalman, $ykalman and $thkalman')
         vehicle.uses_kalman = truncate(value) != 0
         vehicle.control.target = vehicle.kalman_pose()
 
@@ -461,7 +465,7 @@ class MissionEffects:
                 self._reject_name(f"there is no variable {text}")
                 continue
             if self._profile.indices_are_checked and not 0 <= index < symbol.size:
-                raise Fault(f"index {index} is beyond {name}, which has {symbol.size} values")
+                raise LineFault(f"index {index} is beyond {name}, which has {symbol.size} values")
             if 0 <= symbol.place + index < len(self._symbols.pool):
                 self.log.add(symbol.place + index)
         return self._at_once()
@@ -499,12 +503,12 @@ class MissionEffects:
 
     def _addwatch(self, name: str, conditions: Sequence[Value]) -> Outcome:
         if not conditions:
-            raise Fault('addwatch needs a condition, as in addwatch "name" 1 : ($odox > 1)')
+            raise LineFault('addwatch needs a condition, as in addwatch "name" 1 : ($odox > 1)')
         most = self.MOST_WATCHES if self._profile.watches_apart else 2
         if len(self.watches) < most:
             self.watches.append(Watch(name[:31] if not self._profile.watches_apart else name, conditions))
         elif self._profile.watches_apart:
-            raise Fault(f"there are {most} watches already", is_limit=True)
+            raise LineFault(f"there are {most} watches already", is_limit=True)
         return self._at_once()
 
     def _putevent(self, name: str) -> Outcome:
@@ -532,7 +536,7 @@ class MissionEffects:
             self._interpreter.default_end = never
             return Outcome.WAIT
         if not self.client.can_answer:
-            raise Fault('read needs an answer: give the mission a function for it, mission.on("read", function)')
+            raise LineFault('read needs an answer: give the mission a function for it, mission.on("read", function)')
         self.is_reading = True
         self._interpreter.default_end = lambda: not self.is_reading
         return Outcome.WAIT
@@ -621,9 +625,11 @@ class MissionEffects:
             try:
                 self._vehicle.provide(found or {})
             except (BadValue, TypeError, AttributeError) as error:
-                raise Fault(f"the function for {name} returned no system variables: {error}") from error
+                raise LineFault(f"the function for {name} returned no system variables: {error}") from error
         elif self._profile.needs_are_checked:
-            raise Fault(f'{name} needs hardware: give the mission a function for it, mission.on("{name}", function)')
+            raise LineFault(
+                f'{name} needs hardware: give the mission a function for it, mission.on("{name}", function)'
+            )
         elif mrc:
             self._output.message(mrc)
 
@@ -632,7 +638,7 @@ class MissionEffects:
         try:
             return hook(*parameters)
         except Exception as error:
-            raise Fault(f"the function for {name} raised {type(error).__name__}: {error}") from error
+            raise LineFault(f"the function for {name} raised {type(error).__name__}: {error}") from error
 
     # -- what is not there ------------------------------------------------------------------------------
 
@@ -643,7 +649,7 @@ class MissionEffects:
     def _reject_name(self, reason: str, mrc: str = "") -> None:
         """Fail because of a name, or say what MRC says and go on."""
         if self._profile.names_are_checked:
-            raise Fault(reason)
+            raise LineFault(reason)
         if mrc:
             self._output.message(mrc)
 

@@ -14,14 +14,14 @@ from typing import Any
 from linkcore.arguments import check_callable
 from linkcore.errors import BadValue, LinkError
 
-from .controller import Controller
+from ..errors import MissionFailed, MissionLimit
+from .controller import MissionController
 from .effects import Hook
-from .errors import MissionFailed, MissionLimit
 from .interpreter import Failure
 from .outbox import Said, SaidKind
 from .robot_link import RobotLink
 
-__all__ = ["Callbacks", "Execution", "Provider", "error_of", "leaving_at_exit", "log_saver"]
+__all__ = ["Callbacks", "MissionExecution", "Provider", "error_of", "leaving_at_exit", "log_saver"]
 
 _log = logging.getLogger(__name__)
 
@@ -86,7 +86,7 @@ class Callbacks:
             _log.exception("%r raised", function)
 
 
-class Execution:
+class MissionExecution:
     """One execution of a mission.
 
     Args:
@@ -106,7 +106,7 @@ class Execution:
     def __init__(
         self,
         link: RobotLink,
-        controller: Controller,
+        controller: MissionController,
         callbacks: Callbacks,
         save_log: Callable[[str, str], object] | None = None,
         before_step: Callable[[], object] | None = None,

@@ -21,9 +21,9 @@ from .arithmetic import (
 )
 from .profile import Profile
 from .symbols import Symbol, Symbols
-from .syntax import Call, Element, Expression, Negate, Number, Variable
+from .syntax import ArrayElement, Call, Expression, Negate, NumberLiteral, VariableName
 
-__all__ = ["BEYOND", "Compiler", "Fault", "Value"]
+__all__ = ["BEYOND", "Compiler", "LineFault", "Value"]
 
 #: A compiled expression.
 Value = Callable[[], float]
@@ -48,7 +48,7 @@ _ARITHMETIC: Mapping[str, Callable[[float, float], float]] = {
 }
 
 
-class Fault(Exception):
+class LineFault(Exception):
     """A line cannot be executed. It ends the plan, and never leaves the interpreter.
 
     Attributes:
@@ -93,7 +93,7 @@ class Compiler:
         self._counters[number] = 0
         return True
 
-    def find(self, variable: Variable) -> Symbol:
+    def find(self, variable: VariableName) -> Symbol:
         """The symbol of a variable.
 
         Raises:
@@ -102,21 +102,21 @@ class Compiler:
         if variable.is_system:
             symbol = self._symbols.find_system(variable.name)
             if symbol is None:
-                raise Fault(f"the robot has no system variable ${variable.name}", variable.column)
+                raise LineFault(f"the robot has no system variable ${variable.name}", variable.column)
             return symbol
         found = self._symbols.user.get(variable.name)
         if found is None:
-            raise Fault(f"there is no variable {variable.name}; it is made by assigning to it", variable.column)
+            raise LineFault(f"there is no variable {variable.name}; it is made by assigning to it", variable.column)
         return found
 
     def compile(self, expression: Expression) -> Value:
-        """A function that evaluates it, and raises `Fault` where it cannot."""
-        if isinstance(expression, Number):
+        """A function that evaluates it, and raises `LineFault` where it cannot."""
+        if isinstance(expression, NumberLiteral):
             value = expression.value
             return lambda: value
-        if isinstance(expression, Variable):
+        if isinstance(expression, VariableName):
             return self._variable(expression)
-        if isinstance(expression, Element):
+        if isinstance(expression, ArrayElement):
             return self._element(expression)
         if isinstance(expression, Call):
             return self._call(expression)
@@ -134,7 +134,7 @@ class Compiler:
         calculate = _ARITHMETIC[expression.operator]
         return lambda: calculate(left(), right())
 
-    def _variable(self, variable: Variable) -> Value:
+    def _variable(self, variable: VariableName) -> Value:
         pool = self._symbols.pool
         if variable.is_system and (symbol := self._symbols.find_system(variable.name)) is not None:
             place = symbol.place
@@ -147,7 +147,7 @@ class Compiler:
 
         return value
 
-    def _element(self, element: Element) -> Value:
+    def _element(self, element: ArrayElement) -> Value:
         pool = self._symbols.pool
         index = self.compile(element.index)
 
@@ -163,11 +163,11 @@ class Compiler:
         return value
 
     @staticmethod
-    def beyond(array: Variable, symbol: Symbol, index: int) -> Fault:
+    def beyond(array: VariableName, symbol: Symbol, index: int) -> LineFault:
         """The fault of an index that is beyond an array."""
         name = f"${array.name}" if array.is_system else array.name
         what = f"values {name}[0] to {name}[{symbol.size - 1}]" if symbol.size > 1 else "one value"
-        return Fault(f"index {index} is beyond {name}, which has {what}", array.column)
+        return LineFault(f"index {index} is beyond {name}, which has {what}", array.column)
 
     def _call(self, call: Call) -> Value:
         function = self._guarded(call) if call.name in self._user_functions else self._functions[call.name]
@@ -188,7 +188,7 @@ class Compiler:
             try:
                 return float(function(*arguments))
             except Exception as error:
-                raise Fault(f"{call.name}() raised {type(error).__name__}: {error}", call.column) from error
+                raise LineFault(f"{call.name}() raised {type(error).__name__}: {error}", call.column) from error
 
         return guarded
 

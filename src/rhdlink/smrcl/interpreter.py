@@ -14,29 +14,29 @@ from typing import Protocol
 
 from .arithmetic import format_number, leading_number, truncate
 from .commands import COMMANDS
-from .expressions import Compiler, Fault, Value
+from .expressions import Compiler, LineFault, Value
 from .lexer import TokenType, tokenize
 from .parser import FUNCTIONS, Parser
-from .plan import Plan, PlanLine
+from .plan import MissionPlan, PlanLine
 from .syntax import (
+    ArrayElement,
     Assign,
     Case,
-    Command,
-    Element,
+    CommandStatement,
     EndSwitch,
     Evaluate,
     If,
-    Number,
+    NumberLiteral,
     Operand,
     SpeedSetting,
     Statement,
     Switch,
-    Text,
+    TextLiteral,
     WaitFor,
 )
 from .vehicle import Vehicle
 
-__all__ = ["Effects", "Failure", "Interpreter", "Limits", "Outcome", "Output", "Run", "never"]
+__all__ = ["Effects", "Failure", "MissionLimits", "Outcome", "Output", "Run", "ScriptInterpreter", "never"]
 
 
 class Outcome(enum.Enum):
@@ -79,7 +79,7 @@ class Effects(Protocol):
 
 
 @dataclass(frozen=True)
-class Limits:
+class MissionLimits:
     """Bounds that no mission of the field comes near, and that keep one from running away.
 
     Attributes:
@@ -139,7 +139,7 @@ class Run:
         failure: why it ended early; None if it did not.
     """
 
-    def __init__(self, plan: Plan, result: float = 0.0) -> None:
+    def __init__(self, plan: MissionPlan, result: float = 0.0) -> None:
         self.plan = plan
         self.line: PlanLine | None = None
         self.column = 0
@@ -190,7 +190,7 @@ def never() -> bool:
 _Step = Callable[[Run], Outcome | None]
 
 
-class Interpreter:
+class ScriptInterpreter:
     """Executes plans on a vehicle.
 
     Args:
@@ -212,7 +212,7 @@ class Interpreter:
         vehicle: Vehicle,
         output: Output,
         functions: Mapping[str, Callable[..., float]],
-        limits: Limits,
+        limits: MissionLimits,
     ) -> None:
         self._vehicle = vehicle
         self._output = output
@@ -263,7 +263,7 @@ class Interpreter:
         if self._count:
             try:
                 self._test(self._tests)
-            except Fault as fault:
+            except LineFault as fault:
                 self._fail(run, fault)
                 return
             if number := self._first_true():
@@ -291,7 +291,7 @@ class Interpreter:
             left -= 1
             if left < 0:
                 reason = f"a loop that takes no time: {self._limits.lines} lines in one cycle"
-                self._fail(run, Fault(reason, is_limit=True))
+                self._fail(run, LineFault(reason, is_limit=True))
                 return
             if self._skips:
                 self._skip(line.text)
@@ -299,7 +299,7 @@ class Interpreter:
                 continue
             try:
                 outcome = self._execute(line, run)
-            except Fault as fault:
+            except LineFault as fault:
                 self._fail(run, fault)
                 return
             if outcome is Outcome.WAIT:
@@ -309,7 +309,7 @@ class Interpreter:
             run.result = FREE_LINE
         run.stage = _Stage.DONE
 
-    def _fail(self, run: Run, fault: Fault) -> None:
+    def _fail(self, run: Run, fault: LineFault) -> None:
         line = run.line
         assert line is not None
         number = line.number if self._profile.file_lines else self.executed
@@ -397,15 +397,15 @@ class Interpreter:
                 if outcome is not None:
                     return outcome
             if (problem := line.tree.problem) is not None:
-                raise Fault(problem.message, problem.column)
-        except Fault as fault:
+                raise LineFault(problem.message, problem.column)
+        except LineFault as fault:
             if self._profile.ascii_only or not fault.column:
                 raise
             if self._reads_on(line.text, fault.column):
                 return Outcome.NEXT
             raise
         except (ArithmeticError, ValueError) as error:
-            raise Fault(f"it cannot be computed: {error}") from error
+            raise LineFault(f"it cannot be computed: {error}") from error
         return Outcome.NEXT
 
     def _reads_on(self, text: str, column: int) -> bool:
@@ -429,7 +429,7 @@ class Interpreter:
         line.steps = tuple(self._step(statement) for statement in tree.statements)
 
     def _step(self, statement: Statement) -> _Step:
-        if isinstance(statement, Command):
+        if isinstance(statement, CommandStatement):
             return self._command(statement)
         if isinstance(statement, Assign):
             return self._assign(statement)
@@ -453,11 +453,11 @@ class Interpreter:
             statement = line.tree.statements[0] if line.tree.statements else None
             try:
                 if line.tree.problem is not None:
-                    raise Fault(line.tree.problem.message, line.tree.problem.column)
+                    raise LineFault(line.tree.problem.message, line.tree.problem.column)
                 if not isinstance(statement, Evaluate):
                     return None
                 values = [self.compiler.compile(each)() for each in statement.values]
-            except Fault as fault:
+            except LineFault as fault:
                 if not self._profile.says_why and fault.column:
                     self._reads_on(text, fault.column)
                 return None
@@ -468,24 +468,24 @@ class Interpreter:
         """Execute a line beside the present command; False if it is wrong. It takes no time, whatever it says."""
         line = PlanLine(text, 0)
         with self.aside():
-            run = Run(Plan([line]))
+            run = Run(MissionPlan([line]))
             run.line = line
             try:
                 self._execute(line, run)
-            except Fault:
+            except LineFault:
                 return False
         return True
 
     # -- statements ---------------------------------------------------------------------------------
 
     def _operand(self, operand: Operand) -> Callable[[], float | str]:
-        if isinstance(operand, (Number, Text)):
+        if isinstance(operand, (NumberLiteral, TextLiteral)):
             value = operand.value
             return lambda: value
         pool, compiler = self._symbols.pool, self.compiler
         return lambda: pool[compiler.find(operand).place]
 
-    def _command(self, command: Command) -> _Step:
+    def _command(self, command: CommandStatement) -> _Step:
         name = command.name
         signature = COMMANDS[name]
         parameters = [self._operand(each) for each in command.parameters]
@@ -504,10 +504,10 @@ class Interpreter:
                 if not self._profile.says_why:
                     most = "9" if signature.most == 9 else str(signature.most)
                     self._output.message(f"Expecting between {signature.least}  and {most} parameters\n")
-                raise Fault(f"{name} takes {signature.count}, not {len(values)}")
+                raise LineFault(f"{name} takes {signature.count}, not {len(values)}")
             for number, operand in enumerate(command.parameters):
                 if mistake := signature.mistake(number, operand):
-                    raise Fault(f"{name}: {mistake}")
+                    raise LineFault(f"{name}: {mistake}")
             assert self.effects is not None
             return self.effects.perform(name, values, run, conditions)
 
@@ -522,7 +522,7 @@ class Interpreter:
             assert isinstance(found, float)
             if self._profile.numbers_are_checked and not (abs(found) < 1e6 and (setting.letter == "v" or found > 0.0)):
                 kind = "speed" if setting.letter == "v" else "acceleration; it has to be above 0"
-                raise Fault(f"@{setting.letter} {format_number(found)} is no {kind}")
+                raise LineFault(f"@{setting.letter} {format_number(found)} is no {kind}")
             if setting.letter == "v":
                 control.speed = found
             else:
@@ -535,7 +535,7 @@ class Interpreter:
 
         def step(run: Run) -> Outcome:
             if not conditions and self._profile.ascii_only:
-                raise Fault("a character that is not ASCII can stand in texts and comments only", statement.column)
+                raise LineFault("a character that is not ASCII can stand in texts and comments only", statement.column)
             self._test(conditions)
             self._tests = conditions
             return Outcome.WAIT
@@ -572,7 +572,7 @@ class Interpreter:
         """
         place = run.plan.find_label(label)
         if place is None:
-            raise Fault(f'there is no label "{label}"')
+            raise LineFault(f'there is no label "{label}"')
         run.plan.next = place
 
     def call(self, label: str, run: Run) -> None:
@@ -584,7 +584,7 @@ class Interpreter:
         back = run.plan.next
         self.go_to(label, run)
         if len(run.calls) >= self._limits.calls:
-            raise Fault(f"more than {self._limits.calls} calls within each other", is_limit=True)
+            raise LineFault(f"more than {self._limits.calls} calls within each other", is_limit=True)
         run.calls.append(back)
 
     def go_back(self, run: Run) -> None:
@@ -594,14 +594,14 @@ class Interpreter:
             Fault: there was none.
         """
         if not run.calls:
-            raise Fault("return without a call")
+            raise LineFault("return without a call")
         run.plan.next = run.calls.pop()
 
     def _assign(self, statement: Assign) -> _Step:
         target = statement.target
         value = self.compiler.compile(statement.value)
         pool = self._symbols.pool
-        if isinstance(target, Element):
+        if isinstance(target, ArrayElement):
             index = self.compiler.compile(target.index)
             array = target.array
 
@@ -634,7 +634,7 @@ class Interpreter:
             overwritten = not reads_on and following is not None and following not in user
             made = self._symbols.make(following if overwritten and following is not None else name)
             if made is None:
-                raise Fault("there is no room for further variables", is_limit=True)
+                raise LineFault("there is no room for further variables", is_limit=True)
             pool[made.place] = new
             return None if reads_on else Outcome.NEXT
 
@@ -664,18 +664,18 @@ class Interpreter:
 
 def _column(statement: Statement) -> int:
     """Where a statement begins, or where the part of it is that can be wrong; 1 for what is wrong in its parts only."""
-    if isinstance(statement, (Command, WaitFor, If)):
+    if isinstance(statement, (CommandStatement, WaitFor, If)):
         return statement.column
     if isinstance(statement, Assign):
         target = statement.target
-        return (target.array if isinstance(target, Element) else target).column
+        return (target.array if isinstance(target, ArrayElement) else target).column
     return 1
 
 
 class _Aside:
     """Keeps the present command of an interpreter while another one is executed."""
 
-    def __init__(self, interpreter: Interpreter) -> None:
+    def __init__(self, interpreter: ScriptInterpreter) -> None:
         self._interpreter = interpreter
 
     def __enter__(self) -> None:

@@ -12,23 +12,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from linkcore.arguments import check_callable, check_seconds
-from linkcore.callbacks import CallbackThread
 from linkcore.errors import BadValue, LinkTimeout, LocalError
 from linkcore.handle import Handle, Lifecycle
-from linkcore.threads import started
+from linkcore.threads import CallbackThread, started
 
 from ..client import Variables
-from ..errors import WrongVariables
+from ..errors import BadMission, MissionFailed, Mistake, WrongVariables
 from ..host.plugin import Plugin
 from ..world import Pose
 from .checking import check
-from .controller import Controller
-from .errors import BadMission, MissionFailed, Mistake
-from .execution import Callbacks, Execution, Provider, error_of, leaving_at_exit, log_saver
-from .interpreter import Limits
+from .controller import MissionController
+from .execution import Callbacks, MissionExecution, Provider, error_of, leaving_at_exit, log_saver
+from .interpreter import MissionLimits
 from .outbox import Said
 from .parser import RESERVED
-from .plan import Plan, PlanLine, split_lines
+from .plan import MissionPlan, PlanLine, split_lines
 from .profile import Profile, find_profile
 from .robot_conf import SMR, VELOMEGA, RobotConf, read_robot_conf
 from .robot_link import RobotLink, open_link
@@ -120,7 +118,7 @@ class Mission:
         compat: Profile | str = "sound",
         conf: RobotConf | str | os.PathLike[str] | None = None,
         variables: Mapping[str, float] | None = None,
-        limits: Limits | None = None,
+        limits: MissionLimits | None = None,
         log_folder: str | os.PathLike[str] | None = None,
     ) -> None:
         is_path = not isinstance(source, str) or ("\n" not in source and source.endswith(".smr"))
@@ -198,7 +196,7 @@ class Mission:
         return self._check(None)
 
     def _check(self, system: Iterable[str] | None) -> list[Mistake]:
-        plan = Plan(list(split_lines(self.source, cuts=False)), self.name)
+        plan = MissionPlan(list(split_lines(self.source, cuts=False)), self.name)
         return check(
             plan,
             functions=self._callbacks.functions,
@@ -263,11 +261,11 @@ class Mission:
             if owns:
                 link.close()
             raise
-        execution = Execution(link, controller, self._callbacks, log_saver(self._log_folder))
+        execution = MissionExecution(link, controller, self._callbacks, log_saver(self._log_folder))
         return MissionRun(self.name, execution, link if owns else None)
 
-    def _controller(self, link: RobotLink) -> Controller:
-        controller = Controller(
+    def _controller(self, link: RobotLink) -> MissionController:
+        controller = MissionController(
             suitable_conf(self._conf, link),
             link.read,
             link.write,
@@ -292,7 +290,7 @@ class Mission:
 class MissionRun(Handle):
     """A run of a mission. Made by `Mission`."""
 
-    def __init__(self, name: str, execution: Execution, owned: RobotLink | None) -> None:
+    def __init__(self, name: str, execution: MissionExecution, owned: RobotLink | None) -> None:
         self._callback_thread = CallbackThread(f"mission {name} callbacks")
         super().__init__(Lifecycle(name, self._callback_thread))
         self._execution = execution

@@ -15,7 +15,7 @@
     endswitch  = "endswitch"                               ; likewise
 
 MRC executes a line while it reads it, so what stands before an error has had its effect. Here a line with an error is
-the tree up to there and the error (`Line`), and executing it does the same.
+the tree up to there and the error (`ScriptLine`), and executing it does the same.
 """
 
 from __future__ import annotations
@@ -29,26 +29,26 @@ from .plan import LONGEST_LINE
 from .syntax import (
     PRECEDENCE,
     UNARY_PRECEDENCE,
+    ArrayElement,
     Assign,
     Binary,
     Call,
     Case,
-    Command,
-    Element,
+    CommandStatement,
     EndSwitch,
     Evaluate,
     Expression,
     If,
-    Line,
     Negate,
-    Number,
+    NumberLiteral,
     Operand,
     Problem,
+    ScriptLine,
     SpeedSetting,
     Statement,
     Switch,
-    Text,
-    Variable,
+    TextLiteral,
+    VariableName,
     WaitFor,
 )
 
@@ -95,12 +95,14 @@ class Parser:
         self._place = 0
         self._depth = 0
 
-    def parse(self, text: str) -> Line:
+    def parse(self, text: str) -> ScriptLine:
         """The tree of a line. Never raises: what is wrong stands in it."""
         length = len(text.rstrip("\r\n"))
         if length > LONGEST_LINE:
             # Nothing of it is executed: the depth of a tree is bounded by the length of its line.
-            return Line((), Problem(LONGEST_LINE + 1, f"the line has {length} characters; {LONGEST_LINE} are allowed"))
+            return ScriptLine(
+                (), Problem(LONGEST_LINE + 1, f"the line has {length} characters; {LONGEST_LINE} are allowed")
+            )
         self._tokens = tokenize(text)
         self._place = 0
         self._depth = 0
@@ -109,12 +111,12 @@ class Parser:
             while True:
                 statement = self._statement(statements)
                 if statement is None:
-                    return Line(tuple(statements))
+                    return ScriptLine(tuple(statements))
                 statements.append(statement)
                 if not isinstance(statement, Assign):
-                    return Line(tuple(statements))
+                    return ScriptLine(tuple(statements))
         except _Unexpected as error:
-            return Line(tuple(statements), Problem(error.token.column, str(error)))
+            return ScriptLine(tuple(statements), Problem(error.token.column, str(error)))
 
     # -- tokens --------------------------------------------------------------------------------
 
@@ -167,11 +169,11 @@ class Parser:
             token.text in KEYWORDS or token.text in self._commands or token.text in self._functions
         )
 
-    def _variable(self) -> Variable:
+    def _variable(self) -> VariableName:
         token = self._next()
         if len(token.text) > LONGEST_NAME:
             raise _Unexpected(token, f"a name has at most {LONGEST_NAME} characters, this one {len(token.text)}")
-        return Variable(token.text, token.type is TokenType.SYSTEM, token.column)
+        return VariableName(token.text, token.type is TokenType.SYSTEM, token.column)
 
     # -- statements ----------------------------------------------------------------------------
 
@@ -219,17 +221,17 @@ class Parser:
         if word == "case":
             if self._token.type is not TokenType.NUMBER:
                 raise self._unexpected("a number after case")
-            return Case(Number(self._next().value))
+            return Case(NumberLiteral(self._next().value))
         return EndSwitch()
 
     def _assignment(self) -> Assign:
         variable = self._variable()
-        target: Variable | Element = variable
+        target: VariableName | ArrayElement = variable
         if self._take("["):
-            target = Element(variable, self._expression())
+            target = ArrayElement(variable, self._expression())
             self._expect("]", "after the index")
         if not self._take("="):
-            if isinstance(target, Variable) and not variable.is_system:
+            if isinstance(target, VariableName) and not variable.is_system:
                 raise self._unexpected(f"'=' after {variable.name}, which is no command")
             raise self._unexpected("'='")
         value = self._expression()
@@ -237,7 +239,7 @@ class Parser:
         is_name = following.type is TokenType.NAME and self._is_variable(following)
         return Assign(target, value, following.text if is_name else None)
 
-    def _command(self, name: Token, before: list[Statement]) -> Command:
+    def _command(self, name: Token, before: list[Statement]) -> CommandStatement:
         parameters: list[Operand] = []
         speeds: list[SpeedSetting] = []
         conditions: tuple[Expression, ...] = ()
@@ -250,22 +252,24 @@ class Parser:
                 conditions = self._conditions()
             self._end("the parameters" if not (speeds or conditions) else "the line")
         except _Unexpected:
-            before.append(Command(name.text, tuple(parameters), tuple(speeds), column=name.column, is_broken=True))
+            before.append(
+                CommandStatement(name.text, tuple(parameters), tuple(speeds), column=name.column, is_broken=True)
+            )
             raise
-        return Command(name.text, tuple(parameters), tuple(speeds), conditions, name.column)
+        return CommandStatement(name.text, tuple(parameters), tuple(speeds), conditions, name.column)
 
     def _parameter(self) -> Operand | None:
         token = self._token
         if token.type is TokenType.NUMBER:
-            return Number(self._next().value)
+            return NumberLiteral(self._next().value)
         if token.type is TokenType.STRING:
-            return Text(self._next().text)
+            return TextLiteral(self._next().text)
         if self._is_variable(token):
             return self._variable()
         if self._take("-"):
             if self._token.type is not TokenType.NUMBER:
                 raise self._unexpected("a number after '-'; a parameter is a number, a variable or a text")
-            return Number(-self._next().value)
+            return NumberLiteral(-self._next().value)
         return None
 
     def _speed(self) -> SpeedSetting | None:
@@ -274,9 +278,9 @@ class Parser:
                 if letter == "v" and self._take("-"):
                     if self._token.type is not TokenType.NUMBER:
                         raise self._unexpected("a number after '@v -'")
-                    return SpeedSetting(letter, Number(-self._next().value))
+                    return SpeedSetting(letter, NumberLiteral(-self._next().value))
                 if self._token.type is TokenType.NUMBER:
-                    return SpeedSetting(letter, Number(self._next().value))
+                    return SpeedSetting(letter, NumberLiteral(self._next().value))
                 if self._is_variable(self._token):
                     return SpeedSetting(letter, self._variable())
                 raise self._unexpected(f"a number or a variable after '@{letter}'")
@@ -319,7 +323,7 @@ class Parser:
     def _primary(self) -> Expression:
         token = self._token
         if token.type is TokenType.NUMBER:
-            return Number(self._next().value)
+            return NumberLiteral(self._next().value)
         if self._take("-"):
             return Negate(self._expression(UNARY_PRECEDENCE))
         if self._is("("):
@@ -330,7 +334,7 @@ class Parser:
         if self._is_variable(token):
             variable = self._variable()
             if self._take("["):
-                element = Element(variable, self._expression())
+                element = ArrayElement(variable, self._expression())
                 self._expect("]", "after the index")
                 return element
             return variable

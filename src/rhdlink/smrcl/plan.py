@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from .syntax import Line
+from .syntax import ScriptLine
 
-__all__ = ["LONGEST_LINE", "Plan", "PlanLine", "split_lines"]
+__all__ = ["LONGEST_LINE", "MissionPlan", "PlanLine", "split_lines"]
 
 #: Characters of a line. MRC cuts longer ones, and takes the rest for the next line.
 LONGEST_LINE = 255
@@ -33,11 +33,11 @@ class PlanLine:
     text: str
     number: int
     indent: int = 0
-    tree: Line | None = None
+    tree: ScriptLine | None = None
     steps: tuple[Callable[..., Any], ...] | None = field(default=None, repr=False)
 
 
-class Plan:
+class MissionPlan:
     """Lines, and the one that comes next.
 
     Args:

@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Any
 
 from ..host.config import LARGEST, BadConfiguration, Element, parse_xml
-from .motion.control import Drive, MotionParameters
+from .motion.control import DriveKind, MotionParameters
 
-__all__ = ["SMR", "VELOMEGA", "RobotConf", "Route", "Scale", "Setting", "parse_robot_conf", "read_robot_conf"]
+__all__ = ["SMR", "VELOMEGA", "InputRoute", "RobotConf", "Scale", "Setting", "parse_robot_conf", "read_robot_conf"]
 
 _log = logging.getLogger(__name__)
 
@@ -37,7 +37,7 @@ class Scale:
 
 
 @dataclass(frozen=True)
-class Route:
+class InputRoute:
     """An input of a control function that comes from a system variable (``<routeinput>``)."""
 
     module: str
@@ -83,7 +83,7 @@ class RobotConf:
         scales, routes, settings: as the file has them.
     """
 
-    drive: Drive = Drive.DIFFERENTIAL
+    drive: DriveKind = DriveKind.DIFFERENTIAL
     name: str = "smr"
     left_scale: float = 0.00010257
     right_scale: float = 0.00010257
@@ -106,18 +106,18 @@ class RobotConf:
     ir_k1: tuple[float, ...] = (16.0,) * 6
     ir_k2: tuple[float, ...] = (76.0,) * 6
     scales: tuple[Scale, ...] = ()
-    routes: tuple[Route, ...] = ()
+    routes: tuple[InputRoute, ...] = ()
     settings: tuple[Setting, ...] = ()
 
     @property
     def reads(self) -> tuple[str, ...]:
         """The read variables without which such a robot does not know where it is."""
-        return ("transpos", "rotpos") if self.drive is Drive.VELOMEGA else ("encl", "encr")
+        return ("transpos", "rotpos") if self.drive is DriveKind.VELOMEGA else ("encl", "encr")
 
     @property
     def writes(self) -> tuple[str, ...]:
         """The write variables by which such a robot is driven."""
-        return ("cmdtransvel", "cmdrotvel") if self.drive is Drive.VELOMEGA else ("speedl", "speedr")
+        return ("cmdtransvel", "cmdrotvel") if self.drive is DriveKind.VELOMEGA else ("speedl", "speedr")
 
 
 def _usual_motion() -> MotionParameters:
@@ -131,7 +131,7 @@ SMR = RobotConf(
 )
 #: A velocity-omega robot whose counters tell 10 um and rad / 40000, as the turtle.
 VELOMEGA = RobotConf(
-    drive=Drive.VELOMEGA,
+    drive=DriveKind.VELOMEGA,
     name="turtle",
     left_scale=0.00002,
     right_scale=0.0,
@@ -243,7 +243,7 @@ def parse_robot_conf(data: bytes | str, source: str = "robot.conf") -> RobotConf
         elif element.tag == "varscale":
             scales.append(Scale(_text(element, "name"), element.number("offset", 0.0), element.number("gain", 1.0)))
         elif element.tag == "routeinput":
-            routes.append(Route(*(_text(element, name) for name in ("module", "parlist", "par", "var"))))
+            routes.append(InputRoute(*(_text(element, name) for name in ("module", "parlist", "par", "var"))))
         elif element.tag == "setpar":
             module, function, parameter = (_text(element, name) for name in ("module", "parlist", "par"))
             settings.append(Setting(module, function, parameter, element.number("val", 0.0)))
@@ -305,7 +305,7 @@ def _robot(element: Element) -> dict[str, Any]:
     kind = element.attributes.get("type")
     if kind is not None:
         try:
-            found["drive"] = Drive(kind)
+            found["drive"] = DriveKind(kind)
         except ValueError:
             element.reject(f"type={kind!r}: missions drive differential and velomega robots only")
     if "name" in element.attributes:

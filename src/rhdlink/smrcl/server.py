@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING
 from linkcore.arguments import check_callable
 from linkcore.errors import BadValue, Closed
 from linkcore.net.loop import Connection, Handler, SelectorLoop
-from linkcore.runnable import Runnable
+from linkcore.threads import Runnable
 
+from ..errors import MissionFailed
 from ..host.plugin import Plugin
-from .controller import Controller
-from .dialogue import MOST_BACKLOG, Dialogue, Session
-from .errors import MissionFailed
-from .execution import Callbacks, Execution, Provider, error_of, leaving_at_exit, log_saver
+from .controller import MissionController
+from .dialogue import MOST_BACKLOG, ClientDialogue, Session
+from .execution import Callbacks, MissionExecution, Provider, error_of, leaving_at_exit, log_saver
 from .interpreter import Failure
 from .mission import Robot, suitable_conf
 from .outbox import Said
@@ -95,7 +95,7 @@ class MissionServer(Runnable):
         self._save_log = self._saver(log_folder)
         self._callbacks = Callbacks()
         self._loop: SelectorLoop | None = None
-        self._dialogue: Dialogue | None = None
+        self._dialogue: ClientDialogue | None = None
         # Clients that came before the robot was connected.
         self._early: list[_ClientHandler] = []
         self._handlers: list[_ClientHandler] = []
@@ -182,7 +182,7 @@ class MissionServer(Runnable):
         if self._link is not None and self._owns:
             self._link.close()
 
-    def _connect(self) -> Execution:
+    def _connect(self) -> MissionExecution:
         """Connect to the robot, and hand over to its dialogue the clients that have come already."""
         if isinstance(self._robot, Plugin):
             link: RobotLink = PluginLink([self._robot], is_realtime=True)
@@ -190,14 +190,14 @@ class MissionServer(Runnable):
         else:
             link, self._owns = open_link(self._robot)
         self._link = link
-        controller = Controller(
+        controller = MissionController(
             suitable_conf(self._conf, link), link.read, link.write, profile=self._profile, hooks=self._callbacks.hooks
         )
         self._dialogue = controller.serve()
         for handler in self._early:
             handler.begin(self._dialogue.connect())
         self._early.clear()
-        self._execution = Execution(link, controller, self._callbacks, self._save_log, self._listen)
+        self._execution = MissionExecution(link, controller, self._callbacks, self._save_log, self._listen)
         return self._execution
 
     def _in_thread(self) -> None:
@@ -211,7 +211,7 @@ class MissionServer(Runnable):
     def _serve(self) -> None:
         loop = self._loop
         assert loop is not None
-        execution: Execution | None = None if self._waits else self._execution
+        execution: MissionExecution | None = None if self._waits else self._execution
         try:
             while execution is None and not self._is_stopping:
                 loop.serve_once()

@@ -12,26 +12,26 @@ from dataclasses import dataclass, field
 __all__ = [
     "PRECEDENCE",
     "UNARY_PRECEDENCE",
+    "ArrayElement",
     "Assign",
     "Binary",
     "Call",
     "Case",
-    "Command",
-    "Element",
+    "CommandStatement",
     "EndSwitch",
     "Evaluate",
     "Expression",
     "If",
-    "Line",
     "Negate",
-    "Number",
+    "NumberLiteral",
     "Operand",
     "Problem",
+    "ScriptLine",
     "SpeedSetting",
     "Statement",
     "Switch",
-    "Text",
-    "Variable",
+    "TextLiteral",
+    "VariableName",
     "WaitFor",
     "write_expression",
     "write_line",
@@ -59,21 +59,21 @@ UNARY_PRECEDENCE = 11
 
 
 @dataclass(frozen=True)
-class Number:
+class NumberLiteral:
     """A number, without a sign except as a parameter of a command."""
 
     value: float
 
 
 @dataclass(frozen=True)
-class Text:
+class TextLiteral:
     """A string, as a parameter of a command."""
 
     value: str
 
 
 @dataclass(frozen=True)
-class Variable:
+class VariableName:
     """A variable of the script, or with `is_system` one of the robot (``$name``)."""
 
     name: str
@@ -82,10 +82,10 @@ class Variable:
 
 
 @dataclass(frozen=True)
-class Element:
+class ArrayElement:
     """One value of an array."""
 
-    array: Variable
+    array: VariableName
     index: Expression
 
 
@@ -114,8 +114,8 @@ class Binary:
     right: Expression
 
 
-Expression = Number | Variable | Element | Call | Negate | Binary
-Operand = Number | Text | Variable
+Expression = NumberLiteral | VariableName | ArrayElement | Call | Negate | Binary
+Operand = NumberLiteral | TextLiteral | VariableName
 
 
 @dataclass(frozen=True)
@@ -127,11 +127,11 @@ class SpeedSetting:
     """
 
     letter: str
-    value: Number | Variable
+    value: NumberLiteral | VariableName
 
 
 @dataclass(frozen=True)
-class Command:
+class CommandStatement:
     """A command with its parameters, speeds and stop conditions.
 
     Attributes:
@@ -186,7 +186,7 @@ class Assign:
             it makes a new variable, and then makes the wrong one; `MRC`'s profile does likewise.
     """
 
-    target: Variable | Element
+    target: VariableName | ArrayElement
     value: Expression
     following: str | None = field(default=None, compare=False)
 
@@ -202,7 +202,7 @@ class Switch:
 class Case:
     """``case``, where it is not skipped: the lines up to the next matching case or `EndSwitch` are skipped."""
 
-    value: Number
+    value: NumberLiteral
 
 
 @dataclass(frozen=True)
@@ -210,7 +210,7 @@ class EndSwitch:
     """``endswitch``."""
 
 
-Statement = Command | WaitFor | Evaluate | If | Assign | Switch | Case | EndSwitch
+Statement = CommandStatement | WaitFor | Evaluate | If | Assign | Switch | Case | EndSwitch
 
 
 @dataclass(frozen=True)
@@ -227,7 +227,7 @@ class Problem:
 
 
 @dataclass(frozen=True)
-class Line:
+class ScriptLine:
     """A line: what it says up to the first problem, and that problem.
 
     Attributes:
@@ -241,11 +241,11 @@ class Line:
 
 def write_expression(expression: Expression, loosest: int = 0) -> str:
     """An expression as text, in brackets if it binds looser than `loosest`."""
-    if isinstance(expression, Number):
+    if isinstance(expression, NumberLiteral):
         return _number(expression.value)
-    if isinstance(expression, Variable):
+    if isinstance(expression, VariableName):
         return f"${expression.name}" if expression.is_system else expression.name
-    if isinstance(expression, Element):
+    if isinstance(expression, ArrayElement):
         return f"{write_expression(expression.array)}[{write_expression(expression.index)}]"
     if isinstance(expression, Call):
         return f"{expression.name}({', '.join(map(write_expression, expression.arguments))})"
@@ -261,7 +261,7 @@ def write_expression(expression: Expression, loosest: int = 0) -> str:
     return f"({text})" if level < loosest else text
 
 
-def write_line(line: Line) -> str:
+def write_line(line: ScriptLine) -> str:
     """A line as text that is read back as the same line. It has no problem.
 
     Raises:
@@ -273,7 +273,7 @@ def write_line(line: Line) -> str:
 
 
 def _write(statement: Statement) -> str:
-    if isinstance(statement, Command):
+    if isinstance(statement, CommandStatement):
         words = [statement.name, *map(_operand, statement.parameters)]
         words += [f"@{each.letter} {_operand(each.value)}" for each in statement.speeds]
         if statement.conditions:
@@ -299,7 +299,7 @@ def _conditions(conditions: tuple[Expression, ...]) -> str:
 
 
 def _operand(operand: Operand) -> str:
-    return _quoted(operand.value) if isinstance(operand, Text) else write_expression(operand)
+    return _quoted(operand.value) if isinstance(operand, TextLiteral) else write_expression(operand)
 
 
 def _quoted(text: str) -> str:

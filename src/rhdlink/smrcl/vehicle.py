@@ -16,8 +16,8 @@ from collections.abc import Mapping, Sequence
 
 from linkcore.errors import BadValue
 
-from .motion.control import Drive, MotionControl
-from .motion.standing import FunctionGenerator, Stop
+from .motion.basic import FunctionGenerator, Stop
+from .motion.control import DriveKind, MotionControl
 from .odometry import Covariance, Odometry, Pose
 from .profile import Profile
 from .robot_conf import RobotConf
@@ -149,7 +149,7 @@ class Vehicle:
         self.external: dict[str, float] = {}
         self.uses_kalman = False
         self.heading_offset = 0.0
-        is_velomega = conf.drive is Drive.VELOMEGA
+        is_velomega = conf.drive is DriveKind.VELOMEGA
         self.heading_gain = conf.heading_gain if is_velomega else 0.0
         self.heading = self.steering_angle = self.stop_input = 0.0
         self.control.obstacle_front, self.control.obstacle_back = _FREE_AHEAD, _FREE_BEHIND
@@ -199,7 +199,7 @@ class Vehicle:
     def begin(self, raw: Mapping[str, Sequence[int]]) -> None:
         """Take the first values: the counters before the first step."""
         self.symbols.refresh(raw)
-        if self.conf.drive is Drive.VELOMEGA:
+        if self.conf.drive is DriveKind.VELOMEGA:
             # Without offset and gain of the variable, which count from the first step on.
             self.odometry.heading = self._counter(raw, "rotpos") * self.heading_gain
         self.odometry.begin(self._counter(raw, self._left_counter), self._counter(raw, self._right_counter))
@@ -335,7 +335,7 @@ class Vehicle:
     def _write_speeds(self, left: float, right: float, omega: float) -> None:
         conf, alike = self.conf, self.profile.outputs_round_alike
         first, second = left * conf.left_speed_scale, right * conf.right_speed_scale
-        if conf.drive is Drive.VELOMEGA:
+        if conf.drive is DriveKind.VELOMEGA:
             second = omega * conf.right_speed_scale
             if not alike:
                 self._put(self._written[0], _truncated(first))
@@ -360,7 +360,7 @@ class Vehicle:
 
     @property
     def _sees_obstacles(self) -> bool:
-        if self.conf.drive is not Drive.DIFFERENTIAL or self.conf.name != "smr":
+        if self.conf.drive is not DriveKind.DIFFERENTIAL or self.conf.name != "smr":
             return False
         return self._has_ir or not self.profile.sees_without_ir
 

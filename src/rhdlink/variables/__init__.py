@@ -8,9 +8,9 @@ from linkcore.lazy import lazy_names
 
 if TYPE_CHECKING:
     from linkcore.recording.table import Table as Table
-    from linkcore.stamp import Stamp as Stamp
-    from linkcore.streaming.events import ConnectionEvent as ConnectionEvent
-    from linkcore.streaming.policy import Policy as Policy
+    from linkcore.clock import Stamp as Stamp
+    from linkcore.streaming.connection_life import ConnectionEvent as ConnectionEvent
+    from linkcore.streaming.packet_queue import Policy as Policy
     from linkcore.streaming.subscription import Subscription as Subscription
     from .database import Database as Database, TimeStamp as TimeStamp
     from .snapshot import Change as Change, Update as Update, Variable as Variable
@@ -22,9 +22,9 @@ else:
         __name__,
         {
             "linkcore.recording.table": "Table",
-            "linkcore.stamp": "Stamp",
-            "linkcore.streaming.events": "ConnectionEvent",
-            "linkcore.streaming.policy": "Policy",
+            "linkcore.clock": "Stamp",
+            "linkcore.streaming.connection_life": "ConnectionEvent",
+            "linkcore.streaming.packet_queue": "Policy",
             "linkcore.streaming.subscription": "Subscription",
             ".database": "Database TimeStamp",
             ".snapshot": "Change Update Variable",

@@ -36,11 +36,11 @@ from numpy.typing import ArrayLike, NDArray
 from linkcore.errors import BadValue, LocalError
 
 from ..wire.data import DataPackage, Ids, Selection, Stamps, TableLayout, Words
-from ..wire.messages import END, LONGEST_NAME, Row, encode_access, encode_data, encode_table
+from ..wire.messages import END, LONGEST_NAME, SymbolRow, encode_access, encode_data, encode_table
 from ..wire.schema import WORD
 from .dirty_set import DirtySet
 
-__all__ = ["Database", "Table", "TimeStamp", "now"]
+__all__ = ["Database", "TimeStamp", "VariableTable", "now"]
 
 #: Selections that a table remembers, one for each number of variables. Working one out takes ten times as long as using
 #: it, and a robot whose plugins set things at different rates has a few that come again and again.
@@ -92,7 +92,7 @@ def _fitting(words: ArrayLike | int, size: int) -> ArrayLike:
     return array
 
 
-class Table:
+class VariableTable:
     """The variables of one direction. A variable's id is its place.
 
     Attributes:
@@ -111,11 +111,11 @@ class Table:
     The arrays and the memory are replaced when a variable is added: do not keep them before the table is frozen.
     """
 
-    def __init__(self, direction: str, rows: Sequence[Row] = ()) -> None:
+    def __init__(self, direction: str, rows: Sequence[SymbolRow] = ()) -> None:
         self.direction = direction
         self.is_frozen = False
         self.clock: Callable[[], TimeStamp] = now
-        self.rows: list[Row] = []
+        self.rows: list[SymbolRow] = []
         self._ids: dict[str, int] = {}
         self.memory = bytearray()
         self.values: Words = np.empty(0, np.int32)
@@ -125,7 +125,7 @@ class Table:
         self.dirty = DirtySet(0)
         self._extend(rows)
 
-    def _extend(self, rows: Sequence[Row]) -> None:
+    def _extend(self, rows: Sequence[SymbolRow]) -> None:
         for row in rows:
             self._ids.setdefault(row.name, len(self.rows))  # of several, the first is found
             self.rows.append(row)
@@ -152,7 +152,7 @@ class Table:
     def __len__(self) -> int:
         return len(self.rows)
 
-    def __iter__(self) -> Iterator[Row]:
+    def __iter__(self) -> Iterator[SymbolRow]:
         return iter(self.rows)
 
     def __contains__(self, name: object) -> bool:
@@ -177,7 +177,7 @@ class Table:
             raise BadValue(f"there is a {'read' if self.direction == 'r' else 'write'} variable {name!r} already")
         if not name:
             raise BadValue(f"a variable has to have a name of 1 to {LONGEST_NAME} characters")
-        row = Row(name, length)
+        row = SymbolRow(name, length)
         encode_table(self.direction, [row])  # raises for a name or a length that the wire cannot carry
         self._extend([row])
         return len(self.rows) - 1
@@ -335,12 +335,12 @@ class Database:
         write: likewise.
     """
 
-    def __init__(self, read: Sequence[Row] = (), write: Sequence[Row] = ()) -> None:
-        self.read = Table("r", read)
-        self.write = Table("w", write)
+    def __init__(self, read: Sequence[SymbolRow] = (), write: Sequence[SymbolRow] = ()) -> None:
+        self.read = VariableTable("r", read)
+        self.write = VariableTable("w", write)
         self._tables: bytes | None = None
 
-    def table(self, direction: str) -> Table:
+    def table(self, direction: str) -> VariableTable:
         """The table of "r" or "w".
 
         Raises:

@@ -17,7 +17,7 @@ from linkcore.errors import BadValue, LocalError
 
 from ..errors import NotThere, WrongVariables
 from ..wire.schema import WORD
-from .database import Database, Table
+from .database import Database, VariableTable
 from .value_types import Order, Packer, ValueType
 
 __all__ = ["Declaration", "Declarations", "Read", "Write", "bind", "create_variables", "refuse_hiding"]
@@ -224,7 +224,7 @@ class Declarations:
     _word_order: ClassVar[Order] = "little"
     _declarations: ClassVar[Mapping[str, Declaration[Any, Any]]] = MappingProxyType({})
 
-    _bound_places: Mapping[str, tuple[Table, int]] | None = None
+    _bound_places: Mapping[str, tuple[VariableTable, int]] | None = None
     _bound_readers: Mapping[str, Callable[[], Any]] = MappingProxyType({})
     _bound_packers: Mapping[str, Packer] = MappingProxyType({})
     _bound_lock: threading.RLock
@@ -249,7 +249,7 @@ class Declarations:
         """The declarations by attribute, inherited ones first."""
         return cls._declarations
 
-    def _place(self, declaration: Declaration[Any, Any]) -> tuple[Table, int]:
+    def _place(self, declaration: Declaration[Any, Any]) -> tuple[VariableTable, int]:
         """Where a variable is.
 
         Raises:
@@ -303,7 +303,7 @@ def bind(instance: Declarations, database: Database, lock: threading.RLock | Non
     Raises:
         WrongVariables: says all that the database lacks, or has in another length or direction.
     """
-    places: dict[str, tuple[Table, int]] = {}
+    places: dict[str, tuple[VariableTable, int]] = {}
     readers: dict[str, Callable[[], Any]] = {}
     packers: dict[str, Packer] = {}
     # All of them are collected: who connects to a robot of another kind sees at once how it differs.
@@ -327,7 +327,7 @@ def bind(instance: Declarations, database: Database, lock: threading.RLock | Non
 
 
 def _reader(
-    declaration: Declaration[Any, Any], order: Order, table: Table, identity: int, lock: threading.RLock
+    declaration: Declaration[Any, Any], order: Order, table: VariableTable, identity: int, lock: threading.RLock
 ) -> Callable[[], Any]:
     """What a property read calls. All that can be found out beforehand is, so that a read takes half a microsecond."""
     read = declaration.type.reader(declaration.count, declaration.order or order)

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from linkcore.stamp import Stamp
+from linkcore.clock import Stamp
 
 from .database import TimeStamp
 

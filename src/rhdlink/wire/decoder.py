@@ -14,7 +14,7 @@ from typing import NoReturn
 from linkcore.errors import BadValue, PacketError
 
 from .data import Cursor, DataPackage, Selection, TableLayout
-from .messages import Batch, Handshake, Request, Row
+from .messages import Batch, Handshake, Request, SymbolRow
 from .schema import ACCESS, DATA, END, HEAD_SIZE, INT, READY, TABLE, WIDTHS, WORD
 
 __all__ = ["ClientDecoder", "Limits", "ServerDecoder"]
@@ -199,7 +199,7 @@ class ServerDecoder(_Decoder):
         self.handshake: Handshake | None = None
         self._widths = WIDTHS if width is None else (width,)
         self._granted: str | None = None
-        self._rows: dict[str, tuple[Row, ...]] = {}
+        self._rows: dict[str, tuple[SymbolRow, ...]] = {}
         self._layouts: dict[str, TableLayout] = {}
         self._probes: list[_WidthProbe] = []
 
@@ -284,7 +284,7 @@ class ServerDecoder(_Decoder):
             self._refuse_package(repr(package))
         return len(there) == 2
 
-    def _take_table(self, direction: str) -> tuple[Row, ...] | None:
+    def _take_table(self, direction: str) -> tuple[SymbolRow, ...] | None:
         """The symbol table at hand, None if it has not come whole."""
         name = f"table 't{direction}'"
         count = self._take_count(name, self.limits.variables)
@@ -301,7 +301,7 @@ class ServerDecoder(_Decoder):
             if not end:
                 self._refuse(f"{name}: the name of variable {number} has no end within {len(raw)} bytes", at + WORD)
             total += length
-            rows.append(Row(text.decode("latin-1"), length))
+            rows.append(SymbolRow(text.decode("latin-1"), length))
         if total > self.limits.words:
             self._refuse(f"{name} has {total} words; expected at most {self.limits.words}")
         self._at = start + count * _ROW.size

@@ -13,17 +13,17 @@ from typing import Any
 from linkcore.errors import PacketError
 
 from .decoder import Limits, ServerDecoder
-from .messages import Row
+from .messages import SymbolRow
 from .schema import ACCESS, DATA, END, HEAD_SIZE, INT, PACKAGES, READY, TABLE, Package, item_schema
 
-__all__ = ["Part", "Piece", "dissect", "guess_sender", "tables_in"]
+__all__ = ["PackagePart", "Piece", "dissect", "guess_sender", "tables_in"]
 
 _DIRECTION = {"r": "read", "w": "write"}
 _ROLE = {"r": "reader", "w": "master"}
 
 
 @dataclass(frozen=True)
-class Part:
+class PackagePart:
     """Some bytes of a package.
 
     Attributes:
@@ -56,7 +56,7 @@ class Piece:
     batch: int
     package: str
     meaning: str
-    parts: list[Part] = field(default_factory=list)
+    parts: list[PackagePart] = field(default_factory=list)
     error: str | None = None
 
     @property
@@ -71,7 +71,7 @@ def guess_sender(data: bytes) -> str:
     return "server" if after == TABLE.letter.encode() else "client"
 
 
-def tables_in(data: bytes) -> tuple[dict[str, tuple[Row, ...]], int | None]:
+def tables_in(data: bytes) -> tuple[dict[str, tuple[SymbolRow, ...]], int | None]:
     """The tables in what a server sent, and the words of its time stamps; nothing where there is no handshake."""
     decoder = ServerDecoder()
     decoder.feed(data)
@@ -85,7 +85,7 @@ def tables_in(data: bytes) -> tuple[dict[str, tuple[Row, ...]], int | None]:
 
 
 def dissect(
-    data: bytes, sender: str, tables: dict[str, tuple[Row, ...]] | None = None, width: int = 2
+    data: bytes, sender: str, tables: dict[str, tuple[SymbolRow, ...]] | None = None, width: int = 2
 ) -> Iterator[Piece]:
     """Every byte of `data`, in order.
 
@@ -105,7 +105,7 @@ class _Broken(Exception):
 
 
 class _Dissector:
-    def __init__(self, data: bytes, sender: str, tables: dict[str, tuple[Row, ...]], width: int) -> None:
+    def __init__(self, data: bytes, sender: str, tables: dict[str, tuple[SymbolRow, ...]], width: int) -> None:
         self.data = data
         self._stream = BytesIO(data)
         self.at = 0
@@ -158,7 +158,7 @@ class _Dissector:
     def _add(self, piece: Piece, size: int, meaning: str, content: dict[str, Any]) -> None:
         """The next bytes, at most so many as there are, with what they mean."""
         if data := self.data[self.at : self.at + size]:
-            piece.parts.append(Part(self.at, data, meaning, content))
+            piece.parts.append(PackagePart(self.at, data, meaning, content))
             self.at += len(data)
 
     def _add_count(self, piece: Piece, most: int, what: str) -> int:
@@ -173,12 +173,12 @@ class _Dissector:
 
     def _add_table(self, piece: Piece, direction: str) -> None:
         count = self._add_count(piece, Limits().variables, f"table of {_DIRECTION[direction]} variables")
-        rows: list[Row] = []
+        rows: list[SymbolRow] = []
         item = item_schema(TABLE, (), self._width)
         for number in range(count):
             found, size = self._item(item, f"row {number}")
             name = found["name"].partition(b"\0")[0].decode("latin-1")
-            rows.append(Row(name, found["length"]))
+            rows.append(SymbolRow(name, found["length"]))
             words = f"{found['length']} word" + ("" if found["length"] == 1 else "s")
             content = {"id": number, "name": name, "length": found["length"]}
             self._add(piece, size, f"{number} {name}, {words}", content)

@@ -20,7 +20,7 @@ __all__ = [
     "Batch",
     "Handshake",
     "Request",
-    "Row",
+    "SymbolRow",
     "encode_access",
     "encode_data",
     "encode_ready",
@@ -33,7 +33,7 @@ LONGEST_NAME = NAME_SIZE - 1
 END = 2 * END_PACKAGE.letter.encode()
 
 
-class Row(NamedTuple):
+class SymbolRow(NamedTuple):
     """A variable in a symbol table.
 
     Attributes:
@@ -59,8 +59,8 @@ class Handshake(NamedTuple):
 
     granted: str | None
     width: int
-    write: tuple[Row, ...]
-    read: tuple[Row, ...]
+    write: tuple[SymbolRow, ...]
+    read: tuple[SymbolRow, ...]
     data: tuple[DataPackage, DataPackage]
 
 
@@ -100,7 +100,7 @@ def encode_ready(access: str) -> bytes:
     return _letters(READY.letter, access)
 
 
-def encode_table(direction: str, rows: Sequence[Row]) -> bytes:
+def encode_table(direction: str, rows: Sequence[SymbolRow]) -> bytes:
     """A symbol table.
 
     Raises:

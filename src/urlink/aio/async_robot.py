@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from linkcore.aio.async_stream import AsyncStream
 from linkcore.aio.loop_connection import LoopConnection
-from linkcore.aio.workers import Workers
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout, LocalError, unraised
-from linkcore.event_loop import Opening, finished, running_loop
+from linkcore.event_loop import Opening, Workers, finished, running_loop
 from linkcore.net.awaited import AwaitedTcp
 
 from .. import robot as threaded
@@ -23,10 +22,10 @@ from ..firmware import Firmware
 from ..identity import Identity, Introduction
 from ..interfaces.primary.robot_state import RobotState
 from ..interfaces.realtime.packets import RealtimeState
-from ..services import refusal_hint
+from ..ports import refusal_hint
+from ..robot_clock import RobotClock
 from ..source import networked
-from .awaited import Block, Part, awaited, block
-from .awaited_rtde import AwaitedRtde
+from .awaited import AwaitedPart, AwaitedRtde, Block, awaited, block
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -48,6 +47,7 @@ if TYPE_CHECKING:
         AsyncSafety,
         AsyncScripts,
         AsyncTeaching,
+        AsyncToolSerial,
     )
 
 __all__ = ["AsyncRobot", "connect_async"]
@@ -71,7 +71,7 @@ def _interpreter(interpreter: Interpreter, workers: Workers) -> AsyncInterpreter
     return AsyncInterpreter(interpreter, workers)
 
 
-class AsyncRobot(Part[threaded.Robot]):
+class AsyncRobot(AwaitedPart[threaded.Robot]):
     """A robot: its streams, and what it is. Made by `connect_async`; an asynchronous context manager, which closes it.
 
     It has the names of `Robot`, and they do the same. What may wait for the robot is awaited, a block is entered with
@@ -115,6 +115,13 @@ class AsyncRobot(Part[threaded.Robot]):
         if known is None:
             known = self._streams[name] = AsyncStream(getattr(self._part, name))
         return known
+
+    @property
+    def clock(self) -> RobotClock:
+        """The controller's clock beside this computer's; see `Robot.clock`. It awaits nothing: it has to be asked after
+        the first state.
+        """
+        return self._part.clock
 
     @property
     def identity(self) -> Identity:
@@ -204,6 +211,13 @@ class AsyncRobot(Part[threaded.Robot]):
         return AsyncGripper(self._part.gripper, self._workers)
 
     @property
+    def tool_serial(self) -> AsyncToolSerial:
+        """The RS485 line in the tool connector; see `Robot.tool_serial`. Nothing of it is interlocked."""
+        from .parts import AsyncToolSerial
+
+        return AsyncToolSerial(self._part.tool_serial, self._workers)
+
+    @property
     def rtde(self) -> AsyncRtde:
         """Variables of the controller by name; `outputs` gives an `AsyncStream`. See `Robot.rtde`."""
         from .parts import AsyncRtde
@@ -218,6 +232,7 @@ class AsyncRobot(Part[threaded.Robot]):
         return AsyncRegisters(self._part.registers, self._workers)
 
     set_payload = awaited(threaded.Robot.set_payload)
+    set_gravity = awaited(threaded.Robot.set_gravity)
     set_tcp = awaited(threaded.Robot.set_tcp)
     set_speed_slider = awaited(threaded.Robot.set_speed_slider)
     zero_force_sensor = awaited(threaded.Robot.zero_force_sensor)
@@ -225,6 +240,7 @@ class AsyncRobot(Part[threaded.Robot]):
     freedrive = block(threaded.Robot.freedrive)
     teach = block(threaded.Robot.teach, _teaching)
     interpreter = block(threaded.Robot.interpreter, _interpreter)
+    view = block(threaded.Robot.view)
 
     async def call(self, function: Callable[P, T], *arguments: P.args, **options: P.kwargs) -> T:
         """Call a function that blocks, in a thread of the robot.

@@ -1,25 +1,30 @@
 """How a method that blocks becomes one that is awaited: same name, same arguments, same result, and their types.
 
 Commands use the same interlock, channel and state machines as those of `urlink.connect`, which block until the robot
-has answered. So each call is made in a thread of the robot, while the event loop goes on reading the streams.
+has answered. So each call is made in a thread of the robot, while the event loop goes on reading the streams, an RTDE
+connection among them.
 """
 
 from __future__ import annotations
 
 import asyncio
 import functools
+import time
 from collections.abc import Callable, Coroutine, Generator
 from contextlib import AbstractContextManager
 from typing import Any, Concatenate, Generic, ParamSpec, TypeVar, overload
 
-from linkcore.aio.workers import Workers
-from linkcore.errors import BadValue
-from linkcore.event_loop import running_loop
+from linkcore.clock import Stamp
+from linkcore.errors import BadValue, LinkTimeout
+from linkcore.event_loop import Workers, running_loop
 from linkcore.handle import Handle
+from linkcore.net.awaited import AwaitedTcp
 
 from ..foreign_names import AnswersForeignNames
+from ..interfaces.rtde.protocol import Requests
+from ..interfaces.rtde.transport import RtdeDialogue, RtdeTransport
 
-__all__ = ["Block", "Part", "awaited", "block", "motion"]
+__all__ = ["AwaitedPart", "AwaitedRtde", "Block", "awaited", "block", "motion"]
 
 B = TypeVar("B")
 C = TypeVar("C", bound=AbstractContextManager[Any])
@@ -27,7 +32,7 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 
-class Part(AnswersForeignNames, Generic[B]):
+class AwaitedPart(AnswersForeignNames, Generic[B]):
     """A robot, or a part of one such as `robot.motion`, with methods that are awaited.
 
     An attribute that is no method is read at once. One that would have to wait, because its stream is not open yet,
@@ -49,14 +54,14 @@ class Part(AnswersForeignNames, Generic[B]):
 
 
 def awaited(method: Callable[Concatenate[Any, P], T]) -> Callable[Concatenate[Any, P], Coroutine[Any, Any, T]]:
-    """The method of a `Part` that makes this call in a thread of the robot.
+    """The method of a `AwaitedPart` that makes this call in a thread of the robot.
 
     A task that is cancelled while it awaits this gives the call up: what has not been sent is not sent, and what it has
     begun on the robot is cancelled. A call that waits goes on waiting in its thread, to its own timeout.
     """
 
     @functools.wraps(method)
-    async def call(part: Part[Any], /, *arguments: P.args, **options: P.kwargs) -> T:
+    async def call(part: AwaitedPart[Any], /, *arguments: P.args, **options: P.kwargs) -> T:
         running_loop("a command of a robot of connect_async")
         return await part._workers.make(lambda: method(part._part, *arguments, **options), _end)
 
@@ -72,7 +77,7 @@ def motion(method: Callable[Concatenate[Any, P], T]) -> Callable[Concatenate[Any
     call = awaited(method)
 
     @functools.wraps(method)
-    async def decided(part: Part[Any], /, *arguments: P.args, **options: P.kwargs) -> T:
+    async def decided(part: AwaitedPart[Any], /, *arguments: P.args, **options: P.kwargs) -> T:
         if "wait" not in options:
             raise BadValue(
                 f"{method.__name__}() was awaited without `wait`; nothing was sent. Pass wait=True to go on once the "
@@ -141,10 +146,10 @@ def block(
     method: Callable[Concatenate[Any, P], C], given: Callable[[C, Workers], T]
 ) -> Callable[Concatenate[Any, P], Block[T]]: ...
 def block(method: Callable[..., Any], given: Callable[..., Any] = lambda made, workers: made) -> Any:
-    """The method of a `Part` whose result is entered with ``async with``."""
+    """The method of a `AwaitedPart` whose result is entered with ``async with``."""
 
     @functools.wraps(method)
-    def call(part: Part[Any], /, *arguments: Any, **options: Any) -> Block[Any]:
+    def call(part: AwaitedPart[Any], /, *arguments: Any, **options: Any) -> Block[Any]:
         return Block(part._workers, lambda: method(part._part, *arguments, **options), given)
 
     return call
@@ -160,3 +165,42 @@ def _end(value: Any) -> None:
         _leave(value)
     elif hasattr(value, "close"):  # a stream, a recorder, inputs
         value.close()
+
+
+class AwaitedRtde(RtdeTransport):
+    """As `RtdeTransport`, for an event loop.
+
+    Args:
+        transport: the TCP connection.
+        plan: what to request.
+    """
+
+    def __init__(self, transport: AwaitedTcp, plan: Requests) -> None:
+        super().__init__(transport, plan)
+        self._tcp = transport
+        self.fileno = transport.fileno
+        self.disconnect = transport.disconnect
+
+    async def connect(self, timeout: float) -> None:
+        """Connect, request what the plan says, and wait for the first data package; see `RtdeTransport.open`."""
+        until = time.monotonic() + timeout
+        await self._tcp.connect(timeout)
+        dialogue = RtdeDialogue(self._plan)
+        try:
+            while not dialogue.is_over:
+                # The first bytes on a connection: the buffer of the kernel has room for them.
+                self._tcp.send(dialogue.requests(), 0.0)
+                try:
+                    dialogue.hear(*await self._tcp.receive_awaited(max(until - time.monotonic(), 0.001)))
+                except LinkTimeout:
+                    raise dialogue.unanswered(self.name, timeout) from None
+                if time.monotonic() > until and not dialogue.is_answered:
+                    raise dialogue.unanswered(self.name, timeout)
+        except BaseException:
+            self._tcp.abort()
+            raise
+        self._begin(dialogue)
+
+    def receive_waiting(self) -> tuple[bytes, Stamp] | None:
+        """See `AwaitedTransport.receive_waiting`."""
+        return self._first.popleft() if self._first else self._tcp.receive_waiting()

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, overload
 from linkcore.aio.async_stream import AsyncFeed, AsyncStream
 from linkcore.errors import LinkError
 from linkcore.handle import Motion, Phase
-from linkcore.streaming.events import ConnectionState
+from linkcore.streaming.connection_life import ConnectionState
 
 from ..commanding.interlock import Policy
 from ..commanding.interpreter import Interpreter, InterpreterState
@@ -23,10 +23,11 @@ from ..interfaces.dashboard.client import Dashboard
 from ..interfaces.enums import RobotMode, RobotModeCB2, SafetyMode
 from ..interfaces.gripper.client import Gripper
 from ..interfaces.rtde.recipes import Outputs, Recipe
-from ..motion import Freedrive, Motions, Teaching
+from ..interfaces.tool_serial import ToolSerial
+from ..motion import Freedrive, Motions, PointStream, Teaching
 from ..motion.taught import Taught
 from ..rtde import Inputs, OutputStream, Registers, Rtde
-from .awaited import Block, Part, awaited, block, motion
+from .awaited import AwaitedPart, Block, awaited, block, motion
 
 if TYPE_CHECKING:
     from ..rtde.client import Missing
@@ -41,18 +42,94 @@ __all__ = [
     "AsyncInterpreter",
     "AsyncMotions",
     "AsyncOutputStream",
+    "AsyncPointStream",
     "AsyncRegisters",
     "AsyncRtde",
     "AsyncSafety",
     "AsyncScripts",
     "AsyncStream",
     "AsyncTeaching",
+    "AsyncToolSerial",
 ]
 
 T = TypeVar("T", bound=Outputs)
 
 
-class AsyncMotions(Part[Motions]):
+class AsyncPointStream(AwaitedPart[PointStream]):
+    """As `PointStream`, awaited; ``await stream`` is its end, as of any handle.
+
+    A task that is cancelled while it awaits `append` gives its points up: those that were not sent are dropped.
+    """
+
+    __slots__ = ()
+
+    append = awaited(PointStream.append)
+    clear = awaited(PointStream.clear)
+    replace = awaited(PointStream.replace)
+    wait = awaited(PointStream.wait)
+    wait_until_dry = awaited(PointStream.wait_until_dry)
+
+    @property
+    def buffer(self) -> float:
+        return self._part.buffer
+
+    @property
+    def time(self) -> float:
+        return self._part.time
+
+    @property
+    def end(self) -> float:
+        return self._part.end
+
+    @property
+    def buffered(self) -> float:
+        return self._part.buffered
+
+    @property
+    def room(self) -> float:
+        return self._part.room
+
+    @property
+    def is_dry(self) -> bool:
+        return self._part.is_dry
+
+    @property
+    def starved(self) -> int:
+        return self._part.starved
+
+    @property
+    def name(self) -> str:
+        return self._part.name
+
+    @property
+    def phase(self) -> Phase:
+        return self._part.phase
+
+    @property
+    def done(self) -> bool:
+        return self._part.done
+
+    @property
+    def error(self) -> Exception | None:
+        return self._part.error
+
+    @property
+    def progress(self) -> float:
+        return self._part.progress
+
+    def cancel(self) -> None:
+        """As `Handle.cancel`, which returns at once."""
+        self._part.cancel()
+
+    def add_done_callback(self, callback: Callable[[AsyncPointStream], object]) -> None:
+        """As `Handle.add_done_callback`: in the robot's thread for callbacks."""
+        self._part.add_done_callback(lambda handle: callback(self))
+
+    def __await__(self) -> Generator[Any, None, None]:
+        return self._part.__await__()
+
+
+class AsyncMotions(AwaitedPart[Motions]):
     """As `Motions`, awaited. What begins a motion has to be given `wait`, but for `stop`, which nothing delays."""
 
     __slots__ = ()
@@ -67,16 +144,18 @@ class AsyncMotions(Part[Motions]):
     until_contact = motion(Motions.until_contact)
     stop = awaited(Motions.stop)
     servo = block(Motions.servo)
+    stream = block(Motions.stream, AsyncPointStream)
     jog = block(Motions.jog)
     force_mode = block(Motions.force_mode)
     torque = block(Motions.torque)
+    impedance = block(Motions.impedance)
 
     @property
     def current(self) -> Motion | None:
         return self._part.current
 
 
-class AsyncSafety(Part[Safety]):
+class AsyncSafety(AwaitedPart[Safety]):
     """As `Safety`, awaited."""
 
     __slots__ = ()
@@ -116,7 +195,7 @@ class AsyncSafety(Part[Safety]):
         return self._part.robot_mode
 
 
-class AsyncScripts(Part[Scripts]):
+class AsyncScripts(AwaitedPart[Scripts]):
     """As `Scripts`, awaited. `run` has to be given `wait`."""
 
     __slots__ = ()
@@ -125,7 +204,7 @@ class AsyncScripts(Part[Scripts]):
     send_line = awaited(Scripts.send_line)
 
 
-class AsyncIO(Part[IO]):
+class AsyncIO(AwaitedPart[IO]):
     """As `IO`, awaited."""
 
     __slots__ = ()
@@ -141,6 +220,7 @@ class AsyncIO(Part[IO]):
     set_digital_out = awaited(IO.set_digital_out)
     set_flag = awaited(IO.set_flag)
     set_tool_digital_out = awaited(IO.set_tool_digital_out)
+    set_tool_communication = awaited(IO.set_tool_communication)
     set_tool_voltage = awaited(IO.set_tool_voltage)
     tool_analog_in = awaited(IO.tool_analog_in)
     tool_digital_in = awaited(IO.tool_digital_in)
@@ -154,7 +234,7 @@ class AsyncIO(Part[IO]):
         return self._part.tool_voltage
 
 
-class AsyncDashboard(Part[Dashboard]):
+class AsyncDashboard(AwaitedPart[Dashboard]):
     """As `Dashboard`, awaited."""
 
     __slots__ = ()
@@ -203,7 +283,7 @@ class AsyncDashboard(Part[Dashboard]):
     version = awaited(Dashboard.version)
 
 
-class AsyncGripper(Part[Gripper]):
+class AsyncGripper(AwaitedPart[Gripper]):
     """As `Gripper`, awaited."""
 
     __slots__ = ()
@@ -223,7 +303,19 @@ class AsyncGripper(Part[Gripper]):
     wait = awaited(Gripper.wait)
 
 
-class AsyncInterpreter(Part[Interpreter]):
+class AsyncToolSerial(AwaitedPart[ToolSerial]):
+    """As `ToolSerial`, awaited."""
+
+    __slots__ = ()
+
+    ask = awaited(ToolSerial.ask)
+    close = awaited(ToolSerial.close)
+    discard = awaited(ToolSerial.discard)
+    read = awaited(ToolSerial.read)
+    write = awaited(ToolSerial.write)
+
+
+class AsyncInterpreter(AwaitedPart[Interpreter]):
     """As `Interpreter`, awaited; ``await interpreter`` is the end of its program, as of any handle."""
 
     __slots__ = ()
@@ -272,7 +364,7 @@ class AsyncInterpreter(Part[Interpreter]):
         return self._part.__await__()
 
 
-class AsyncTeaching(Part[Teaching]):
+class AsyncTeaching(AwaitedPart[Teaching]):
     """As `Teaching`, awaited."""
 
     __slots__ = ()
@@ -288,7 +380,7 @@ class AsyncTeaching(Part[Teaching]):
         return self._part.freedrive
 
 
-class AsyncRegisters(Part[Registers]):
+class AsyncRegisters(AwaitedPart[Registers]):
     """As `Registers`, awaited."""
 
     __slots__ = ()
@@ -301,7 +393,7 @@ class AsyncRegisters(Part[Registers]):
     write_integer = awaited(Registers.write_integer)
 
 
-class AsyncInputs(Part[Inputs]):
+class AsyncInputs(AwaitedPart[Inputs]):
     """As `Inputs`, awaited."""
 
     __slots__ = ()
@@ -361,7 +453,7 @@ class AsyncOutputStream(AsyncStream[T]):
         return self._outputs.is_over
 
 
-class AsyncRtde(Part[Rtde]):
+class AsyncRtde(AwaitedPart[Rtde]):
     """As `Rtde`, awaited."""
 
     __slots__ = ()

@@ -1,37 +1,101 @@
-"""`urlink dissect`: every byte of a packet with its meaning."""
+"""`urlink dissect`: every byte of a packet with its meaning, and the bytes between frames."""
 
 from __future__ import annotations
 
 import argparse
 import json
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from linkcore.cli.progress_bar import ProgressBar
-from linkcore.errors import BadRecording, PacketError
-from linkcore.progress import Progress
-from linkcore.recording.file import Kind, Recording
+from linkcore.cli.options import ProgressBar
+from linkcore.errors import BadRecording, PacketError, WrongPeer
+from linkcore.recording.file import Kind, Progress, RecordingFile
 from linkcore.text import printable, strict_json
-from linkcore.wire.dissection import Row, header_rows
+from linkcore.wire.fields import version_text
+from linkcore.wire.framing import Framer
 from linkcore.wire.packet import State
-from linkcore.wire.version import version_text
+from linkcore.wire.schema import Row, header_rows
 
 from ..decoding import INTERFACES, Interface, decode
-from ..firmware import Firmware, release_of
+from ..firmware import Firmware, known_firmware
 from ..interfaces.headers import PACKAGE
 from ..interfaces.primary.decoder import PackageDecoder
+from ..interfaces.primary.protocol import PackageBoundary
 from ..interfaces.primary.robot_message import VersionMessage
 from ..interfaces.primary.robot_state import RobotState
+from ..interfaces.realtime.protocol import RealtimeBoundary
 from .options import Subparsers, add_command, positive_int
-from .stretches import Stretch, cut, guess_interface
 from .values import as_text, plain
 
-__all__ = ["Piece", "add_parser", "dissect"]
+__all__ = ["PacketPiece", "Stretch", "add_parser", "cut", "dissect", "guess_interface"]
+
+_BOUNDARIES: dict[Interface, Callable[[], PackageBoundary | RealtimeBoundary]] = {
+    "primary": PackageBoundary,
+    "realtime": RealtimeBoundary,
+}
+
+
+class Stretch(NamedTuple):
+    """A part of a stream of bytes.
+
+    Attributes:
+        offset: in the stream.
+        data: the bytes.
+        is_packet: whether it is a whole packet; if not, its bytes belong to none.
+        expected: size of the packet that begins here and is cut off; None otherwise.
+    """
+
+    offset: int
+    data: bytes
+    is_packet: bool
+    expected: int | None = None
+
+
+def cut(data: bytes, interface: Interface) -> Iterator[Stretch]:
+    """Every byte of `data`, in order, as whole packets and the bytes between, before and after them."""
+    boundary = _BOUNDARIES["realtime" if interface == "realtime" else "primary"]()
+    framer = Framer(boundary, limit=None)  # no limit: all bytes are shown, whatever they are
+    at = 0
+    for frame in framer.feed(data) if data else ():
+        start = data.index(frame, at)
+        if start > at:
+            yield Stretch(at, data[at:start], is_packet=False)
+        yield Stretch(start, frame, is_packet=True)
+        at = start + len(frame)
+    rest = len(data) - len(framer.rest)
+    if rest > at:
+        yield Stretch(at, data[at:rest], is_packet=False)
+    if framer.rest:
+        size, _ = boundary.declared(framer.rest, 0)
+        if 0 < size <= len(framer.rest):
+            # Whole, but unusual: the framer would wait for the next header to confirm it.
+            yield Stretch(rest, framer.rest[:size], is_packet=True)
+            rest, size = rest + size, 0
+        if rest < len(data):
+            yield Stretch(rest, data[rest:], is_packet=False, expected=size or None)
+
+
+def guess_interface(data: bytes) -> Interface | None:
+    """The interface whose packets fill most of `data`; None if no packet of any is in it."""
+    found = {interface: _filled(data, interface) for interface in _BOUNDARIES}
+    # The primary interface is preferred if both are possible: its packets have more marks than their size.
+    best = max(found, key=lambda interface: found[interface])
+    return best if found[best] else None
+
+
+def _filled(data: bytes, interface: Interface) -> int:
+    """Bytes in whole packets, or in the beginning of the one packet that `data` is."""
+    try:
+        Framer(_BOUNDARIES[interface]()).feed(data)
+    except WrongPeer:
+        return 0
+    return sum(len(each.data) for each in cut(data, interface) if each.is_packet or each.expected is not None)
+
 
 _DESCRIPTION = """\
 Show every packet in a file, field by field: offset, bytes in hex, name, value, unit, meaning.
@@ -63,11 +127,9 @@ def add_parser(subparsers: Subparsers) -> None:
 
 def _firmware(text: str) -> Firmware:
     try:
-        firmware = Firmware.parse(text)
-        release_of(firmware)
+        return known_firmware(text)
     except ValueError as error:
         raise argparse.ArgumentTypeError(str(error)) from None
-    return firmware
 
 
 def run(args: argparse.Namespace) -> int:
@@ -93,7 +155,7 @@ def run(args: argparse.Namespace) -> int:
     return 0 if read else 1
 
 
-def _pieces(args: argparse.Namespace, progress: Progress) -> Iterator[Piece]:
+def _pieces(args: argparse.Namespace, progress: Progress) -> Iterator[PacketPiece]:
     sources = list(_sources(Path(args.file), args.interface))
     size = sum(len(data) for _, data in sources)
     done = 0
@@ -111,7 +173,7 @@ def _sources(path: Path, wanted: Interface | None) -> Iterator[tuple[Interface, 
     except OSError as error:
         raise BadRecording(f"cannot read {path}: {error.strerror}") from error
     if data.startswith(b"LINKREC1"):
-        yield from _recorded(Recording(path), wanted)
+        yield from _recorded(RecordingFile(path), wanted)
         return
     interface = wanted or guess_interface(data)
     if interface is None and data:
@@ -120,7 +182,7 @@ def _sources(path: Path, wanted: Interface | None) -> Iterator[tuple[Interface, 
         yield interface, data
 
 
-def _recorded(recording: Recording, wanted: Interface | None) -> Iterator[tuple[Interface, bytes]]:
+def _recorded(recording: RecordingFile, wanted: Interface | None) -> Iterator[tuple[Interface, bytes]]:
     if wanted is not None:
         recording.channel(wanted)  # raises at once, and names the interfaces that there are
     for number, info in recording.channels.items():
@@ -141,7 +203,7 @@ def _recorded(recording: Recording, wanted: Interface | None) -> Iterator[tuple[
 
 
 @dataclass
-class Piece:
+class PacketPiece:
     """A packet, a sub-package, or a stretch of bytes that is neither.
 
     Attributes:
@@ -159,7 +221,7 @@ class Piece:
     title: str
     layout: str | None = None
     rows: list[Row] = field(default_factory=list)
-    parts: list[Piece] = field(default_factory=list)
+    parts: list[PacketPiece] = field(default_factory=list)
     error: str | None = None
 
     def as_json(self) -> dict[str, Any]:
@@ -204,7 +266,7 @@ class Piece:
             yield from _dump(self.data, self.offset)
 
 
-def dissect(data: bytes, interface: Interface, firmware: Firmware | None) -> Iterator[Piece]:
+def dissect(data: bytes, interface: Interface, firmware: Firmware | None) -> Iterator[PacketPiece]:
     """Every byte of `data`, in order."""
     said = firmware
     for stretch in cut(data, interface):
@@ -220,39 +282,39 @@ def dissect(data: bytes, interface: Interface, firmware: Firmware | None) -> Ite
             yield piece
 
 
-def _stray(stretch: Stretch, interface: Interface, firmware: Firmware | None) -> Piece:
+def _stray(stretch: Stretch, interface: Interface, firmware: Firmware | None) -> PacketPiece:
     """Bytes that are no whole packet."""
     if stretch.expected is None:
-        return Piece(stretch.offset, stretch.data, "no packet", error="these bytes belong to no packet")
+        return PacketPiece(stretch.offset, stretch.data, "no packet", error="these bytes belong to no packet")
     cut_off = f"cut off: expected {stretch.expected} bytes, got {len(stretch.data)}"
     if interface != "realtime" and stretch.data[4] == 16:
         piece = _robot_state(stretch.data, stretch.offset, firmware)
         piece.error = cut_off
         return piece
-    return Piece(stretch.offset, stretch.data, "beginning of a packet", error=cut_off)
+    return PacketPiece(stretch.offset, stretch.data, "beginning of a packet", error=cut_off)
 
 
-def _realtime(stretch: Stretch, firmware: Firmware | None) -> Piece:
+def _realtime(stretch: Stretch, firmware: Firmware | None) -> PacketPiece:
     try:
         (state,) = decode(stretch.data, "realtime", firmware)
     except PacketError as error:
-        return Piece(stretch.offset, stretch.data, "RealtimeState", error=str(error))
+        return PacketPiece(stretch.offset, stretch.data, "RealtimeState", error=str(error))
     return _decoded(state, stretch.data, stretch.offset)
 
 
-def _package(data: bytes, offset: int, firmware: Firmware | None) -> tuple[Piece, State | None]:
+def _package(data: bytes, offset: int, firmware: Firmware | None) -> tuple[PacketPiece, State | None]:
     if data[4] == 16:
         return _robot_state(data, offset, firmware), None
     try:
         state = PackageDecoder(firmware).decode(data)
     except PacketError as error:
-        return Piece(offset, data, f"package of type {data[4]}", error=str(error)), None
+        return PacketPiece(offset, data, f"package of type {data[4]}", error=str(error)), None
     return _decoded(state, data, offset), state
 
 
-def _robot_state(data: bytes, offset: int, firmware: Firmware | None) -> Piece:
+def _robot_state(data: bytes, offset: int, firmware: Firmware | None) -> PacketPiece:
     """A robot state, decoded one sub-package at a time, so that a bad one does not hide the others."""
-    piece = Piece(offset, data, RobotState.__name__)
+    piece = PacketPiece(offset, data, RobotState.__name__)
     decoder = PackageDecoder(firmware)
     piece.rows = list(header_rows(PACKAGE, data))
     at = 5
@@ -260,14 +322,14 @@ def _robot_state(data: bytes, offset: int, firmware: Firmware | None) -> Piece:
         size = int.from_bytes(data[at : at + 4], "big")
         if len(data) - at < 5 or not 5 <= size <= len(data) - at:
             cut_off = f"no whole sub-package: expected {size} bytes, got {len(data) - at}"
-            piece.parts.append(Piece(offset + at, data[at:], "rest", error=cut_off))
+            piece.parts.append(PacketPiece(offset + at, data[at:], "rest", error=cut_off))
             break
         part = data[at : at + size]
         try:
             # As if it were the only sub-package of a robot state.
             state = decoder.decode(PACKAGE.pack(size=5 + size, type=16) + part)
         except PacketError as error:
-            piece.parts.append(Piece(offset + at, part, f"sub-package of type {part[4]}", error=str(error)))
+            piece.parts.append(PacketPiece(offset + at, part, f"sub-package of type {part[4]}", error=str(error)))
         else:
             assert isinstance(state, RobotState)
             piece.parts.append(_decoded(state.packages[0], part, offset + at))
@@ -278,10 +340,10 @@ def _robot_state(data: bytes, offset: int, firmware: Firmware | None) -> Piece:
     return piece
 
 
-def _decoded(state: State, data: bytes, offset: int) -> Piece:
+def _decoded(state: State, data: bytes, offset: int) -> PacketPiece:
     layout = state._layout
     first = None if layout.first == (0, 0) else version_text(layout.first)
-    return Piece(offset, data, type(state).__name__, first, list(state.dissect()))
+    return PacketPiece(offset, data, type(state).__name__, first, list(state.dissect()))
 
 
 def _row_lines(row: Row, start: int) -> Iterator[str]:

@@ -23,8 +23,7 @@ from ..interfaces.primary.robot_state import RobotModeData, RobotState
 from ..interfaces.realtime.packets import RealtimeState
 from ..robot import Robot, connect
 from ..rtde import OUTPUTS
-from .options import Subparsers, add_address, add_command, seconds
-from .tap import Tap
+from .options import Subparsers, Tap, add_address, add_command, seconds
 
 __all__ = ["add_parser"]
 

@@ -17,10 +17,8 @@ from ..decoding import INTERFACES
 from ..interfaces.primary.robot_state import RobotState
 from ..interfaces.realtime.packets import RealtimeState
 from ..robot import Robot, connect
-from .fields import NoSuchField, getter
-from .options import Subparsers, add_address, add_command, positive_int, seconds
-from .tap import Tap
-from .values import as_json, as_line, as_text, plain
+from .options import Subparsers, Tap, add_address, add_command, positive_int, seconds
+from .values import NoSuchField, as_json, as_line, as_text, getter, plain
 
 __all__ = ["add_options", "add_parser", "echo", "kind_of", "shower"]
 

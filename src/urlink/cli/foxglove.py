@@ -5,18 +5,20 @@ from __future__ import annotations
 import argparse
 import contextlib
 import time
+from collections.abc import Callable, Sequence
+from typing import Any
 
-from linkcore.cli.interruption import Interruption
+from linkcore.cli.program import Interruption
 from linkcore.errors import LocalError, WrongPeer
-from linkcore.streaming.events import ConnectionState
+from linkcore.streaming.connection_life import ConnectionState
+from linkcore.streaming.stream import Stream
 
 from ..data.foxglove_server import FoxgloveServer, RobotView
 from ..kinematics import Arm
 from ..robot import Robot, connect
-from .options import Subparsers, add_address, add_command, positive_number, seconds
-from .tap import tell
+from .options import Subparsers, add_address, add_command, positive_number, seconds, tell
 
-__all__ = ["add_parser"]
+__all__ = ["add_parser", "keep_showing"]
 
 _DESCRIPTION = """\
 Serve a robot to Foxglove: connect it to the WebSocket that is printed, and add a 3D panel for the arm, plots
@@ -59,24 +61,37 @@ def run(args: argparse.Namespace) -> int:
         RemoteError: the robot cannot be connected to, a stream gave up, or the port cannot be listened on.
         LocalError: the extra is not installed.
     """
-    until = float("inf") if args.duration is None else time.monotonic() + args.duration
     with (
         FoxgloveServer(args.address, args.host, args.port) as server,
         connect(args.address, timeout=args.connect_timeout) as robot,
         contextlib.closing(RobotView(robot.realtime, robot.primary, arm_of(robot), server)) as view,
-        Interruption() as interruption,
     ):
         tell(f"{args.address} is at {server.address}; Ctrl-C ends it")
-        streams = (robot.realtime, robot.primary)
+        keep_showing(view.show, (robot.realtime, robot.primary), args.rate, args.duration)
+    return 0
+
+
+def keep_showing(
+    show: Callable[[], object], streams: Sequence[Stream[Any]], rate: float, duration: float | None
+) -> None:
+    """Call `show` `rate` times a second, until interrupted, until all `streams` are closed, or for `duration` seconds.
+
+    Raises:
+        RemoteError: a stream gave up.
+        Interrupted: by a signal.
+    """
+    until = float("inf") if duration is None else time.monotonic() + duration
+    with Interruption() as interruption:
         due = time.monotonic()
-        while time.monotonic() < until and not all(each.connection is ConnectionState.CLOSED for each in streams):
-            view.show()
+        while time.monotonic() < until and not (
+            streams and all(each.connection is ConnectionState.CLOSED for each in streams)
+        ):
+            show()
             for stream in streams:
                 if stream.failure is not None:
                     raise stream.failure
             # At absolute times: the rate does not depend on how long a round takes.
-            due = max(due + 1 / args.rate, time.monotonic())
+            due = max(due + 1 / rate, time.monotonic())
             if interruption.wait(due - time.monotonic()):
                 break
     interruption.raise_if_any()
-    return 0

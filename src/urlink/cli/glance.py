@@ -1,16 +1,19 @@
-"""What the monitor knows at one moment, to be shown as a picture or as a line."""
+"""What the monitor knows at one moment, to be shown as a picture, or as a line of text where stdout is no terminal."""
 
 from __future__ import annotations
 
 import enum
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from linkcore.streaming.events import ConnectionState
+from linkcore.streaming.connection_life import ConnectionState
 from linkcore.streaming.statistics import StreamStatistics
+from linkcore.text import printable
 
 from .reading import Reading
 
-__all__ = ["Glance", "Status", "rate_text", "status_of"]
+__all__ = ["Glance", "StreamStatus", "age_text", "counted", "line", "rate_text", "status_of"]
 
 #: Data older than this, in seconds, counts as old although the connection stands: five states of the 10 Hz
 #: interfaces, 60 and more of the real-time one.
@@ -19,7 +22,7 @@ FRESH = 0.5
 ENOUGH = 0.95
 
 
-class Status(enum.Enum):
+class StreamStatus(enum.Enum):
     """State of a stream in one word: whether the values that are shown are current."""
 
     CONNECTING = "CONNECTING"
@@ -37,7 +40,7 @@ def status_of(
     reading: Reading | None,
     rate: float | None = None,
     usual: float | None = None,
-) -> Status:
+) -> StreamStatus:
     """The status of a stream.
 
     Args:
@@ -48,16 +51,16 @@ def status_of(
         usual: states per second that the controller sends; None where that is not known.
     """
     if connection is ConnectionState.CLOSED:
-        return Status.ENDED
+        return StreamStatus.ENDED
     if connection is ConnectionState.CONNECTED:
         if reading is None:
-            return Status.WAITING
+            return StreamStatus.WAITING
         if not has_latest or reading.age > FRESH:
-            return Status.SILENT
+            return StreamStatus.SILENT
         is_slow = rate is not None and usual is not None and rate < ENOUGH * usual
-        return Status.SLOW if is_slow else Status.CONNECTED
+        return StreamStatus.SLOW if is_slow else StreamStatus.CONNECTED
     # A lost connection that is being tried again is still lost.
-    return Status.CONNECTING if reading is None else Status.LOST
+    return StreamStatus.CONNECTING if reading is None else StreamStatus.LOST
 
 
 @dataclass(frozen=True)
@@ -78,7 +81,7 @@ class Glance:
 
     robot: str
     address: str
-    status: Status
+    status: StreamStatus
     reading: Reading | None
     stats: StreamStatistics
     rate: float | None = None
@@ -89,12 +92,50 @@ class Glance:
     @property
     def is_fresh(self) -> bool:
         """Whether the reading is current."""
-        return self.status in (Status.CONNECTED, Status.SLOW)
+        return self.status in (StreamStatus.CONNECTED, StreamStatus.SLOW)
 
 
 def rate_text(glance: Glance) -> str:
     """The rate, and what it should be where it is too low: "111.0 of 500 Hz"."""
     if glance.rate is None:
         return "- Hz"
-    of = f" of {glance.usual:g}" if glance.status is Status.SLOW else ""
+    of = f" of {glance.usual:g}" if glance.status is StreamStatus.SLOW else ""
     return f"{glance.rate:.1f}{of} Hz"
+
+
+def line(glance: Glance, clock: str) -> str:
+    """One line with the most important values; old values are marked as old."""
+    parts = [f"{clock} {glance.status.value}", printable(glance.robot)]
+    reading, stats = glance.reading, glance.stats
+    if glance.is_fresh:
+        parts.append(rate_text(glance))
+    elif glance.trouble is not None and glance.status is not StreamStatus.ENDED:
+        parts.append(printable(glance.trouble))
+    if reading is None:
+        parts.append("no state yet")
+    else:
+        parts.append(f"age {age_text(reading.age)}" if glance.is_fresh else f"OLD DATA, {age_text(reading.age)}")
+        if reading.q is not None:
+            parts.append(f"q {_vector([math.degrees(value) for value in reading.q], 1)} deg")
+        if reading.pose is not None:
+            parts.append(f"tool {_vector(reading.pose[:3], 3)} m")
+        modes = (("robot", reading.robot_mode), ("safety", reading.safety_mode), ("program", reading.program))
+        parts += [f"{name} {printable(mode)}" for name, mode in modes if mode is not None]
+    return " | ".join([*parts, counted(stats)])
+
+
+def counted(stats: StreamStatistics) -> str:
+    """What a stream has counted, short; "-" where packets have no clock by which one can be missed."""
+    missed = "-" if stats.missed is None else stats.missed
+    return f"received {stats.received} missed {missed} failed {stats.failed} reconnects {stats.reconnects}"
+
+
+def age_text(seconds: float) -> str:
+    """An age, short: ``2 ms``, ``3.4 s``, ``12 min``."""
+    if seconds < 1.0:
+        return f"{seconds * 1000:.0f} ms"
+    return f"{seconds:.1f} s" if seconds < 600.0 else f"{seconds / 60:.0f} min"
+
+
+def _vector(values: Sequence[float], digits: int) -> str:
+    return " ".join(f"{value:.{digits}f}" for value in values)

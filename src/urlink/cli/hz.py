@@ -17,9 +17,8 @@ from ..decoding import INTERFACES
 from ..interfaces.primary.robot_state import RobotState
 from ..interfaces.realtime.packets import RealtimeState
 from ..robot import connect
-from .options import Subparsers, add_address, add_command, add_interface, positive_int, seconds
-from .plain import counted
-from .tap import Tap
+from .glance import counted
+from .options import Subparsers, Tap, add_address, add_command, add_interface, positive_int, seconds
 
 __all__ = ["add_parser", "line", "measure"]
 

@@ -10,10 +10,10 @@ import sys
 from collections.abc import Iterator
 from typing import get_args
 
-from linkcore.cli.interruption import Interruption
+from linkcore.cli.program import Interruption
 from linkcore.errors import LocalError
 
-from ..motion.jog import FrameName, Jog
+from ..motion.jog import FULL_SPEED, FrameName, Jog
 from ..robot import Robot, connect
 from .options import Subparsers, add_address, add_command, seconds
 
@@ -40,8 +40,6 @@ _EXAMPLES = (
 
 #: Keys that move each of the six one way, and the other way.
 _FORWARD, _BACKWARD = b"123456", b"qwerty"
-#: rad/s, m/s and rad/s at full speed: the defaults of the vendor's `movej` and `movel`.
-_JOINT_SPEED, _TOOL_SPEED, _TURN_SPEED = 1.05, 0.25, 0.8
 #: Fractions of full speed: the slowest; the factor of each + and -.
 _SLOWEST, _FACTOR = 0.01, 1.5
 #: Bytes that end it: x, Ctrl-C if the terminal sends it as a byte, Ctrl-D.
@@ -124,7 +122,7 @@ class _Hand:
         elif key in _FORWARD or key in _BACKWARD:
             which = max(_FORWARD.find(key), _BACKWARD.find(key))
             speeds = [0.0] * 6
-            speeds[which] = self._full_speed(which) * self._part * (1.0 if key in _FORWARD else -1.0)
+            speeds[which] = FULL_SPEED[self._frame][which] * self._part * (1.0 if key in _FORWARD else -1.0)
             jog.move(speeds)
         elif key == b" ":
             jog.stop()
@@ -136,14 +134,9 @@ class _Hand:
             names = get_args(FrameName)
             self._frame = names[(names.index(self._frame) + 1) % len(names)]
 
-    def _full_speed(self, which: int) -> float:
-        if self._frame == "joints":
-            return _JOINT_SPEED
-        return _TOOL_SPEED if which < 3 else _TURN_SPEED
-
     def _tell(self) -> None:
         unit = "rad/s" if self._frame == "joints" else "m/s"
-        print(f"{self._frame}: {self._full_speed(0) * self._part:.3f} {unit}", flush=True)
+        print(f"{self._frame}: {FULL_SPEED[self._frame][0] * self._part:.3f} {unit}", flush=True)
 
 
 @contextlib.contextmanager

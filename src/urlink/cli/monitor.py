@@ -11,21 +11,20 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from linkcore.cli.interruption import Interruption
+from linkcore.cli.program import Interruption
 from linkcore.errors import LinkError, LinkTimeout
-from linkcore.streaming.events import ConnectionEvent, ConnectionState
+from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from linkcore.streaming.stream import Stream
 
 from ..address import RecordingAddress, SimulatorAddress, parse_address
 from ..interfaces.primary.robot_message import RobotMessage, UnnamedMessage12, VersionMessage
 from ..robot import Robot, connect
-from .glance import Glance, Status, status_of
+from .glance import Glance, StreamStatus, line, status_of
 from .options import Subparsers, add_address, add_command, add_interface, seconds
-from .plain import line
 from .reading import Reading, read
 from .values import as_text
 
-__all__ = ["add_parser", "watch"]
+__all__ = ["add_parser", "watch", "with_motion"]
 
 _DESCRIPTION = """\
 Watch a robot: joints, tool, modes, inputs and outputs, and how regularly its data arrives.
@@ -60,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         RemoteError: the robot cannot be connected to, or no state came.
     """
-    with connect(_with_motion(args.address), timeout=args.connect_timeout) as robot:
+    with connect(with_motion(args.address), timeout=args.connect_timeout) as robot:
         glances = watch(robot, args.interface)
         next(glances)  # connects: an error is printed before anything is drawn
         show, pause = _painter(args.plain)
@@ -69,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
             _await_first(glances, interruption, until)
             while True:
                 glance = next(glances)
-                over = glance.status is Status.ENDED or (until is not None and time.monotonic() >= until)
+                over = glance.status is StreamStatus.ENDED or (until is not None and time.monotonic() >= until)
                 # Once more at the end, so that the last values stay on the screen.
                 draw(glance)
                 if over or interruption.wait(_next(pause, until)):
@@ -84,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _with_motion(address: str) -> str:
+def with_motion(address: str) -> str:
     """The address; that of a simulated arm which says nothing of its motion with the demonstration, to have a view."""
     place = parse_address(address)
     if not isinstance(place, SimulatorAddress) or place.motion is not None:
@@ -98,7 +97,7 @@ def _await_first(glances: Iterator[Glance], interruption: Interruption, until: f
     deadline = deadline if until is None else min(deadline, until)
     while time.monotonic() < deadline:
         glance = next(glances)
-        if glance.reading is not None or glance.status is Status.ENDED or interruption.wait(0.01):
+        if glance.reading is not None or glance.status is StreamStatus.ENDED or interruption.wait(0.01):
             break
 
 

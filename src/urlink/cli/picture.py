@@ -15,8 +15,7 @@ from rich.text import Text
 
 from linkcore.text import printable
 
-from .glance import Glance, Status, rate_text
-from .plain import age_text
+from .glance import Glance, StreamStatus, age_text, rate_text
 from .reading import Reading
 
 __all__ = ["WIDTH", "Picture"]
@@ -32,15 +31,15 @@ _BAR = 25
 _LABEL = "bright_black"
 _VALUE = "default"
 _STATUS = {
-    Status.CONNECTING: "black on yellow",
-    Status.WAITING: "black on yellow",
-    Status.CONNECTED: "bold black on green",
-    Status.SLOW: "bold black on yellow",
-    Status.SILENT: "bold black on yellow",
-    Status.LOST: "bold white on red",
-    Status.ENDED: "black on white",
+    StreamStatus.CONNECTING: "black on yellow",
+    StreamStatus.WAITING: "black on yellow",
+    StreamStatus.CONNECTED: "bold black on green",
+    StreamStatus.SLOW: "bold black on yellow",
+    StreamStatus.SILENT: "bold black on yellow",
+    StreamStatus.LOST: "bold white on red",
+    StreamStatus.ENDED: "black on white",
 }
-_BORDER = {Status.CONNECTED: "cyan", Status.LOST: "red", Status.ENDED: "white"}
+_BORDER = {StreamStatus.CONNECTED: "cyan", StreamStatus.LOST: "red", StreamStatus.ENDED: "white"}
 _GOOD = {"RUNNING", "NORMAL", "PLAYING", "FREEDRIVE", "BACKDRIVE"}
 _CALM = {"IDLE", "STOPPED", "PAUSED", "PAUSING", "STOPPING", "RESUMING", "POWER_OFF", "POWER_ON", "BOOTING", "REDUCED"}
 _CALM |= {"READY", "INITIALIZING", "INITIALISATION", "MOTOR_INITIALISATION", "NO_POWER", "DISCONNECTED"}
@@ -77,14 +76,14 @@ class Picture:
             text.append(f"   {rate_text(glance)}", "bold")
             text.append("   age ", _LABEL).append(age_text(glance.reading.age))
             return text
-        if glance.status is Status.ENDED:
+        if glance.status is StreamStatus.ENDED:
             warning = "the recording is over; these are its last values"
         elif glance.reading is None:
             warning = "no state has come yet"
         else:
             warning = f"OLD DATA, {age_text(glance.reading.age)}"
-        text.append(f"  {warning}", "bold red" if glance.status is Status.LOST else "bold yellow")
-        if glance.trouble is not None and glance.status is not Status.ENDED:
+        text.append(f"  {warning}", "bold red" if glance.status is StreamStatus.LOST else "bold yellow")
+        if glance.trouble is not None and glance.status is not StreamStatus.ENDED:
             text.append(f"  {printable(glance.trouble)}", _LABEL)
         return text
 

@@ -6,18 +6,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from linkcore.stamp import Stamp
+from linkcore.clock import Stamp
 from linkcore.wire.packet import State
 
 from ..interfaces.enums import AnalogDomain
 from ..interfaces.primary.robot_state import MasterboardData, RobotModeData, RobotState, ToolData
 from ..interfaces.realtime.packets import RealtimeState
 
-__all__ = ["Analog", "Reading", "read"]
+__all__ = ["AnalogSignal", "Reading", "read"]
 
 
 @dataclass(frozen=True)
-class Analog:
+class AnalogSignal:
     """One analogue input or output; `place` is "in", "tool" or "out"."""
 
     place: str
@@ -53,7 +53,7 @@ class Reading:
     speed_scaling: float | None = None
     digital_inputs: int | None = None
     digital_outputs: int | None = None
-    analog: tuple[Analog, ...] = ()
+    analog: tuple[AnalogSignal, ...] = ()
 
     @property
     def age(self) -> float:
@@ -138,7 +138,7 @@ def _program(mode: RobotModeData) -> str:
     return "PLAYING" if mode.is_program_running else "STOPPED"
 
 
-def _analog(board: MasterboardData | None, tool: ToolData | None) -> tuple[Analog, ...]:
+def _analog(board: MasterboardData | None, tool: ToolData | None) -> tuple[AnalogSignal, ...]:
     found = []
     if board is not None:
         found += [
@@ -158,7 +158,7 @@ def _analog(board: MasterboardData | None, tool: ToolData | None) -> tuple[Analo
     return tuple(found)
 
 
-def _one(place: str, value: float, domain: AnalogDomain) -> Analog:
+def _one(place: str, value: float, domain: AnalogDomain) -> AnalogSignal:
     if domain == AnalogDomain.CURRENT:
-        return Analog(place, value * 1000.0, "mA")
-    return Analog(place, value, "V" if domain == AnalogDomain.VOLTAGE else "?")
+        return AnalogSignal(place, value * 1000.0, "mA")
+    return AnalogSignal(place, value, "V" if domain == AnalogDomain.VOLTAGE else "?")

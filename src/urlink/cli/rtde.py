@@ -20,8 +20,7 @@ from ..interfaces.rtde.recipes import Outputs
 from ..robot import Robot, connect
 from ..rtde import INPUTS, OUTPUTS, OutputStream, Variable
 from .hz import measure
-from .options import Subparsers, add_address, add_command, positive_int, seconds
-from .tap import Tap, tell
+from .options import Subparsers, Tap, add_address, add_command, positive_int, seconds, tell
 from .values import as_json, as_text, plain
 
 __all__ = ["add_parser"]

@@ -6,14 +6,13 @@ import argparse
 import sys
 from pathlib import Path
 
-from linkcore.cli.interruption import Interruption
+from linkcore.cli.program import Interruption
 from linkcore.errors import BadValue, LinkError, LinkTimeout
 from linkcore.text import printable
 
 from ..errors import ScriptError
 from ..robot import Robot, connect
-from .options import Subparsers, add_address, add_command, seconds
-from .tap import tell
+from .options import Subparsers, add_address, add_command, seconds, tell
 
 __all__ = ["add_parser"]
 

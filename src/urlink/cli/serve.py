@@ -10,14 +10,13 @@ import time
 from collections.abc import Iterable, Mapping
 from typing import Protocol, get_args
 
-from linkcore.cli.interruption import Interruption
+from linkcore.cli.program import Interruption
 from linkcore.errors import BadAddress, LocalError
 
 from ..address import RobotAddress, SimulatorAddress, parse_address
 from ..commanding.interlock import Policy
 from ..robot import Robot, connect
-from .options import Subparsers, add_command, seconds
-from .tap import tell
+from .options import Subparsers, add_command, seconds, tell
 
 __all__ = ["GROUP", "Adapter", "add_parser", "named"]
 

@@ -7,11 +7,10 @@ import time
 from pathlib import Path
 from typing import get_args
 
-from linkcore.cli.interruption import Interruption
+from linkcore.cli.program import Interruption
 
 from ..address import Motion
-from .options import Subparsers, add_command, seconds
-from .tap import tell
+from .options import Subparsers, add_command, seconds, tell
 
 __all__ = ["add_parser"]
 

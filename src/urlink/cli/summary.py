@@ -8,11 +8,10 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from linkcore.errors import PacketError, WrongPeer
-from linkcore.progress import Progress
-from linkcore.recording.file import Kind, Record, Recording
+from linkcore.recording.file import Kind, Progress, Record, RecordingFile
 from linkcore.text import printable
 from linkcore.wire.cycles import Missing
-from linkcore.wire.protocol import PacketProtocol
+from linkcore.wire.framing import PacketProtocol
 
 from ..interfaces.primary.protocol import PrimaryProtocol
 from ..interfaces.realtime.protocol import RealtimeProtocol
@@ -20,14 +19,14 @@ from ..interfaces.rtde.protocol import RtdeProtocol
 from ..interfaces.rtde.recipes import Outputs
 from ..rtde.outputs import recorded_plan
 
-__all__ = ["Channel", "Summary", "summarise"]
+__all__ = ["ChannelSummary", "Summary", "summarise"]
 
 #: A gap is a silence of at least so many usual periods, and at least so many seconds.
 _GAP_PERIODS, _GAP_SECONDS = 5, 0.05
 
 
 @dataclass
-class Channel:
+class ChannelSummary:
     """One interface in a recording.
 
     Attributes:
@@ -76,7 +75,7 @@ class Summary:
     is_complete: bool
     left_out: int
     duration: float
-    channels: list[Channel]
+    channels: list[ChannelSummary]
 
     def as_json(self) -> dict[str, Any]:
         """The summary as values for JSON."""
@@ -93,12 +92,12 @@ class Summary:
         return "\n".join(lines)
 
 
-def _as_json(channel: Channel) -> dict[str, Any]:
+def _as_json(channel: ChannelSummary) -> dict[str, Any]:
     missing = None if channel.missing is None else channel.missing._asdict()
     return {**asdict(channel), "missing": missing}
 
 
-def _channel_lines(channel: Channel) -> list[str]:
+def _channel_lines(channel: ChannelSummary) -> list[str]:
     robot = f"{channel.model or 'unknown arm'}, firmware {channel.firmware or 'unknown'}, {channel.address or '-'}"
     lines = [f"{printable(channel.name)}: {printable(robot)}"]
     if channel.started is None:
@@ -133,7 +132,7 @@ def _counted(count: int, noun: str) -> str:
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
-def summarise(recording: Recording, progress: Progress | None = None) -> Summary:
+def summarise(recording: RecordingFile, progress: Progress | None = None) -> Summary:
     """Read a recording from beginning to end.
 
     Args:
@@ -163,7 +162,7 @@ class _Reader:
 
     def __init__(self, info: dict[str, Any]) -> None:
         said = {key: None if info.get(key) is None else str(info[key]) for key in ("address", "firmware", "model")}
-        self.channel = Channel(info["name"], said["address"], said["firmware"], said["model"])
+        self.channel = ChannelSummary(info["name"], said["address"], said["firmware"], said["model"])
         self.first: float | None = None
         self.last = 0.0
         self._info = info

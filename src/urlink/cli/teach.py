@@ -8,7 +8,7 @@ import select
 import sys
 from collections.abc import Iterator
 
-from linkcore.cli.interruption import Interruption
+from linkcore.cli.program import Interruption
 from linkcore.errors import BadValue, LocalError
 
 from ..motion.taught import Taught, TaughtPoint

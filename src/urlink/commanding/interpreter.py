@@ -16,18 +16,18 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from linkcore.arguments import check_callable, check_seconds, check_wait
-from linkcore.callbacks import CallbackThread
 from linkcore.errors import Cancelled, Closed, ConnectionLost, LinkError, LinkTimeout, LocalError, RemoteError
 from linkcore.handle import Lifecycle
 from linkcore.net.dialogue import Dialogue
 from linkcore.net.recall import Recall, TakeBack
 from linkcore.net.transport import TcpTransport
-from linkcore.wire.version import Since
+from linkcore.threads import CallbackThread
+from linkcore.wire.fields import Since
 
 from ..errors import NotRunning, SafetyStop, StatementDiscarded
 from ..firmware import Firmware
-from ..interfaces.interpreter.protocol import InterpreterProtocol, parse_reply, statement_line
-from ..services import refusal_hint
+from ..interfaces.interpreter import InterpreterProtocol, parse_reply, statement_line
+from ..ports import refusal_hint
 from ..urscript import programs as scripts
 from .channel import CommandChannel
 from .programs import Programs

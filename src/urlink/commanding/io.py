@@ -7,14 +7,14 @@ value shows after a tenth of a second or so, and is waited for.
 
 from __future__ import annotations
 
-from typing import NamedTuple, TypeVar
+from typing import Literal, NamedTuple, TypeVar
 
-from linkcore.errors import LinkError, LinkTimeout
+from linkcore.errors import LinkError, LinkTimeout, LocalError
 from linkcore.streaming.stream import Stream
 
 from ..foreign_names import AnswersForeignNames
 from ..interfaces.enums import AnalogDomain
-from ..interfaces.primary.robot_state import MasterboardData, RobotState, ToolData
+from ..interfaces.primary.robot_state import MasterboardData, RobotState, ToolCommunicationInfo, ToolData
 from ..interfaces.realtime.packets import RealtimeState
 from ..urscript import commands
 from ..urscript.commands import CONFIGURABLE, STANDARD, TOOL, DigitalBank
@@ -109,6 +109,48 @@ class IO(AnswersForeignNames):
         """Supply the tool with 0, 12 or 24 V."""
         echo = Echo(ToolData, lambda tool: tool.tool_output_voltage, lambda value: value == volts)
         self._settings.apply(commands.secondary(commands.tool_voltage(volts)), "the voltage of the tool", echo, confirm)
+
+    def set_tool_communication(
+        self,
+        enabled: bool = True,
+        *,
+        baud_rate: int = 115200,
+        parity: Literal["none", "odd", "even"] = "none",
+        stop_bits: int = 1,
+        rx_idle_chars: float = 1.5,
+        tx_idle_chars: float = 3.5,
+        confirm: float | None = 1.0,
+    ) -> None:
+        """Set the RS485 line in the tool connector of an e-Series, which takes the place of the tool's analogue inputs.
+
+        Args:
+            enabled: the line is in use.
+            baud_rate: Bd: 9600, 19200, 38400, 57600, 115200, 1, 2 or 5 million.
+            parity: of each byte.
+            stop_bits: 1 or 2.
+            rx_idle_chars: characters of silence after which what was received is handed over, 1 to 40.
+            tx_idle_chars: characters of silence before what is sent, 0 to 40.
+            confirm: seconds within which the robot has to show it; None does not wait.
+
+        Raises:
+            BadValue: a value that the line cannot have; nothing was sent.
+            LocalError: a controller without such a line.
+            NotRunning, NotConfirmed: as of the other settings.
+        """
+        firmware = self._settings.firmware
+        if not firmware.is_e_series:
+            raise LocalError(f"firmware {firmware} has no serial line in the tool connector; 5.0 is the first that has")
+        wanted = (enabled, baud_rate, commands.PARITIES.get(parity), stop_bits, rx_idle_chars, tx_idle_chars)
+        text = commands.tool_communication(enabled, baud_rate, parity, stop_bits, rx_idle_chars, tx_idle_chars)
+
+        def shown(info: ToolCommunicationInfo) -> tuple[float, ...]:
+            line = (info.is_enabled, info.baud_rate, info.parity, info.stop_bits)
+            return (*line, round(info.rx_idle_chars, 3), round(info.tx_idle_chars, 3))
+
+        # The robot shows them as numbers of 32 bits.
+        rounded = tuple(round(value or 0, 3) for value in wanted)
+        echo = Echo(ToolCommunicationInfo, shown, lambda values: values == rounded)
+        self._settings.apply(commands.secondary(text), "the tool's serial line", echo, confirm)
 
     def set_flag(self, number: int, on: bool) -> None:
         """Set flag 0 to 31, which programs can read; but not the one that lets programs begin (31, see `connect`).
@@ -219,7 +261,7 @@ class IO(AnswersForeignNames):
         return feed.wait(_FIRST_STATE) if newest is None else newest
 
     def _repr_html_(self) -> str:
-        from linkcore.html_view import html_table  # imported here: importing the library stays cheap
+        from linkcore.text import html_table  # imported here: importing the library stays cheap
 
         try:
             board = self._masterboard()

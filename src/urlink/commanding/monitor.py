@@ -11,11 +11,11 @@ from operator import methodcaller
 from queue import Empty, SimpleQueue
 from typing import Any
 
-from linkcore.callbacks import CallbackThread
 from linkcore.clock import monotonic
 from linkcore.errors import LinkError
 from linkcore.streaming.connection import Connection
-from linkcore.streaming.events import ConnectionEvent, ConnectionState
+from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
+from linkcore.threads import CallbackThread
 from linkcore.wire.packet import State
 
 from ..interfaces.primary.robot_message import SafetyModeMessage

@@ -20,14 +20,14 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from linkcore.callbacks import CallbackThread
 from linkcore.clock import monotonic
 from linkcore.errors import Cancelled, Closed, ConnectionLost, LinkError, LinkTimeout
 from linkcore.handle import Lifecycle
 from linkcore.streaming.connection import Connection
-from linkcore.streaming.events import ConnectionEvent, ConnectionState
+from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from linkcore.streaming.subscription import Subscription
 from linkcore.text import printable
+from linkcore.threads import CallbackThread
 from linkcore.wire.packet import State
 
 from ..errors import CompileError, NotRunning, ProgramStopped, SafetyStop, ScriptError, ScriptFailed
@@ -146,6 +146,10 @@ class Programs:
         self._subscriptions: dict[str, list[Subscription]] = {}
         self._mode: RobotModeData | None = None
         self._has_keys = False  # this controller sends key messages
+        #: name of the program that was told to stop, until the controller reports that it has
+        self._stopping: str | None = None
+        #: name of the program that was given up and that the controller may keep, paused by a stop of the robot
+        self._kept: str | None = None
         self._is_closed = False
         monitor.on_close(self._interlock_closed)
         # A text that was sent during the silence may not have arrived yet, and is not to be carried out later.
@@ -214,6 +218,8 @@ class Programs:
                 raise life.error
             run.sent = self._clock()
             self._runs[run.name] = run
+            if not wrapped.is_secondary:
+                self._forget_given_up()  # replaced
             newest = self._newest()
             if newest is not run and newest is not None and not wrapped.is_secondary:
                 # A signal handler has sent it between these lines: it is the later one, though it was sent first.
@@ -232,6 +238,7 @@ class Programs:
         """Stop the program of a life, if it is the newest: one that was sent after it stops it anyway.
 
         Raises:
+            SafetyStop: a stop holds, so no program is taken. It is stopped once the stop is over, if it is still there.
             NotRunning: nothing is known of the robot, so it cannot be stopped from here.
             RemoteError: it could not be told.
         """
@@ -245,9 +252,16 @@ class Programs:
             if newest is not None and newest.life is not life:
                 raise Cancelled(f"{newest.life.name} was sent meanwhile, which stops it anyway")
 
-        name = self._name("urlink_stop")
-        body = programs.stop(_DECELERATION)
-        self._channel.motion(wrapping.program(name, body).text, is_stop=True, claim=claim)
+        self._stopping = newest.name
+        try:
+            self._send_stop(claim)
+        except SafetyStop:
+            self._kept = newest.name
+            raise
+
+    def _send_stop(self, claim: Callable[[], object], *, wait: bool = True) -> None:
+        text = wrapping.program(self._name("urlink_stop"), programs.stop(_DECELERATION)).text
+        self._channel.motion(text, is_stop=True, claim=claim, wait=wait)
 
     @property
     def current(self) -> Lifecycle | None:
@@ -300,6 +314,7 @@ class Programs:
         """Something has happened to the connection."""
         if event.state in (ConnectionState.CONNECTING, ConnectionState.CONNECTED):
             return
+        self._forget_given_up()  # which program the controller has by the next connection is not known
         why = f": {event.error}" if event.error is not None else ""
         for run in self._pending():
             if run.sent < event.received.monotonic:
@@ -315,6 +330,7 @@ class Programs:
             mode = packet.robot_mode_data
             if mode is not None:
                 self._on_mode(mode)
+                self._stop_kept(mode)
         elif isinstance(packet, KeyMessage):
             self._on_key(packet.title.strip(), packet.text.strip("\0 \n"))
         elif isinstance(packet, TextMessage):
@@ -325,6 +341,9 @@ class Programs:
     def _on_key(self, title: str, name: str) -> None:
         run = self._runs.get(name)
         self._has_keys |= title in (_STARTED, _STOPPED)
+        given_up = self._stopping or self._kept
+        if name == given_up if title == _STOPPED else title == _STARTED and name != given_up:
+            self._forget_given_up()  # it has ended, or another has replaced it
         if title == _STARTED and run is not None:
             self._begin(run)
         elif title == _STARTED:
@@ -392,6 +411,23 @@ class Programs:
             elif run.was_seen or run.verdict or self._was_missed(run.begun):
                 self._end(run)
         self._check_time()
+
+    def _stop_kept(self, mode: RobotModeData) -> None:
+        """Stop the program that was given up during a stop, now that the stop is over: `play` would let it go on."""
+        if self._kept is None or self._monitor.refusal(is_stop=True) is not None:
+            return
+
+        def claim() -> None:
+            if self._kept is None:
+                raise Cancelled("it has ended, or was replaced")
+
+        try:
+            if mode.is_program_running or mode.is_program_paused:
+                # Without waiting: this is the reader thread. Where it cannot be sent now, the next state asks again.
+                self._send_stop(claim, wait=False)
+            self._forget_given_up()
+        except LinkError as error:
+            _log.info("%s, which was given up during a stop, was not stopped yet: %s", self._kept, error)
 
     def _was_missed(self, begun: float) -> bool:
         """It was over before a state could show it, and no key message tells: the flag has been down for too long."""
@@ -468,13 +504,20 @@ class Programs:
             # The report of the stop may follow.
             run.is_stopped, run.at = True, self._clock()
 
+    def _forget_given_up(self) -> None:
+        self._stopping = self._kept = None
+
     def _interlock_closed(self, error: LinkError) -> None:
+        if isinstance(error, SafetyStop):
+            self._kept = self._stopping  # the controller may have been stopped before it was told
         for run in self._pending():
             # After a stop begins only what was asked for anew.
             is_held = run.begun is None and run.wrapped.permission is not None and isinstance(error, SafetyStop)
             if run.is_stopped or is_held:
                 run.life.fail(error)
             elif run.is_motion:
+                if isinstance(error, SafetyStop) and not run.wrapped.is_secondary:
+                    self._kept = run.name
                 run.life.fail(NotRunning(f"{error}; {self._what_if(run)}") if isinstance(error, NotRunning) else error)
 
     def _what_if(self, run: _Run) -> str:

@@ -154,7 +154,7 @@ class Safety(AnswersForeignNames):
             raise LinkTimeout(f"not within {timeout:g} s: {why}")
 
     def _repr_html_(self) -> str:
-        from linkcore.html_view import html_table  # imported here: importing the library stays cheap
+        from linkcore.text import html_table  # imported here: importing the library stays cheap
 
         rows: list[tuple[str, object]] = [
             ("motions", "let through" if self.refusal is None else f"refused: {self.refusal}"),

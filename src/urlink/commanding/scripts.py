@@ -8,9 +8,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from linkcore.arguments import check_callable, check_wait
-from linkcore.callbacks import CallbackThread
 from linkcore.errors import BadValue
 from linkcore.handle import Handle, Lifecycle
+from linkcore.threads import CallbackThread
 
 from .channel import CommandChannel
 from .programs import Programs

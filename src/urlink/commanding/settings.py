@@ -3,8 +3,8 @@
 An e-Series controller in local control ignores commands of the network without an error. So each setting that the
 robot shows in its own states is waited for there. By the public layouts of the packets, the real-time state shows the
 payload from 5.10 on, the robot state the offset of the tool from 3.2 on, and in every generation the slider, the
-outputs and the voltage of the tool. Popups and flags show nowhere. That the "speed fraction" of CB2 is its slider is
-not known, and which bits are its tool outputs neither: they are not waited for.
+outputs and the voltage of the tool. Popups, flags and gravity show nowhere. That the "speed fraction" of CB2 is its
+slider is not known, and which bits are its tool outputs neither: they are not waited for.
 """
 
 from __future__ import annotations
@@ -102,11 +102,18 @@ class Settings:
         return self._who.identity.firmware
 
     def payload(
-        self, mass: float, cog: Sequence[float] | None, inertia: Sequence[float] | None, confirm: float | None
+        self,
+        mass: float,
+        cog: Sequence[float] | None,
+        inertia: Sequence[float] | None,
+        confirm: float | None,
+        transition_time: float = 0.0,
     ) -> None:
         """See `Robot.set_payload`."""
         identity = self._who.identity
-        statement = commands.payload(identity.firmware, mass, cog, inertia)
+        statement = commands.payload(identity.firmware, mass, cog, inertia, transition_time)
+        if confirm is not None:
+            confirm = check_number(confirm, "confirm", 1e-3) + transition_time
         for axis, metres in zip("xyz", () if cog is None else cog, strict=False):
             check_number(metres, f"{axis} of the payload's cog", -COG.most, COG.most, COG.unit)
         arm = identity.arm
@@ -141,6 +148,10 @@ class Settings:
         # As matrices: of two rotation vectors that turn the same way, one may go the longer way round.
         echo = Echo(CartesianInfo, shown, lambda values: _close(to_matrix(values), wanted))
         self.apply(text, "the tool centre point", echo if self.firmware >= _SHOWS_TCP else None, confirm)
+
+    def gravity(self, acceleration: Sequence[float]) -> None:
+        """See `Robot.set_gravity`."""
+        self._channel.send(commands.secondary(commands.gravity(acceleration)))
 
     def speed_slider(self, fraction: float, confirm: float | None) -> None:
         """See `Robot.set_speed_slider`."""

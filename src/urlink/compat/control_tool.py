@@ -1,18 +1,54 @@
-"""Tool, payload and kinematics of ur_rtde's control interface."""
+"""Tool, payload and kinematics of ur_rtde's control interface, and what it asks of the controller.
+
+The value of a URScript expression comes from a program that runs beside the one that moves the arm.
+"""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
+from queue import Empty, SimpleQueue
 
-from urlink.kinematics import Unreachable
-from urlink.packets import CartesianInfo
-from urlink.poses import compose
-from urlink.urscript import text
+import urlink
+from linkcore.errors import LinkTimeout
 
-from .asking import ask
+from ..kinematics import Unreachable
+from ..packets import CartesianInfo
+from ..poses import compose
+from ..urscript import text
 from .interface import NotOffered, RtdeInterface, succeeds
 
-__all__ = ["STATE_TIMEOUT", "ControlTool"]
+__all__ = ["STATE_TIMEOUT", "ControlTool", "ask"]
+
+#: Seconds to wait for an answer.
+_TIMEOUT = 5.0
+
+_numbers = itertools.count(1)
+
+
+def ask(robot: urlink.Robot, expression: str) -> str:
+    """The value of an expression, as text that the controller makes of it.
+
+    Raises:
+        SafetyStop, NotRunning: the controller accepts no programs now.
+        CompileError: a function does not exist on this controller.
+        LinkTimeout: no answer within 5 s.
+    """
+    mark = f"urlink answer {next(_numbers)} "
+    answers: SimpleQueue[str] = SimpleQueue()
+
+    def hear(message: urlink.packets.TextMessage) -> None:
+        if message.text.startswith(mark):
+            answers.put(message.text[len(mark) :])
+
+    # Subscribed to the stream and not to the program: a line of text does not say which program sent it.
+    with robot.primary.subscribe(hear, urlink.packets.TextMessage, inline=True):
+        robot.script.run(f'sec urlink_question():\n  textmsg("{mark}", {expression})\nend')
+        try:
+            return answers.get(timeout=_TIMEOUT)
+        except Empty:
+            raise LinkTimeout(f"no answer to {expression} within {_TIMEOUT:g} s") from None
+
 
 #: Seconds to wait for a state.
 STATE_TIMEOUT = 5.0

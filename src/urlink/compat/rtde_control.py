@@ -15,12 +15,10 @@ from linkcore.errors import BadValue
 from urlink.packets import RobotModeData
 from urlink.urscript import text
 
-from .asking import ask
 from .control_blocks import ControlBlocks, Feature
-from .control_moves import LONGEST, AsyncOperationStatus
-from .control_tool import STATE_TIMEOUT
+from .control_moves import LONGEST, AsyncOperationStatus, Path, PathEntry
+from .control_tool import STATE_TIMEOUT, ask
 from .interface import NotOffered, succeeds
-from .paths import Path, PathEntry
 
 __all__ = ["AsyncOperationStatus", "Path", "PathEntry", "RTDEControlInterface"]
 

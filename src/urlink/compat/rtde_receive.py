@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, TextIO, TypeVar
 
 import numpy as np
 
 import urlink
 from linkcore.errors import BadValue, LocalError
-from linkcore.streaming.policy import block
+from linkcore.streaming.packet_queue import block
 from linkcore.streaming.subscription import Subscription
 from urlink.interfaces.enums import SafetyStatusBits
 from urlink.rtde import OutputStream
@@ -35,6 +35,28 @@ _VARIABLES = (
 )
 #: Seconds to wait for a state if there is none: at first, and after a lost connection.
 _TIMEOUT = 5.0
+
+
+_T = TypeVar("_T")
+
+
+def _getter(name: str, convert: Callable[[Any], _T], doc: str) -> Callable[[RTDEReceiveInterface], _T]:
+    """A method that returns the newest value of a variable."""
+
+    def get(self: RTDEReceiveInterface) -> _T:
+        return convert(self._value(name))
+
+    get.__doc__ = doc
+    return get
+
+
+def _vector(value: Any) -> list[float]:
+    values: list[float] = value.tolist()
+    return values
+
+
+def _integers(values: Any) -> list[int]:
+    return [int(value) for value in values]
 
 
 class RTDEReceiveInterface(RtdeInterface):
@@ -105,176 +127,83 @@ class RTDEReceiveInterface(RtdeInterface):
             raise LocalError(f"{name} is not received: it was not requested, or this controller does not have it")
         return value
 
-    def _vector(self, name: str) -> list[float]:
-        values: list[float] = self._value(name).tolist()
-        return values
-
-    def _number(self, name: str) -> float:
-        return float(self._value(name))
-
-    def _integer(self, name: str) -> int:
-        return int(self._value(name))
-
-    def getTimestamp(self) -> float:
-        """Seconds since the controller was started."""
-        return self._number("timestamp")
-
-    def getTargetQ(self) -> list[float]:
-        """Target joint positions, rad."""
-        return self._vector("target_q")
-
-    def getTargetQd(self) -> list[float]:
-        """Target joint speeds, rad/s."""
-        return self._vector("target_qd")
-
-    def getTargetQdd(self) -> list[float]:
-        """Target joint accelerations, rad/s²."""
-        return self._vector("target_qdd")
-
-    def getTargetCurrent(self) -> list[float]:
-        """Target joint currents, A."""
-        return self._vector("target_current")
-
-    def getTargetMoment(self) -> list[float]:
-        """Target joint torques, Nm."""
-        return self._vector("target_moment")
-
-    def getActualQ(self) -> list[float]:
-        """Joint positions, rad."""
-        return self._vector("actual_q")
-
-    def getActualQd(self) -> list[float]:
-        """Joint speeds, rad/s."""
-        return self._vector("actual_qd")
-
-    def getActualCurrent(self) -> list[float]:
-        """Joint currents, A."""
-        return self._vector("actual_current")
-
-    def getJointControlOutput(self) -> list[float]:
-        """Control currents of the joints, A."""
-        return self._vector("joint_control_output")
-
-    def getActualTCPPose(self) -> list[float]:
-        """Pose of the tool in the base frame: m, and rotation vector in rad."""
-        return self._vector("actual_TCP_pose")
-
-    def getActualTCPSpeed(self) -> list[float]:
-        """Speed of the tool in the base frame: m/s and rad/s."""
-        return self._vector("actual_TCP_speed")
-
-    def getActualTCPForce(self) -> list[float]:
-        """Force at the tool: N and Nm."""
-        return self._vector("actual_TCP_force")
-
-    def getTargetTCPPose(self) -> list[float]:
-        """Target pose of the tool in the base frame: m, and rotation vector in rad."""
-        return self._vector("target_TCP_pose")
-
-    def getTargetTCPSpeed(self) -> list[float]:
-        """Target speed of the tool in the base frame: m/s and rad/s."""
-        return self._vector("target_TCP_speed")
-
-    def getActualDigitalInputBits(self) -> int:
-        """Digital inputs: 0 to 7 standard, 8 to 15 configurable, 16 and 17 of the tool."""
-        return self._integer("actual_digital_input_bits")
+    getTimestamp = _getter("timestamp", float, "Seconds since the controller was started.")
+    getTargetQ = _getter("target_q", _vector, "Target joint positions, rad.")
+    getTargetQd = _getter("target_qd", _vector, "Target joint speeds, rad/s.")
+    getTargetQdd = _getter("target_qdd", _vector, "Target joint accelerations, rad/s².")
+    getTargetCurrent = _getter("target_current", _vector, "Target joint currents, A.")
+    getTargetMoment = _getter("target_moment", _vector, "Target joint torques, Nm.")
+    getActualQ = _getter("actual_q", _vector, "Joint positions, rad.")
+    getActualQd = _getter("actual_qd", _vector, "Joint speeds, rad/s.")
+    getActualCurrent = _getter("actual_current", _vector, "Joint currents, A.")
+    getJointControlOutput = _getter("joint_control_output", _vector, "Control currents of the joints, A.")
+    getActualTCPPose = _getter(
+        "actual_TCP_pose", _vector, "Pose of the tool in the base frame: m, and rotation vector in rad."
+    )
+    getActualTCPSpeed = _getter("actual_TCP_speed", _vector, "Speed of the tool in the base frame: m/s and rad/s.")
+    getActualTCPForce = _getter("actual_TCP_force", _vector, "Force at the tool: N and Nm.")
+    getTargetTCPPose = _getter(
+        "target_TCP_pose", _vector, "Target pose of the tool in the base frame: m, and rotation vector in rad."
+    )
+    getTargetTCPSpeed = _getter(
+        "target_TCP_speed", _vector, "Target speed of the tool in the base frame: m/s and rad/s."
+    )
+    getActualDigitalInputBits = _getter(
+        "actual_digital_input_bits",
+        int,
+        "Digital inputs: 0 to 7 standard, 8 to 15 configurable, 16 and 17 of the tool.",
+    )
 
     def getDigitalInState(self, input_id: int) -> bool:
         """One digital input, by its bit in `getActualDigitalInputBits`."""
         return _bit(self.getActualDigitalInputBits(), input_id)
 
-    def getJointTemperatures(self) -> list[float]:
-        """Joint temperatures, °C."""
-        return self._vector("joint_temperatures")
-
-    def getActualExecutionTime(self) -> float:
-        """Execution time of the controller's real-time thread."""
-        return self._number("actual_execution_time")
-
-    def getRobotMode(self) -> int:
-        """Robot mode, a number of `urlink.packets.RobotMode`."""
-        return self._integer("robot_mode")
-
-    def getJointMode(self) -> list[int]:
-        """Mode of each joint, numbers of `urlink.packets.JointMode`."""
-        return [int(mode) for mode in self._value("joint_mode")]
-
-    def getSafetyMode(self) -> int:
-        """Safety mode, a number of `urlink.packets.SafetyMode`."""
-        return self._integer("safety_mode")
-
-    def getActualToolAccelerometer(self) -> list[float]:
-        """(3,) acceleration of the tool, m/s²."""
-        return self._vector("actual_tool_accelerometer")
-
-    def getSpeedScaling(self) -> float:
-        """Speed scaling of the trajectory limiter."""
-        return self._number("speed_scaling")
-
-    def getTargetSpeedFraction(self) -> float:
-        """Target speed fraction: the slider."""
-        return self._number("target_speed_fraction")
+    getJointTemperatures = _getter("joint_temperatures", _vector, "Joint temperatures, °C.")
+    getActualExecutionTime = _getter(
+        "actual_execution_time", float, "Execution time of the controller's real-time thread."
+    )
+    getRobotMode = _getter("robot_mode", int, "Robot mode, a number of `urlink.packets.RobotMode`.")
+    getJointMode = _getter("joint_mode", _integers, "Mode of each joint, numbers of `urlink.packets.JointMode`.")
+    getSafetyMode = _getter("safety_mode", int, "Safety mode, a number of `urlink.packets.SafetyMode`.")
+    getActualToolAccelerometer = _getter("actual_tool_accelerometer", _vector, "(3,) acceleration of the tool, m/s².")
+    getSpeedScaling = _getter("speed_scaling", float, "Speed scaling of the trajectory limiter.")
+    getTargetSpeedFraction = _getter("target_speed_fraction", float, "Target speed fraction: the slider.")
 
     def getSpeedScalingCombined(self) -> float:
         """The scaling of motions: speed scaling times target speed fraction, both of the same package."""
         state = self._stream.latest or self._stream.wait(_TIMEOUT)
         return float(state.speed_scaling * state.target_speed_fraction)
 
-    def getActualMomentum(self) -> float:
-        """Norm of the Cartesian linear momentum."""
-        return self._number("actual_momentum")
-
-    def getActualMainVoltage(self) -> float:
-        """Main voltage of the safety control board, V."""
-        return self._number("actual_main_voltage")
-
-    def getActualRobotVoltage(self) -> float:
-        """Robot voltage (48 V) of the safety control board, V."""
-        return self._number("actual_robot_voltage")
-
-    def getActualRobotCurrent(self) -> float:
-        """Robot current of the safety control board, A."""
-        return self._number("actual_robot_current")
-
-    def getActualJointVoltage(self) -> list[float]:
-        """Joint voltages, V."""
-        return self._vector("actual_joint_voltage")
-
-    def getActualDigitalOutputBits(self) -> int:
-        """Digital outputs: 0 to 7 standard, 8 to 15 configurable, 16 and 17 of the tool."""
-        return self._integer("actual_digital_output_bits")
+    getActualMomentum = _getter("actual_momentum", float, "Norm of the Cartesian linear momentum.")
+    getActualMainVoltage = _getter("actual_main_voltage", float, "Main voltage of the safety control board, V.")
+    getActualRobotVoltage = _getter(
+        "actual_robot_voltage", float, "Robot voltage (48 V) of the safety control board, V."
+    )
+    getActualRobotCurrent = _getter("actual_robot_current", float, "Robot current of the safety control board, A.")
+    getActualJointVoltage = _getter("actual_joint_voltage", _vector, "Joint voltages, V.")
+    getActualDigitalOutputBits = _getter(
+        "actual_digital_output_bits",
+        int,
+        "Digital outputs: 0 to 7 standard, 8 to 15 configurable, 16 and 17 of the tool.",
+    )
 
     def getDigitalOutState(self, output_id: int) -> bool:
         """One digital output, by its bit in `getActualDigitalOutputBits`."""
         return _bit(self.getActualDigitalOutputBits(), output_id)
 
-    def getRuntimeState(self) -> int:
-        """State of the program, a number of `urlink.packets.ProgramState`."""
-        return self._integer("runtime_state")
-
-    def getStandardAnalogInput0(self) -> float:
-        """Standard analogue input 0, A or V."""
-        return self._number("standard_analog_input0")
-
-    def getStandardAnalogInput1(self) -> float:
-        """Standard analogue input 1, A or V."""
-        return self._number("standard_analog_input1")
-
-    def getStandardAnalogOutput0(self) -> float:
-        """Standard analogue output 0, A or V."""
-        return self._number("standard_analog_output0")
-
-    def getStandardAnalogOutput1(self) -> float:
-        """Standard analogue output 1, A or V."""
-        return self._number("standard_analog_output1")
-
-    def getRobotStatus(self) -> int:
-        """Bits of the robot status: 0 power on, 1 program running, 2 teach button, 3 power button."""
-        return self._integer("robot_status_bits")
-
-    def getSafetyStatusBits(self) -> int:
-        """Bits of the safety status, those of `urlink.SafetyStatusBits`."""
-        return self._integer("safety_status_bits")
+    getRuntimeState = _getter("runtime_state", int, "State of the program, a number of `urlink.packets.ProgramState`.")
+    getStandardAnalogInput0 = _getter("standard_analog_input0", float, "Standard analogue input 0, A or V.")
+    getStandardAnalogInput1 = _getter("standard_analog_input1", float, "Standard analogue input 1, A or V.")
+    getStandardAnalogOutput0 = _getter("standard_analog_output0", float, "Standard analogue output 0, A or V.")
+    getStandardAnalogOutput1 = _getter("standard_analog_output1", float, "Standard analogue output 1, A or V.")
+    getRobotStatus = _getter(
+        "robot_status_bits",
+        int,
+        "Bits of the robot status: 0 power on, 1 program running, 2 teach button, 3 power button.",
+    )
+    getSafetyStatusBits = _getter(
+        "safety_status_bits", int, "Bits of the safety status, those of `urlink.SafetyStatusBits`."
+    )
 
     def isProtectiveStopped(self) -> bool:
         """Whether a protective stop holds."""
@@ -284,21 +213,12 @@ class RTDEReceiveInterface(RtdeInterface):
         """Whether an emergency stop holds."""
         return bool(self.getSafetyStatusBits() & SafetyStatusBits.EMERGENCY_STOPPED)
 
-    def getFtRawWrench(self) -> list[float]:
-        """Raw force and torque of the sensor, from 5.9 on: N and Nm."""
-        return self._vector("ft_raw_wrench")
-
-    def getPayload(self) -> float:
-        """Mass of the payload, kg, from 3.11 and 5.5.1 on."""
-        return self._number("payload")
-
-    def getPayloadCog(self) -> list[float]:
-        """(3,) centre of gravity of the payload, m."""
-        return self._vector("payload_cog")
-
-    def getPayloadInertia(self) -> list[float]:
-        """(6,) inertia of the payload, kg m², from 3.15 and 5.11 on."""
-        return self._vector("payload_inertia")
+    getFtRawWrench = _getter("ft_raw_wrench", _vector, "Raw force and torque of the sensor, from 5.9 on: N and Nm.")
+    getPayload = _getter("payload", float, "Mass of the payload, kg, from 3.11 and 5.5.1 on.")
+    getPayloadCog = _getter("payload_cog", _vector, "(3,) centre of gravity of the payload, m.")
+    getPayloadInertia = _getter(
+        "payload_inertia", _vector, "(6,) inertia of the payload, kg m², from 3.15 and 5.11 on."
+    )
 
     def getOutputIntRegister(self, output_id: int) -> int:
         """Output integer register, 0 to 47 by its own number."""

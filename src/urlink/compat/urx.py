@@ -261,8 +261,7 @@ class Robot:
 
     def set_gravity(self, vector: Sequence[float]) -> None:
         """Set gravity: (3,) m/s² in the base frame, a vector that points up."""
-        values = six([*vector, 0.0, 0.0, 0.0], "vector")[:3].tolist()
-        self._robot.script.run(f"sec urlink_gravity():\n  set_gravity({values})\nend", wait=True)
+        self._robot.set_gravity(vector)
 
     def set_digital_out(self, output: int, val: bool) -> None:
         """Switch an output: 0 to 7 of the control box, 8 and 9 of the tool."""

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from linkcore.errors import ConnectFailed
-from linkcore.extras import needs
-from linkcore.recording.topics import Topic
-from linkcore.streaming.policy import drop_oldest
+from linkcore.lazy import needs
+from linkcore.recording.mcap_file import Topic
+from linkcore.streaming.packet_queue import drop_oldest
 from linkcore.streaming.stream import Stream
 from linkcore.wire.packet import State
 

@@ -15,12 +15,11 @@ import numpy as np
 
 from linkcore.errors import BadRecording, LocalError, WrongPeer
 from linkcore.recording.columns import PacketColumns
-from linkcore.recording.mcap_file import McapFile
+from linkcore.recording.mcap_file import McapFile, Topic
 from linkcore.recording.packets import states_of
 from linkcore.recording.recorder import Recorder
 from linkcore.recording.table import Table
-from linkcore.recording.topics import Topic
-from linkcore.streaming.policy import block
+from linkcore.streaming.packet_queue import block
 from linkcore.streaming.stream import Stream
 from linkcore.streaming.subscription import Subscription
 from linkcore.wire.packet import State

@@ -13,18 +13,15 @@ import numpy as np
 
 from linkcore.errors import BadRecording, LocalError, WrongPeer
 from linkcore.plotting import Curves, Plot
-from linkcore.progress import Progress, unseen
 from linkcore.recording.columns import PacketColumns, is_continuous
-from linkcore.recording.exporting import chosen, export
-from linkcore.recording.index import Index
-from linkcore.recording.mcap_file import write_stretches
+from linkcore.recording.file import Kind, Progress, described, unseen
+from linkcore.recording.index import RecordIndex
+from linkcore.recording.mcap_file import Topic, write_stretches
 from linkcore.recording.packets import Channel, Part, read_channel
-from linkcore.recording.records import Kind, described
 from linkcore.recording.table import PeerClock, Table
-from linkcore.recording.table_files import TABLE_WRITERS
-from linkcore.recording.topics import Topic
+from linkcore.recording.table_files import TABLE_WRITERS, chosen, export
+from linkcore.wire.framing import PacketProtocol
 from linkcore.wire.packet import State
-from linkcore.wire.protocol import PacketProtocol
 
 from ..firmware import Firmware
 from ..identity import described_identity
@@ -70,7 +67,7 @@ class Recording:
     def __init__(self, path: str | os.PathLike[str], *, progress: Progress | None = None) -> None:
         self.path = Path(path)
         self._progress = progress or unseen
-        self._index = index = Index(path, self._progress)
+        self._index = index = RecordIndex(path, self._progress)
         self.channels: dict[str, Mapping[str, Any]] = {}
         self._numbers: dict[str, int] = {}
         for record in np.flatnonzero(index.kind == Kind.CHANNEL).tolist():
@@ -348,7 +345,7 @@ class Recording:
         return f"<Recording {self.path}: {streams} of {who}, {self.duration:.3f} s>"
 
     def _repr_html_(self) -> str:
-        from linkcore.html_view import html_table  # imported here: importing the package stays cheap
+        from linkcore.text import html_table  # imported here: importing the package stays cheap
 
         rows = [
             (

@@ -14,9 +14,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from linkcore.recording.cdr import Message
+from linkcore.recording.mcap_file import HEADER, TIME, Message, Topic, definition, table_topic
 from linkcore.recording.table import Table
-from linkcore.recording.topics import HEADER, TIME, Topic, definition, table_topic
 from linkcore.wire.packet import State
 
 from ..interfaces.enums import ReportLevel

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from enum import IntFlag
 
-from linkcore.wire.shapes import OpenInt
+from linkcore.wire.fields import OpenInt
 
 __all__ = [
     "AnalogDomain",

@@ -6,8 +6,7 @@ Sources: docs/protocols/realtime.md and primary.md, sections Framing; docs/proto
 
 from __future__ import annotations
 
-from linkcore.wire.fields import Header
-from linkcore.wire.shapes import Int8ub, Int32sb
+from linkcore.wire.fields import Header, Int8ub, Int32sb
 
 __all__ = [
     "DASHBOARD_GREETING",

@@ -15,11 +15,10 @@ from .. import rigid
 from ..bounds import TURN, check_length, check_rotations
 from ..models import Model
 from ..models import model as model_called
-from ..rigid import FLOATS, ROWS, FloatArray, Functions, Number, Rigid
+from ..rigid import FLOATS, ROWS, FloatArray, MathFunctions, Number, Rigid
 from .closed_form import BRANCHES, wrapped
-from .geometry import Angles, DenavitHartenberg, Geometry, calibrated, chain, flange, jacobian, nominal
+from .geometry import Angles, DenavitHartenberg, Geometry, calibrated, chain, flange, jacobian, nominal, velocity
 from .inverse import around, branches, branches_of_rows, closest, closest_of_rows, distance
-from .velocity import velocity
 
 __all__ = ["Arm", "Unreachable"]
 
@@ -365,7 +364,7 @@ class Arm:
 
     # --- parts ---
 
-    def _flange(self, f: Functions[Number], q: Angles[Number]) -> Rigid[Number]:
+    def _flange(self, f: MathFunctions[Number], q: Angles[Number]) -> Rigid[Number]:
         geometry = self._geometry
         return flange(geometry.lengths, f, q) if geometry.is_nominal else chain(geometry, f, q)[5]
 

@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from ..rigid import FLOATS, ROWS, FloatArray, Functions, Number, Rigid
+from ..rigid import FLOATS, ROWS, FloatArray, MathFunctions, Number, Rigid
 from .geometry import Angles, Lengths
 
 __all__ = ["BRANCHES", "SINGULAR", "SLACK", "solve", "solve_rows", "wrapped"]
@@ -149,7 +149,7 @@ def _wrist(lengths: Lengths, target: Rigid[Number]) -> tuple[Number, Number, Num
     return px - d6 * r02, py - d6 * r12, pz - d6 * r22
 
 
-def _shoulder(f: Functions[Number], d4: float, x5: Number, y5: Number, apart: float = 0.0) -> tuple[Number, Number]:
+def _shoulder(f: MathFunctions[Number], d4: float, x5: Number, y5: Number, apart: float = 0.0) -> tuple[Number, Number]:
     """Joint 1, both solutions: the origin of frame 5 lies d4 off the plane of the arm, on the side of (s1, -c1, 0).
 
     The solutions meet where that origin is d4 from the axis of the base. `apart` keeps them separate there: about
@@ -161,7 +161,7 @@ def _shoulder(f: Functions[Number], d4: float, x5: Number, y5: Number, apart: fl
 
 
 def _plane(
-    f: Functions[Number], d1: float, target: Rigid[Number], q1: Number, x5: Number, y5: Number, z5: Number
+    f: MathFunctions[Number], d1: float, target: Rigid[Number], q1: Number, x5: Number, y5: Number, z5: Number
 ) -> tuple[Number, Number, Number, Number, Number, Number, Number, Number]:
     """Sine and cosine of joint 1; origin of frame 5 in the plane of the arm, from the shoulder; normal in frame 6.
 
@@ -175,7 +175,7 @@ def _plane(
 
 
 def _elbow(
-    f: Functions[Number], a2: float, a3: float, out: Number, up: Number, c3: Number
+    f: MathFunctions[Number], a2: float, a3: float, out: Number, up: Number, c3: Number
 ) -> tuple[tuple[Number, Number], tuple[Number, Number]]:
     """Joints 2 and 3, both branches: two links that reach from the shoulder to the origin of frame 4."""
     s3 = f.sqrt((1.0 - c3) * (1.0 + c3))

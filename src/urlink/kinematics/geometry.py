@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike
 from linkcore.errors import BadValue
 
 from ..models import Model
-from ..rigid import Functions, Number, Rigid, invert
+from ..rigid import MathFunctions, Number, Rigid, Six, invert
 from ..vectors import six
 
 __all__ = [
@@ -44,6 +44,7 @@ __all__ = [
     "flange",
     "jacobian",
     "nominal",
+    "velocity",
 ]
 
 #: d1, a2, a3, d4, d5, d6 in m: all the geometry that a published UR arm has.
@@ -97,7 +98,7 @@ class DhTable(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Link:
+class ArmLink:
     """The transform from one frame to the next: Rz(q + offset) Tz(d) Tx(a) Rx(alpha) Ry(beta).
 
     Attributes:
@@ -137,7 +138,7 @@ class Geometry:
         rows: offset, a, d, cosine and sine of alpha, cosine and sine of beta of each link, for `chain`.
     """
 
-    links: tuple[Link, ...]
+    links: tuple[ArmLink, ...]
     is_nominal: bool
     lengths: Lengths = field(init=False)
     offsets: Angles[float] = field(init=False)
@@ -154,7 +155,7 @@ class Geometry:
     def to_wrist(self) -> Geometry:
         """This arm up to the origin of frame 5, a point on the axis of joint 6; joint 6 turns only its orientation."""
         *links, last = self.links
-        return replace(self, links=(*links, Link(last.offset, 0.0, 0.0, 0.0, 0.0)))
+        return replace(self, links=(*links, ArmLink(last.offset, 0.0, 0.0, 0.0, 0.0)))
 
     @cached_property
     def wrist_in_flange(self) -> Rigid[float]:
@@ -168,7 +169,7 @@ class Geometry:
 def nominal(model: Model) -> Geometry:
     """The geometry that the vendor publishes."""
     table = zip(model.dh_theta.tolist(), model.dh_a.tolist(), model.dh_d.tolist(), model.dh_alpha.tolist(), strict=True)
-    return Geometry(tuple(Link(theta, a, d, alpha, 0.0) for theta, a, d, alpha in table), is_nominal=True)
+    return Geometry(tuple(ArmLink(theta, a, d, alpha, 0.0) for theta, a, d, alpha in table), is_nominal=True)
 
 
 def calibrated(model: Model, table: DenavitHartenberg) -> Geometry:
@@ -182,13 +183,13 @@ def calibrated(model: Model, table: DenavitHartenberg) -> Geometry:
     given = np.stack([six(getattr(table, name), name) for name in names])
     if np.abs(given - [getattr(model, name) for name in names]).max() < _UNCALIBRATED:
         return nominal(model)
-    links: list[Link] = []
+    links: list[ArmLink] = []
     # How far the frame before this link was moved along its z axis, m, and turned about it, rad.
     along, about = 0.0, 0.0
     for i, (theta, a, d, alpha) in enumerate(given.T.tolist()):
         theta, d = theta - about, d - along
         if i not in (1, 2):
-            links.append(Link(_wrapped(theta), a, d, alpha, 0.0))
+            links.append(ArmLink(_wrapped(theta), a, d, alpha, 0.0))
             along = about = 0.0
             continue
         # Along the next axis, to the point that the link reaches without an offset along its own axis.
@@ -197,7 +198,7 @@ def calibrated(model: Model, table: DenavitHartenberg) -> Geometry:
         # As published, the link leads along -x. Its frame was turned by Rz(turn) for this, which is undone at its end.
         turn = math.atan2(-y, -x)
         alpha, beta, about = _hayati(-turn, alpha)
-        links.append(Link(_wrapped(theta + turn), -math.hypot(x, y), 0.0, alpha, beta))
+        links.append(ArmLink(_wrapped(theta + turn), -math.hypot(x, y), 0.0, alpha, beta))
     found = Geometry(tuple(links), is_nominal=False)
     _check_close(model, nominal(model), found)
     return found
@@ -230,7 +231,7 @@ def _check_close(model: Model, published: Geometry, found: Geometry) -> None:
                 )
 
 
-def flange(lengths: Lengths, f: Functions[Number], q: Angles[Number]) -> Rigid[Number]:
+def flange(lengths: Lengths, f: MathFunctions[Number], q: Angles[Number]) -> Rigid[Number]:
     """The flange of a published arm in the base frame.
 
     The product of the six DH matrices has a short form, because joints 2, 3 and 4 turn about parallel axes.
@@ -269,7 +270,7 @@ def flange(lengths: Lengths, f: Functions[Number], q: Angles[Number]) -> Rigid[N
     )
 
 
-def chain(geometry: Geometry, f: Functions[Number], q: Angles[Number]) -> list[Rigid[Number]]:
+def chain(geometry: Geometry, f: MathFunctions[Number], q: Angles[Number]) -> list[Rigid[Number]]:
     """The frames 1 to 6 in the base frame, from the parameters of each link."""
     sin, cos = f.sin, f.cos
     offset, a, d, ca, sa, _, _ = geometry.rows[0]
@@ -336,3 +337,79 @@ def jacobian(frames: list[Rigid[Number]], tool: tuple[Number, Number, Number]) -
         lx, ly, lz = tx - ox, ty - oy, tz - oz
         columns.append((zy * lz - zz * ly, zz * lx - zx * lz, zx * ly - zy * lx, zx, zy, zz))
     return columns
+
+
+def velocity(
+    geometry: Geometry,
+    f: MathFunctions[Number],
+    q: Angles[Number],
+    qd: Angles[Number],
+    point: tuple[Number, Number, Number],
+) -> Six[Number]:
+    """The Jacobian of a point times the joint speeds, at a tenth of its cost: the simulator needs it twice in a cycle.
+
+    Joints 2, 3 and 4 of a published arm turn about parallel axes, and the twists of its links are right angles, so all
+    six axes and a point on each have short formulas.
+
+    Args:
+        geometry: of the arm.
+        f: `FLOATS` for one row of numbers, `ROWS` for arrays.
+        q: joint positions, rad.
+        qd: joint speeds, rad/s.
+        point: a point fixed to the flange, in the base frame, m.
+
+    Returns:
+        In the base frame: velocity of the point in m/s, angular velocity of the flange in rad/s.
+    """
+    if geometry.is_nominal:
+        return _published(geometry.lengths, f, q, qd, point)
+    x, y, z = point
+    ox = oy = 0.0 * qd[0]
+    oz = qd[0]
+    vx, vy, vz = -oz * y, oz * x, 0.0 * qd[0]
+    for speed, (_, _, ax, _, _, ay, _, _, az, px, py, pz) in zip(qd[1:], chain(geometry, f, q)[:5], strict=True):
+        ax, ay, az = speed * ax, speed * ay, speed * az
+        lx, ly, lz = x - px, y - py, z - pz
+        vx, vy, vz = vx + ay * lz - az * ly, vy + az * lx - ax * lz, vz + ax * ly - ay * lx
+        ox, oy, oz = ox + ax, oy + ay, oz + az
+    return vx, vy, vz, ox, oy, oz
+
+
+def _published(
+    lengths: Lengths,
+    f: MathFunctions[Number],
+    q: Angles[Number],
+    qd: Angles[Number],
+    point: tuple[Number, Number, Number],
+) -> Six[Number]:
+    d1, a2, a3, d4, d5, _ = lengths
+    sin, cos = f.sin, f.cos
+    v1, v2, v3, v4, v5, v6 = qd
+    q23 = q[1] + q[2]
+    q234 = q23 + q[3]
+    s1, c1 = sin(q[0]), cos(q[0])
+    s234, c234 = sin(q234), cos(q234)
+    s5, c5 = sin(q[4]), cos(q[4])
+    # Axes: joint 1 is z; joints 2 to 4 are (s1, -c1, 0); then joint 5 and joint 6.
+    ux, uy, uz = c1 * s234, s1 * s234, -c234
+    wx, wy, wz = c5 * s1 - s5 * c1 * c234, -c5 * c1 - s5 * s1 * c234, -s5 * s234
+    # A point on each axis: the base, the shoulder, the elbow, wrist 1; from there along the axes.
+    out2, up2 = a2 * cos(q[1]), d1 + a2 * sin(q[1])
+    out3, up3 = out2 + a3 * cos(q23), up2 + a3 * sin(q23)
+    p4x, p4y, p4z = out3 * c1 + d4 * s1, out3 * s1 - d4 * c1, up3
+    p5x, p5y, p5z = p4x + d5 * ux, p4y + d5 * uy, p4z + d5 * uz
+    # Velocity: angular velocity x point, less the sum over the axes of speed * axis x point on the axis.
+    v234 = v2 + v3 + v4
+    ox = v234 * s1 + v5 * ux + v6 * wx
+    oy = -v234 * c1 + v5 * uy + v6 * wy
+    oz = v1 + v5 * uz + v6 * wz
+    out, up = v3 * out2 + v4 * out3, v2 * d1 + v3 * up2 + v4 * up3
+    x, y, z = point
+    return (
+        oy * z - oz * y + c1 * up - v5 * (uy * p4z - uz * p4y) - v6 * (wy * p5z - wz * p5y),
+        oz * x - ox * z + s1 * up - v5 * (uz * p4x - ux * p4z) - v6 * (wz * p5x - wx * p5z),
+        ox * y - oy * x - out - v5 * (ux * p4y - uy * p4x) - v6 * (wx * p5y - wy * p5x),
+        ox,
+        oy,
+        oz,
+    )

@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from ..rigid import FLOATS, ROWS, FloatArray, Functions, Number, Rigid, Six, product, take
+from ..rigid import FLOATS, ROWS, FloatArray, MathFunctions, Number, Rigid, Six, product, take
 from ..rigid import row as row_of
 from .geometry import Angles, Geometry, chain, jacobian
 
@@ -263,7 +263,9 @@ def refine_anywhere(geometry: Geometry, seed: Angles[float], target: Rigid[float
     return None
 
 
-def error_at(geometry: Geometry, q: Angles[Number], f: Functions[Number], target: Rigid[Number]) -> tuple[Number, ...]:
+def error_at(
+    geometry: Geometry, q: Angles[Number], f: MathFunctions[Number], target: Rigid[Number]
+) -> tuple[Number, ...]:
     """The error of the flange at `q`: distance, m; axis times the sine of the angle; 1 - the cosine of the angle."""
     frames = chain(geometry, f, q)
     vx, vy, vz, wx, wy, wz = _error(frames[5], target)

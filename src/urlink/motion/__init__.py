@@ -2,12 +2,14 @@
 
 from .contact import Contact, ContactMotion
 from .following import TrajectoryFeedback
-from .force_mode import ForceMode
-from .freedrive import Freedrive
+from .force_mode import ForceMode, Freedrive
+from .impedance import Impedance
 from .jog import Jog
 from .motions import Motions
 from .path import PathMotion, Waypoint
+from .point_stream import PointStream
 from .servo import Servo, ServoStatistics
+from .stream_points import PosePoint
 from .taught import TaughtPoint
 from .teaching import Teaching
 from .torque import Torque
@@ -17,9 +19,12 @@ __all__ = [
     "ContactMotion",
     "ForceMode",
     "Freedrive",
+    "Impedance",
     "Jog",
     "Motions",
     "PathMotion",
+    "PointStream",
+    "PosePoint",
     "Servo",
     "ServoStatistics",
     "TaughtPoint",

@@ -13,7 +13,8 @@ from ..commanding.programs import Programs
 from ..commanding.section import Section
 from ..identity import KnownIdentity
 from ..interfaces.realtime.packets import RealtimeState
-from .register_link import RegisterPort
+from .point_registers import PointRegisterLink
+from .register_link import RegisterLink, RegisterPort
 from .reverse import ReversePort
 
 __all__ = ["MotionContext"]
@@ -29,6 +30,7 @@ class MotionContext:
         who: returns the identity of the controller.
         reverse: the port to which its programs connect.
         registers: claims the input registers that are used if programs do not connect.
+        point_registers: those for a program that holds points, which answers in output registers.
         section: of the robot; left while a thread waits.
         clock: returns monotonic seconds.
     """
@@ -38,7 +40,8 @@ class MotionContext:
     realtime: Stream[RealtimeState]
     who: KnownIdentity
     reverse: ReversePort
-    registers: RegisterPort
+    registers: RegisterPort[RegisterLink]
+    point_registers: RegisterPort[PointRegisterLink]
     section: Section
     clock: Callable[[], float] = monotonic
 

@@ -1,7 +1,9 @@
 """A trajectory as a stream of set-points, one per cycle of the controller.
 
 Each real-time state that arrives is answered with the set-point for its own time, a little ahead: the controller's
-clock paces the stream, so it does not matter how this computer's clock runs.
+clock paces the stream, so it does not matter how this computer's clock runs. On the trajectory passes the time of the
+program on the robot (`urlink.motion.controller_clock`): where the speed slider, or what else scales motion, slows that
+down, the set-points are closer together, and the program follows those that it has time for, on the same path.
 
 The distance between two set-points is bounded, also after set-points were missed. While none arrives, the program on
 the robot coasts: it goes on at the speed that came with the last one, ever slower (`urlink.urscript.streaming`). The
@@ -21,9 +23,9 @@ from ..errors import ToleranceExceeded
 from ..interfaces.realtime.packets import RealtimeState
 from ..models import Model
 from ..urscript.links import InputRegisters, ReverseSocket
+from .controller_clock import ProgramClock
 from .following import AHEAD, Following, Tolerances
-from .setpoint_stream import SetpointStream
-from .setpoints import STOP_WORD, WAIT_WORD, Servoing
+from .setpoints import STOP_WORD, WAIT_WORD, Servoing, SetpointStream
 from .trajectory import Trajectory
 
 __all__ = ["Follower"]
@@ -47,17 +49,20 @@ class _Offset(ABC):
         offset: (6,) rad, at first.
         begin: s on the trajectory.
         seconds: until nothing is left of it.
+
+    Attributes:
+        seconds: as given.
     """
 
     def __init__(self, offset: Sequence[float], begin: float, seconds: float) -> None:
         self._offset = list(offset)
         self._begin = begin
-        self._seconds = seconds
+        self.seconds = seconds
 
     def at(self, t: float) -> tuple[list[float], list[float]]:
         """The rest of it at a time, rad, and how fast that changes, rad/s."""
-        share, speed = self._left(1.0 - min(max((t - self._begin) / self._seconds, 0.0), 1.0))
-        return [share * each for each in self._offset], [speed / self._seconds * each for each in self._offset]
+        share, speed = self._left(1.0 - min(max((t - self._begin) / self.seconds, 0.0), 1.0))
+        return [share * each for each in self._offset], [speed / self.seconds * each for each in self._offset]
 
     @abstractmethod
     def _left(self, rest: float) -> tuple[float, float]:
@@ -93,7 +98,9 @@ class Follower(Following):
         servoing: how its set-points are followed.
         model: the arm; None if it is not known.
         delay: s from a state to the one in which the arm is at the set-point that answered it; None for the cycles that
-            a set-point takes to arrive.
+            a set-point takes to arrive. What exceeds these is the lag of ``servoj``, which lasts longer while motion is
+            scaled down (a guess: docs/protocols/urscript.md, Speed scaling).
+        clock: of the trajectory; None for that of the program.
     """
 
     def __init__(
@@ -103,21 +110,23 @@ class Follower(Following):
         servoing: Servoing,
         model: Model | None,
         delay: float | None = None,
+        clock: ProgramClock | None = None,
     ) -> None:
         self._stream = SetpointStream(servoing, model)
         self._cycle = self._stream.cycle
-        super().__init__(trajectory, tolerances, self._cycle)
-        self._delay = AHEAD * self._cycle if delay is None else delay
+        super().__init__(trajectory, tolerances, clock or ProgramClock(self._cycle))
+        self._lag = 0.0 if delay is None else delay - AHEAD * self._cycle
         self.farewell = STOP_WORD
         self._servoing = servoing
-        #: s that have passed on the trajectory, by the controller's clock; None before it began
+        #: s that have passed on the trajectory; None before it began
         self._t: float | None = None
         # What there is once it has begun:
-        #: between the arm and the first point; and between the arm and the trajectory, after set-points were missed
+        #: between the arm and the first point, or its path after a pause; and between the arm and the trajectory, after
+        #: set-points were missed
         self._start: _Fade
         self._gap: _Gap
-        #: the time of the last set-point on the trajectory, s; and the s on it per second with which the program goes
-        #: on
+        #: s: the time of the last set-point on the trajectory; and those on it with which the program goes on in one of
+        #: its own
         self._s: float
         self._pace: float
 
@@ -131,6 +140,17 @@ class Follower(Following):
         offset, speed = self._start.at(t)
         return _sum(q, offset), _sum(qd, speed)
 
+    def resume(self, state: RealtimeState) -> None:
+        """Go on after a pause, from where the arm stands: from the nearest point of the trajectory."""
+        super().resume(state)
+        if self._t is not None:
+            here = state.q_target.tolist()
+            self._t = self._s = s = self._nearest(here, self._s)
+            self._start = _Fade(_difference(here, super().desired(s)[0]), s)
+            self._end = max(self._trajectory.duration, s + self._start.seconds)
+            self._gap, self._pace = _Gap([0.0] * 6, s), 1.0
+            self._stream.begin(here)
+
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
         """The word that answers a state; a second state of the same cycle is not answered.
 
@@ -140,26 +160,34 @@ class Follower(Following):
             ToleranceExceeded: the arm is too far from the trajectory, or no set-point leads back to it within the
                 limits.
         """
-        passed = self._clock.passed(state.time, now)
+        passed, scaled = self._clock.passed(state, now)
+        cycle = self._clock.rate * self._cycle
         if self._t is None:
-            if not self._rest.is_reached(state, now):
+            beginning = self._clock.beginning() if self._rest.is_reached(state, now) else None
+            if beginning is None:
                 return WAIT_WORD
             here = self._check_start(state)
             self._start = _Fade(_difference(here, self._trajectory.q[0].tolist()), 0.0)
             self._stream.begin(here)
-            self._t, self._s, self._pace = 0.0, (AHEAD - 1) * self._cycle, 1.0
+            # One that begins later than by a cycle catches up.
+            self._t, self._s, self._pace = beginning, min(beginning, cycle) + (AHEAD - 1) * cycle, 1.0
             self._gap = _Gap([0.0] * 6, self._s)
         else:
-            self._t += passed
-            self._stream.advance(passed)
+            self._t = self._clock.after(self._t, scaled)
+            self._passed += passed
+            self._stream.advance(passed, scaled)
             if not self._stream.is_due:
                 return b""
-        word = self._next(self._t + AHEAD * self._cycle, now)
-        self._compare(state, self._s - self._delay)
+        word = self._next(self._t + AHEAD * cycle, cycle, now)
+        self._compare(state, self._s - AHEAD * cycle - self._lag)
         return word
 
-    def _next(self, wanted: float, now: float) -> bytes:
-        """The next set-point: for the time `wanted` on the trajectory, or as close to it as the limits allow."""
+    def _next(self, wanted: float, cycle: float, now: float) -> bytes:
+        """The next set-point: for the time `wanted` on the trajectory, or as close to it as the limits allow.
+
+        Args:
+            cycle: s that pass on the trajectory in a cycle of the controller.
+        """
         excess = None
         # If this computer's clock shows that so many cycles cannot have passed, none was missed.
         for missed in (self._stream.missed, 0):
@@ -168,8 +196,8 @@ class Follower(Following):
             gap = self._gap
             if missed:
                 gap = _Gap(_difference(here, self.desired(s)[0]), s)
-            most = min(max(wanted - s, 0.0), _CATCHING_UP * self._cycle)
-            for ahead in (most, min(most, self._cycle), 0.5 * min(most, self._cycle), 0.0):
+            most = min(max(wanted - s, 0.0), _CATCHING_UP * cycle)
+            for ahead in (most, min(most, cycle), 0.5 * min(most, cycle), 0.0):
                 q = _sum(self.desired(s + ahead)[0], gap.at(s + ahead)[0])
                 excess = self._stream.excess(q, now)
                 if excess is None:

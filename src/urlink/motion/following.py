@@ -1,23 +1,29 @@
-"""The common part of both ways to follow a trajectory: the controller's clock, the start, the tolerances, the end.
+"""The common part of both ways to follow a trajectory: its time, the start, the tolerances, the end.
 
 Sans-IO and without a clock: `urlink.motion.linked` passes states and times in.
 """
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
+from linkcore.arguments import check_number
 from linkcore.errors import LinkTimeout
 
 from ..errors import ToleranceExceeded
 from ..interfaces.realtime.packets import RealtimeState
 from ..urscript.links import InputRegisters, ReverseSocket
 from ..vectors import JOINTS, FloatArray
+from .controller_clock import ProgramClock
 from .trajectory import Trajectory
 
-__all__ = ["AHEAD", "ControllerClock", "Following", "Rest", "Tolerances", "TrajectoryFeedback"]
+__all__ = ["AHEAD", "Following", "Rest", "Tolerances", "TrajectoryFeedback"]
 
 #: Cycles from a state to the one in which its set-point takes effect: it is sent within the next cycle, and the program
 #: applies it at the beginning of the one after.
@@ -26,8 +32,10 @@ AHEAD = 2
 _STANDING = 0.02
 #: Seconds that an arm has to come to rest before a trajectory begins.
 _REST_TIMEOUT = 1.5
-#: Seconds by which a state may be quicker than the quickest before it. If it is more, a clock was set.
-_EARLIER = 0.1
+#: Seconds before and after a pause in which the place is searched where the arm stands, and between two places.
+_BEFORE, _BRAKING, _NEARNESS = 0.2, 1.0, 0.004
+#: States whose time on the trajectory is remembered, for feedback that is slow: two seconds at 500 Hz.
+_REMEMBERED = 1024
 
 
 @dataclass(frozen=True)
@@ -36,7 +44,9 @@ class TrajectoryFeedback:
 
     Attributes:
         time: seconds on the controller's clock since the trajectory began.
-        q_desired: rad; what the trajectory says for this time.
+        trajectory_time: seconds on the trajectory, which pass as fast as the robot executes programs: less than `time`
+            after the speed slider was below 100 %, or the program paused.
+        q_desired: rad; what the trajectory says for `trajectory_time`.
         qd_desired: rad/s.
         q_actual: rad; what the controller reports for this time.
         qd_actual: rad/s.
@@ -44,6 +54,7 @@ class TrajectoryFeedback:
     """
 
     time: float
+    trajectory_time: float
     q_desired: FloatArray
     qd_desired: FloatArray
     q_actual: FloatArray
@@ -58,7 +69,7 @@ class Tolerances:
     Attributes:
         path: rad, in any joint, on the way; None for no limit.
         goal: rad, in any joint, at the end.
-        goal_time: seconds after the end within which it has to arrive.
+        goal_time: seconds after the end within which it has to arrive, in the time of the trajectory.
         start: rad, in any joint, between the arm and the first point.
     """
 
@@ -67,46 +78,21 @@ class Tolerances:
     goal_time: float
     start: float
 
+    @classmethod
+    def checked(
+        cls, path_tolerance: float | None, goal_tolerance: float, goal_time: float, start_tolerance: float
+    ) -> Tolerances:
+        """As a user gives them.
 
-class ControllerClock:
-    """Measures how much time passes on the controller, by the times in its states, as far as these are plausible.
-
-    A state cannot come before its time. How long states take to arrive is not known, but the quickest of them gives a
-    bound: a state that would be quicker by more than `_EARLIER` has a wrong time. So states that were delayed, or are
-    read late, may come together, and the time of each counts. This also holds for a simulated controller that was
-    delayed and catches up faster than time passes.
-
-    For a state with no time, or one in the past or too far in the future, this computer's clock counts, with one cycle
-    at least. The states after it are compared with it.
-
-    Args:
-        cycle: seconds of the controller's cycle.
-    """
-
-    def __init__(self, cycle: float) -> None:
-        self._cycle = cycle
-        self._last: tuple[float, float] | None = None
-        #: s from the time of a state to its arrival, each on its own clock: of the quickest; from the first state on
-        self._quickest: float
-
-    def passed(self, time: float, now: float) -> float:
-        """Seconds since the last state; 0 for the first.
-
-        Args:
-            time: of the state, on the controller's clock.
-            now: its arrival, monotonic s.
+        Raises:
+            BadValue: one is no number in its range.
         """
-        last, self._last = self._last, (time, now)
-        way = now - time
-        if last is None:
-            self._quickest = way
-            return 0.0
-        told = time - last[0]
-        if told >= 0.0 and way >= self._quickest - _EARLIER:
-            self._quickest = min(self._quickest, way)
-            return told
-        self._quickest = way
-        return max(now - last[1], self._cycle)
+        return cls(
+            None if path_tolerance is None else check_number(path_tolerance, "path_tolerance", 1e-6, 100.0),
+            check_number(goal_tolerance, "goal_tolerance", 1e-6, 100.0),
+            check_number(goal_time, "goal_time", 0.0, 3600.0),
+            check_number(start_tolerance, "start_tolerance", 1e-6, 1.0),
+        )
 
 
 class Rest:
@@ -137,29 +123,36 @@ class Rest:
 class Following(ABC):
     """A trajectory that is being followed: the base of the two `Dialogue`s that do it.
 
+    Its time is that of the program on the robot (`urlink.motion.controller_clock`).
+
     Args:
         trajectory: what to follow.
         tolerances: how closely.
-        cycle: seconds of the controller's cycle.
+        clock: of the trajectory.
 
     Attributes:
         farewell: the word that ends the program.
         survives_its_program: whether the motion goes on if the program ends before the arm has arrived.
         progress: the fraction that is over.
         is_over: whether the arm has arrived and stands still.
-        began: by the time of states, s: when the trajectory began, or would have had to begin for the arm to be led now
-            to where it is led; None before it began.
     """
 
-    def __init__(self, trajectory: Trajectory, tolerances: Tolerances, cycle: float) -> None:
+    def __init__(self, trajectory: Trajectory, tolerances: Tolerances, clock: ProgramClock) -> None:
         self.farewell = b""
         self.survives_its_program = False
         self.progress = 0.0
         self.is_over = False
-        self.began: float | None = None
+        #: s on the trajectory: its end; later, if a difference is still faded out then
+        self._end = trajectory.duration
         self._trajectory = trajectory
         self._tolerances = tolerances
-        self._clock = ControllerClock(cycle)
+        self._clock = clock
+        #: s: since it began on the controller's clock
+        self._passed = 0.0
+        #: s: the time of a state, those since it began, and those on the trajectory
+        self._times: deque[tuple[float, float, float]] = deque(maxlen=_REMEMBERED)
+        #: s on the trajectory: the point that the program has not passed yet, as far as it reports them
+        self._next_time = math.inf
         self._rest = Rest("the trajectory")
 
     @abstractmethod
@@ -172,6 +165,35 @@ class Following(ABC):
 
     def conclude(self) -> None:  # noqa: B027 -- only one of them has something left to do then
         """Handle that the program has ended by itself."""
+
+    def resume(self, state: RealtimeState) -> None:
+        """Go on after a pause, from where the arm stands."""
+        self._clock.restart()
+
+    def _nearest(self, q: Sequence[float], t: float) -> float:
+        """s on the trajectory: where it is closest to `q`, (6,) rad, after a pause at `t`.
+
+        The controller has braked on the way from there, and the arm was behind its set-points before.
+        """
+        times = np.clip(np.arange(t - _BEFORE, t + _BRAKING, _NEARNESS), min(t, 0.0), self._trajectory.duration)
+        places = np.array([self._trajectory.sample(each)[0] for each in times.tolist()])
+        return float(times[np.square(places - q).sum(1).argmin()])
+
+    def times(self, time: float) -> tuple[float, float] | None:
+        """For a state of the time `time`: s since the trajectory began, and s on the trajectory.
+
+        None before it began, and for a state older than those that are remembered. From any thread.
+        """
+        after = None
+        for n in range(1, len(self._times) + 1):
+            at, passed, t = self._times[-n]
+            if at <= time:
+                if after is None:
+                    return passed + time - at, min(t + self._clock.rate * (time - at), max(t, self._next_time))
+                share = (time - at) / (after[0] - at)
+                return passed + time - at, t + share * (after[2] - t)
+            after = at, passed, t
+        return None
 
     def desired(self, t: float) -> tuple[list[float], list[float]]:
         """Positions, rad, and velocities, rad/s, that the arm should have at a time."""
@@ -195,10 +217,13 @@ class Following(ABC):
             ToleranceExceeded: the arm is too far away.
         """
         trajectory, tolerances = self._trajectory, self._tolerances
-        self.began = state.time - t
+        if not self._times:
+            self._passed = t
+        if state.time == state.time:  # false for NaN
+            self._times.append((state.time, self._passed, t))
         self.progress = t / trajectory.duration
         actual = state.q_actual.tolist()
-        if t < trajectory.duration:
+        if t < self._end:
             if tolerances.path is not None:
                 _refuse(self.desired(t)[0], actual, tolerances.path, f"{t:.3f} s into its path")
             return
@@ -206,7 +231,7 @@ class Following(ABC):
         is_there = all(abs(g - a) <= tolerances.goal for g, a in zip(goal, actual, strict=True))
         if is_there and stands(state.qd_actual):
             self.is_over = True
-        elif t > trajectory.duration + tolerances.goal_time:
+        elif t > self._end + tolerances.goal_time:
             _refuse(goal, actual, tolerances.goal, f"{tolerances.goal_time:g} s after the end of its path")
             self.is_over = True
 

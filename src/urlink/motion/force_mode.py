@@ -1,4 +1,4 @@
-"""Force mode as a block: the tool yields and presses along some axes, and keeps its position along the others."""
+"""Blocks in which the arm yields: force mode, along some axes, where the tool presses, and freedrive, moved by hand."""
 
 from __future__ import annotations
 
@@ -14,11 +14,10 @@ from ..firmware import Firmware
 from ..urscript import yielding
 from ..vectors import FloatArray, Numbers, six
 from .context import MotionContext
-from .kept_word import KeptWord
 from .linked import Link
-from .linked_block import LinkedBlock
+from .linked_block import KeptWord, LinkedBlock
 
-__all__ = ["ForceMode", "Pressing", "axes_of", "frame_of"]
+__all__ = ["ForceMode", "Freedrive", "Pressing", "axes_of", "frame_of"]
 
 #: N and Nm; no arm exerts more.
 _LARGEST = 1000.0
@@ -154,3 +153,43 @@ def _wrench(wrench: Numbers) -> FloatArray:
     for name, value in zip(_NAMES, values.tolist(), strict=True):
         check_number(value, f"wrench[{name}]", -_LARGEST, _LARGEST, "Nm" if name.startswith("r") else "N")
     return values
+
+
+_NOTHING = (0.0,) * 6
+#: The first releases that have freedrive in a program, and freedrive along selected axes.
+_FREEDRIVE, _AXES = Firmware(3, 0), Firmware(5, 10)
+
+
+class Freedrive(LinkedBlock):
+    """Freedrive while a ``with`` block is open; made by `robot.freedrive`.
+
+    Args:
+        context: the robot.
+        axes: (6,) of the frame that are free; None for all.
+        frame: (6,) pose in the base frame.
+        watchdog: s without a word from this computer after which the robot ends freedrive.
+        open_link: opens the link to the program.
+
+    Raises:
+        BadValue: a number out of range, or no axis is free.
+        LocalError: this firmware has no freedrive, or none along selected axes.
+    """
+
+    def __init__(
+        self,
+        context: MotionContext,
+        axes: tuple[bool, ...] | None,
+        frame: tuple[float, ...],
+        watchdog: float,
+        open_link: Callable[[], Link],
+    ) -> None:
+        firmware = context.who.identity.firmware
+        if firmware < _FREEDRIVE:
+            raise LocalError(f"freedrive is used from firmware {_FREEDRIVE} on, not on {firmware}")
+        if axes is not None and not any(axes):
+            raise BadValue("no axis is free; expected one at least")
+        if axes is not None and firmware < _AXES:
+            raise LocalError(f"firmware {firmware} frees all axes or none; {_AXES} is the first that takes axes")
+        seconds = check_number(watchdog, "watchdog", 0.05, 10.0)
+        body = partial(yielding.freedrive, firmware, axes=axes, frame=frame, watchdog=seconds)
+        super().__init__(context, "freedrive", KeptWord(body, _NOTHING), open_link)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Literal
 
 import numpy as np
@@ -12,8 +12,8 @@ from linkcore.handle import Motion
 from ..bounds import check_speeds
 from ..commanding.section import Section
 from ..interfaces.realtime.packets import RealtimeState
-from ..urscript.jogging import jogging
 from ..urscript.links import InputRegisters, ReverseSocket
+from ..urscript.streaming import jogging
 from ..vectors import FloatArray, Numbers
 from .context import MotionContext
 from .linked import Link, LinkedProgram
@@ -21,10 +21,15 @@ from .linked_block import LinkedBlock
 from .setpoints import STOP_WORD, WAIT_WORD, setpoint
 from .speed_limit import check_joint_speeds
 
-__all__ = ["UNLED", "FrameName", "HeldSpeed", "Jog"]
+__all__ = ["FULL_SPEED", "UNLED", "FrameName", "HeldSpeed", "Jog"]
 
 #: The frame of the six speeds.
 FrameName = Literal["joints", "base", "tool"]
+
+_JOINTS, _TOOL = (1.05,) * 6, (0.25,) * 3 + (0.8,) * 3
+#: What keys and buttons take for the whole speed in each frame, rad/s; m/s and rad/s: the defaults of the vendor's
+#: `movej` and `movel`.
+FULL_SPEED: Mapping[FrameName, tuple[float, ...]] = {"joints": _JOINTS, "base": _TOOL, "tool": _TOOL}
 
 _REST = np.zeros(6)
 #: Seconds for which an arm may go on at a speed that nobody wants any more: the longest time of a speed that is sent as
@@ -71,6 +76,8 @@ class _Jogging:
             turned = rotvec_to_matrix(state.tool_vector_actual[3:])
             speeds = np.concatenate([turned @ speeds[:3], turned @ speeds[3:]])
         return setpoint(speeds.tolist(), _REST.tolist())
+
+    def resume(self, state: RealtimeState) -> None: ...
 
     def conclude(self) -> None: ...
 
@@ -181,6 +188,8 @@ class _Holding:
         """The part of its time that is over."""
         with self._section:
             return 0.0 if self._began is None else (now - self._began) / self._duration
+
+    def resume(self, state: RealtimeState) -> None: ...
 
     def conclude(self) -> None: ...
 

@@ -11,11 +11,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Protocol
+from typing import Any, Protocol
 
 from linkcore.errors import ConnectionLost, LinkError, LocalError
 from linkcore.handle import Lifecycle, Phase
-from linkcore.streaming.policy import latest
+from linkcore.streaming.packet_queue import latest
 from linkcore.streaming.subscription import Subscription
 
 from ..errors import ProgramStopped, ToleranceExceeded
@@ -23,7 +23,8 @@ from ..interfaces.realtime.packets import RealtimeState
 from ..urscript import links
 from ..urscript.links import InputRegisters, ReverseSocket
 from .context import MotionContext
-from .following import ControllerClock, stands
+from .controller_clock import MOVED, ControllerClock, Pause
+from .following import stands
 from .setpoints import dated
 
 __all__ = ["CONNECT_TIMEOUT", "Dialogue", "Link", "LinkedProgram"]
@@ -62,16 +63,19 @@ class Dialogue(Protocol):
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
         """The word that answers a state; raises `LinkError` if the motion cannot go on."""
 
+    def resume(self, state: RealtimeState) -> None:
+        """Go on after a pause: the arm stands where the program has left it, or close to that."""
+
     def conclude(self) -> None:
         """Handle that the program has ended by itself."""
 
 
 class Link(Protocol):
-    """The link to the program: a `ReverseLink`, or a `RegisterLink`. None of its methods waits."""
+    """The link to the program: `ReverseLink`, `RegisterLink` or `PointRegisterLink`. None of its methods waits."""
 
     @property
-    def endpoint(self) -> ReverseSocket | InputRegisters:
-        """Its address or registers, and its token, for the text of the program."""
+    def endpoint(self) -> Any:
+        """Its address or registers, and its token, for the text of the program: of the kind that the dialogue takes."""
 
     @property
     def is_up(self) -> bool:
@@ -101,6 +105,7 @@ class LinkedProgram:
         context: the robot.
         dialogue: decides its words.
         open_link: opens the link to it; may raise `LinkError`.
+        tolerance: rad by which any joint may be away, after a pause, from where the arm came to rest in it.
         on_linked: called, possibly more than once, when the first word has been sent, and when no more words will be
             sent.
     """
@@ -112,6 +117,7 @@ class LinkedProgram:
         dialogue: Dialogue,
         open_link: Callable[[], Link],
         *,
+        tolerance: float = MOVED,
         on_linked: Callable[[], object] = _nothing,
     ) -> None:
         self._life = life
@@ -119,6 +125,7 @@ class LinkedProgram:
         self._dialogue = dialogue
         self._open_link = open_link
         self._on_linked = on_linked
+        self._pause = Pause(life.name, tolerance)
         self._clock = context.clock
         self._link: Link | None = None
         self._subscription: Subscription | None = None
@@ -191,23 +198,32 @@ class LinkedProgram:
             )
             self._life.fail(error, brake=True)
             raise error
-        if silence <= watchdog:
+        if silence <= watchdog and not self._pause.holds:
             self.say(data)
+
+    @property
+    def is_paused(self) -> bool:
+        """Whether the program is paused: it takes no words."""
+        return self._pause.holds
 
     def _transmit(self, data: bytes) -> None:
         if self._life.error is not None:
             raise self._life.error
-        if self._concluded is not None and data != self._dialogue.farewell:
-            return  # composed before another thread ended the program: a register holds its newest word only
+        # Composed before another thread ended the program: a register holds its newest word only. Or before the thread
+        # that stops it for a task that was cancelled has come to do so: nothing follows that task but the stop.
+        if (self._concluded is not None or not self._life.is_wanted) and data != self._dialogue.farewell:
+            return
         assert self._link is not None
         self._link.send(self._dated(data))
 
     def _dated(self, data: bytes) -> bytes:
-        """What the dialogue sends, with the date of the newest state.
+        """What the dialogue sends, with the date of the newest state and the number of pauses.
 
         A program that ends by itself asks for each of its points by number, so they need no date.
         """
-        return dated(data, round(self._passed / self._cycle)) if self._dialogue.farewell else data
+        if not self._dialogue.farewell:
+            return data
+        return dated(data, round(self._passed / self._cycle), self._pause.count)
 
     def finish(self) -> None:
         """End the program; the motion is over once it has ended.
@@ -266,6 +282,12 @@ class LinkedProgram:
             self._life.fail(link.absence(f"it has not within {CONNECT_TIMEOUT:g} s"), brake=True)
 
     def _talk(self, link: Link, state: RealtimeState, now: float) -> None:
+        if self._pause.look(state):
+            # A program that is paused reads nothing: what is sent to it would wait, and be old when it goes on.
+            return
+        if self._pause.is_over:
+            self._pause.is_over = False
+            self._dialogue.resume(state)
         try:
             answer = self._dialogue.step(link.received(), state, now)
             if answer:

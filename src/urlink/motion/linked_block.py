@@ -1,9 +1,13 @@
-"""A motion that lasts as long as a ``with`` block, linked to its program on the robot."""
+"""A motion that lasts as long as a ``with`` block, linked to its program on the robot.
+
+`KeptWord` is the dialogue with a program that runs while words come: the same word answers each state, until it
+changes.
+"""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, InvalidStateError
 from concurrent.futures import TimeoutError as FutureTimeout
 from typing import TYPE_CHECKING
@@ -12,13 +16,16 @@ from linkcore.errors import Closed, LinkError, LinkTimeout, LocalError
 from linkcore.handle import Motion
 from linkcore.realtime import urgent
 
+from ..interfaces.realtime.packets import RealtimeState
+from ..urscript.links import InputRegisters, ReverseSocket
 from .context import MotionContext
 from .linked import Dialogue, Link, LinkedProgram
+from .setpoints import STOP_WORD, WAIT_WORD, setpoint
 
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-__all__ = ["LinkedBlock"]
+__all__ = ["KeptWord", "LinkedBlock", "word"]
 
 #: Seconds to wait for the program to connect if no states come; if they do, `CONNECT_TIMEOUT` ends it before.
 _LONGEST = 6.0
@@ -122,3 +129,47 @@ class LinkedBlock(Motion):
             # Two threads may get here at once.
             with contextlib.suppress(InvalidStateError):
                 self._linked.set_result(None)
+
+
+_NO_SPEEDS = (0.0,) * 6
+
+
+def word(values: Sequence[float]) -> bytes:
+    """Six values, as a program by `urlink.urscript.yielding` reads them."""
+    return setpoint(values, _NO_SPEEDS)
+
+
+class KeptWord:
+    """A dialogue with one such program.
+
+    Args:
+        body: makes the lines of the program, for its link.
+        values: (6,) of the word; None for a word that only shows that this computer is alive.
+
+    Attributes:
+        values: as given; may be set by any thread.
+        is_mute: whether states are no longer answered, because the user's loop sends the words.
+    """
+
+    farewell = STOP_WORD
+    is_over = False
+    survives_its_program = False
+
+    def __init__(
+        self, body: Callable[[ReverseSocket | InputRegisters], list[str]], values: Sequence[float] | None = None
+    ) -> None:
+        self.values = values
+        self.is_mute = False
+        self._body = body
+
+    def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
+        return self._body(link)
+
+    def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
+        if self.is_mute:
+            return b""
+        return WAIT_WORD if self.values is None else word(self.values)
+
+    def resume(self, state: RealtimeState) -> None: ...
+
+    def conclude(self) -> None: ...

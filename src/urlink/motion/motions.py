@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Literal, TypeVar, get_args
+from typing import Any, Literal, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from linkcore.arguments import check_choice, check_number, check_wait
 from linkcore.errors import BadValue, LocalError
-from linkcore.handle import Motion
+from linkcore.handle import Lifecycle, Motion
 
 from ..bounds import JOINT_ACCELERATION, JOINT_SPEED, TOOL_ACCELERATION, TOOL_SPEED, check_pose, check_speeds
 from ..firmware import Firmware
@@ -22,14 +22,17 @@ from ..urscript import programs, yielding
 from ..vectors import FloatArray, Numbers, numbers, six
 from .contact import ContactMotion
 from .context import MotionContext
+from .controller_clock import ProgramClock, ScalingName, end_where_moved
 from .follower import Follower
 from .following import Following, Tolerances, TrajectoryFeedback, stands
-from .force_mode import ForceMode, Pressing, axes_of, frame_of
-from .freedrive import Freedrive
+from .force_mode import ForceMode, Freedrive, Pressing, axes_of, frame_of
+from .impedance import Impedance
 from .jerk_limited import joint_limits
 from .jog import UNLED, FrameName, HeldSpeed, Jog
 from .linked import Link, LinkedProgram
 from .path import PathMotion, Rates, Waypoint, plan, shown_tcp
+from .point_stream import PointStream
+from .register_link import RegisterPort
 from .servo import Servo
 from .setpoints import Servoing
 from .speed_limit import check_joint_speeds, largest_speeds
@@ -89,7 +92,7 @@ class Motions(AnswersForeignNames):
         time: float | None = None,
         wait: bool | float = False,
     ) -> Motion:
-        """Move all joints to a position, in a straight line in joint space.
+        """Move all joints to a position, in a straight line in joint space (URScript: `movej`).
 
         Args:
             q: (6,) rad.
@@ -104,7 +107,9 @@ class Motions(AnswersForeignNames):
         if model is not None:
             model.check_joints(goal)
         body = programs.move_joints(goal.tolist(), *_joint_rates(model, speed, acceleration), _time(time))
-        return _waited(self._upload("move_joints", body, _arriving(goal, lambda state: state.q_actual)), seconds)
+        return _waited(
+            self._upload("move_joints", body, _arriving(goal, lambda state: state.q_actual), has_goal=True), seconds
+        )
 
     def move_linear(
         self,
@@ -115,7 +120,7 @@ class Motions(AnswersForeignNames):
         time: float | None = None,
         wait: bool | float = False,
     ) -> Motion:
-        """Move the tool to a pose in the base frame, in a straight line.
+        """Move the tool to a pose in the base frame, in a straight line (URScript: `movel`).
 
         Args:
             pose: (6,) position in m, and rotation vector in rad.
@@ -129,7 +134,8 @@ class Motions(AnswersForeignNames):
         body = programs.move_linear(goal.tolist(), *_tool_rates(speed, acceleration), _time(time))
         self._check_reach(goal)
         # Only the position of the pose: one rotation has more than one rotation vector.
-        motion = self._upload("move_linear", body, _arriving(goal[:3], lambda state: state.tool_vector_actual[:3]))
+        gauge = _arriving(goal[:3], lambda state: state.tool_vector_actual[:3])
+        motion = self._upload("move_linear", body, gauge, has_goal=True)
         return _waited(motion, seconds)
 
     def move_circular(
@@ -141,7 +147,7 @@ class Motions(AnswersForeignNames):
         *,
         wait: bool | float = False,
     ) -> Motion:
-        """Move the tool along the circle through one pose to another, both in the base frame.
+        """Move the tool along the circle through one pose to another, both in the base frame (`movec`).
 
         Args:
             via: (6,) position in m, and rotation vector in rad, on the way; its orientation has no effect.
@@ -158,7 +164,9 @@ class Motions(AnswersForeignNames):
         self._check_reach(goal)
         # From where the arm is now; if it still moves, it stops not far from here.
         arc = Arc(self._context.state().tool_vector_actual.tolist(), between.tolist(), goal.tolist())
-        motion = self._upload("move_circular", body, lambda state: arc.part(state.tool_vector_actual.tolist()))
+        motion = self._upload(
+            "move_circular", body, lambda state: arc.part(state.tool_vector_actual.tolist()), has_goal=True
+        )
         return _waited(motion, seconds)
 
     def path(
@@ -195,11 +203,11 @@ class Motions(AnswersForeignNames):
         joint_rates = Rates(*_joint_rates(identity.arm, joint_speed, joint_acceleration, "joint_"))
         tool_rates = Rates(*_tool_rates(speed, acceleration))
         planned = plan(list(waypoints), joint_rates, tool_rates, arm, context.state())
-        life = context.programs.life("path")
-        life.brake = lambda: context.programs.stop(life)
+        life = self._life("path")
         motion = PathMotion(life, planned.sections, lambda: context.realtime.latest)
         wrapped = context.programs.own(planned.body)
         context.programs.start(wrapped, life, left_alone=_MAY_GO_ON, on_text=motion._hear)
+        end_where_moved(life, context.realtime)
         return _waited(motion, seconds)
 
     def speed_joints(
@@ -211,7 +219,7 @@ class Motions(AnswersForeignNames):
         link: LinkName = "reverse",
         wait: bool | float = False,
     ) -> Motion:
-        """Move the joints at a speed, and brake after `duration`.
+        """Move the joints at a speed, and brake after `duration` (URScript: `speedj`).
 
         To go on, call it again before: the arm changes from one speed to the next without stopping. If no more calls
         come, because this program has ended or the connection is lost, the robot brakes by itself, after 0.5 s at most:
@@ -243,7 +251,7 @@ class Motions(AnswersForeignNames):
         link: LinkName = "reverse",
         wait: bool | float = False,
     ) -> Motion:
-        """Move the tool at a speed in the base frame, and brake after `duration`; see `speed_joints`.
+        """Move the tool at a speed in the base frame, and brake after `duration` (`speedl`); see `speed_joints`.
 
         Args:
             xd: (6,) m/s, and rad/s about the three axes.
@@ -258,7 +266,7 @@ class Motions(AnswersForeignNames):
         return _waited(motion, seconds)
 
     def stop(self, acceleration: float = 2.0, *, wait: bool | float = False) -> Motion:
-        """Brake all joints, at `acceleration` in rad/s². Done when the arm stands still.
+        """Brake all joints, at `acceleration` in rad/s² (`stopj`). Done when the arm stands still.
 
         An ordinary stop by the controller's program, no substitute for the emergency stop. It is sent whether or not
         `safety.enable()` was called. While a safety stop holds it is refused; the arm stands still then.
@@ -283,10 +291,14 @@ class Motions(AnswersForeignNames):
         watchdog: float = 0.1,
         lookahead_time: float = 0.03,
         gain: float = 300.0,
+        scaling: ScalingName = "follow",
         link: LinkName = "reverse",
         wait: bool | float = False,
     ) -> Motion:
         """Follow a trajectory from where the arm stands.
+
+        Its time passes as fast as the robot executes programs: the speed slider, the controller's own limits and a
+        pause slow it down or stop it, and the arm stays on its path.
 
         Args:
             trajectory: what to follow; its first point is near the arm, and it is at rest at both ends.
@@ -295,8 +307,9 @@ class Motions(AnswersForeignNames):
             path_tolerance: rad by which any joint may be off on the way; None for no limit. The lag of the arm at speed
                 is part of it.
             goal_tolerance: rad by which any joint may be off at the end.
-            goal_time: seconds after the end within which the arm must be there.
-            start_tolerance: rad between any joint and the first point.
+            goal_time: seconds after the end within which the arm must be there, in the time of the trajectory.
+            start_tolerance: rad between any joint and the first point; and after a pause, between any joint and where
+                it had come to rest: further away the motion ends with `ToleranceExceeded`.
             feedback: called with where the arm is and should be, in a thread of its own; may be slow, may raise.
             delay: s by which the arm lags behind its set-points, as `Servo.measure_delay` measures it: set-points are
                 sent so much earlier, and tolerances and feedback are without this lag. None for the two cycles in which
@@ -304,6 +317,9 @@ class Motions(AnswersForeignNames):
             watchdog: seconds without a set-point after which the robot brakes by itself.
             lookahead_time: s, 0.03 to 0.2; how far ``servoj`` looks ahead: more is smoother and lags more. Not on CB2.
             gain: 100 to 2000; how stiffly ``servoj`` follows. Not on CB2.
+            scaling: "ignore" for a trajectory by the controller's clock, whatever the scaling. Below 100 % the arm then
+                lags, leaves its path where it curves, and is led at up to the full speed of its joints to catch up;
+                `path_tolerance` should be set.
             link: how set-points get to the robot: "reverse", over a connection that the robot makes to this computer,
                 or "rtde", over input registers of the robot, so that no connection to this computer is needed; from 3.9
                 and 5.3.
@@ -323,15 +339,13 @@ class Motions(AnswersForeignNames):
         open_link = self._opener(link)
         if low_bandwidth and link == "rtde":
             raise LocalError("low_bandwidth needs link='reverse': the program requests its points over the connection")
+        if low_bandwidth and scaling == "ignore":
+            raise LocalError("low_bandwidth takes no scaling='ignore': the robot interpolates in its own time")
         if low_bandwidth and delay is not None:
             raise LocalError("low_bandwidth takes no delay: the robot is led by its own clock")
-        tolerances = Tolerances(
-            None if path_tolerance is None else check_number(path_tolerance, "path_tolerance", 1e-6, 100.0),
-            check_number(goal_tolerance, "goal_tolerance", 1e-6, 100.0),
-            check_number(goal_time, "goal_time", 0.0, _HOUR),
-            check_number(start_tolerance, "start_tolerance", 1e-6, 1.0),
-        )
+        tolerances = Tolerances.checked(path_tolerance, goal_tolerance, goal_time, start_tolerance)
         servoing = self._servoing(watchdog, lookahead_time, gain)
+        check_choice(scaling, "scaling", get_args(ScalingName))
         model = context.who.identity.arm
         trajectory.check(model)
         state = context.state()
@@ -342,8 +356,9 @@ class Motions(AnswersForeignNames):
         if low_bandwidth:
             following: Following = WaypointServer(trajectory, tolerances, firmware, lookahead_time, gain)
         else:
-            following = Follower(trajectory, tolerances, servoing, model, _delay(delay))
-        return _waited(self._follow(following, feedback, open_link), seconds)
+            clock = ProgramClock(1.0 / firmware.rate, scaling)
+            following = Follower(trajectory, tolerances, servoing, model, _delay(delay), clock)
+        return _waited(self._follow(following, tolerances.start, feedback, open_link), seconds)
 
     def servo(
         self,
@@ -359,7 +374,7 @@ class Motions(AnswersForeignNames):
         gain: float = 300.0,
         link: LinkName = "reverse",
     ) -> Servo:
-        """Set-points for the joints from a loop of your own::
+        """Set-points for the joints from a loop of your own (URScript: `servoj`)::
 
             with robot.motion.servo() as servo:
                 for state in robot.realtime:
@@ -389,6 +404,49 @@ class Motions(AnswersForeignNames):
             check_choice(target_filter, "target_filter", get_args(TargetFilterName))
             limits = joint_limits(self._context.who.identity.arm, speed, acceleration, jerk)
         return Servo(self._context, pace, servoing, self._opener(link), limits, _delay(delay))
+
+    def stream(
+        self,
+        buffer: float = 0.5,
+        *,
+        acceleration: ArrayLike = 10.0,
+        jerk: ArrayLike = 100.0,
+        watchdog: float = 1.0,
+        lookahead_time: float = 0.03,
+        gain: float = 300.0,
+        link: LinkName = "reverse",
+    ) -> PointStream:
+        """Points with times, appended while the arm moves through those before; from 3.4 on::
+
+            with robot.motion.stream() as stream:
+                for q, qd in planner:
+                    stream.append(TrajectoryPoint(q, stream.end + 0.1, qd))
+                stream.wait_until_dry()
+
+        A program on the robot holds the next points and interpolates between them by what they carry, at the robot's
+        own pace: the speed slider slows it down, and this computer may be late by what it holds. Where no point is
+        left, it brakes, and the next points go on from there.
+
+        Args:
+            buffer: s of points that the program holds, at most 256 of them. The arm moves on for so long if this
+                program hangs; the watchdog may end that sooner.
+            acceleration, jerk: rad/s² and rad/s³, of all joints or (6,) of each: of the braking where no point is left,
+                and of the way onto points that came late or replace others.
+            watchdog: seconds without a word from this computer, which answers each state, after which the program
+                brakes and ends.
+            lookahead_time, gain: see `follow`.
+            link: see `follow`. With "rtde" other registers are held than by other motions: `input_int_register_30` to
+                `43` and `input_double_register_24` to `35`; the program reports in `output_int_register_30` to `36`.
+
+        Raises:
+            LocalError: firmware before 3.4, or for registers before 3.9 and 5.3.
+        """
+        arm = self._context.who.identity.arm
+        servoing = self._servoing(check_number(watchdog, "watchdog", 0.1, 2.0), lookahead_time, gain)
+        limits = joint_limits(arm, largest_speeds(arm), acceleration, jerk)
+        seconds = check_number(buffer, "buffer", 0.05, 10.0, "s")
+        opener = self._opener(link, self._context.point_registers)
+        return PointStream(self._context, seconds, limits, servoing, opener)
 
     def jog(
         self,
@@ -454,7 +512,8 @@ class Motions(AnswersForeignNames):
             acceleration: m/s².
             distance: m after which it ends with `NoContact`.
             force: N that are a contact; None for the controller's own detection, and for 20 N if it has none. It must
-                be above the oscillations of the force while the arm accelerates.
+                be above the oscillations of the force while the arm accelerates, and above the force with which the
+                tool presses on what it is led away from: that this force ends is felt as one against the direction.
             retract: go back to where the contact began, which releases the force.
             wait: see `Motions`.
 
@@ -481,10 +540,10 @@ class Motions(AnswersForeignNames):
             force=None if force is None else check_number(force, "force", 1.0, 500.0, "N"),
             retracts=bool(retract),
         )
-        life = context.programs.life("until_contact")
-        life.brake = lambda: context.programs.stop(life)
+        life = self._life("until_contact")
         motion = ContactMotion(life, longest, self._tool_pose)
         context.programs.start(context.programs.own(body), life, left_alone=_MAY_GO_ON, on_text=motion._hear)
+        end_where_moved(life, context.realtime)
         return _waited(motion, seconds)
 
     def force_mode(
@@ -543,7 +602,7 @@ class Motions(AnswersForeignNames):
         watchdog: float = 0.05,
         link: LinkName = "reverse",
     ) -> Torque:
-        """Torques for the joints from a loop of your own, from 5.23 and 10.11 on::
+        """Torques for the joints from a loop of your own (`direct_torque`), from 5.23 and 10.11 on::
 
             with robot.motion.torque() as torque:
                 for state in robot.realtime:
@@ -562,6 +621,57 @@ class Motions(AnswersForeignNames):
             LocalError: this firmware has no direct torque.
         """
         return Torque(self._context, limits, friction_compensation, watchdog, self._opener(link))
+
+    def impedance(
+        self,
+        *,
+        stiffness: ArrayLike | None = None,
+        damping: ArrayLike = 1.0,
+        torque: ArrayLike | None = None,
+        speed: ArrayLike = 1.0,
+        error: ArrayLike = 0.2,
+        friction_compensation: bool = True,
+        watchdog: float = 0.5,
+        link: LinkName = "reverse",
+    ) -> Impedance:
+        """Springs and dampers between the arm and a target, from 5.23 and 10.11 on::
+
+            with robot.motion.impedance(stiffness=[800, 800, 400, 80, 80, 80]) as soft:
+                for q in policy:
+                    soft.send(q)
+
+        The program on the robot computes them in each cycle, and leads the arm evenly from one target to the next,
+        however often they come. Where nothing has been sent, the arm is held where it is. No joint is driven faster
+        than `speed`, nor over the end of its range; a push that is stronger than what brakes it may. At the end the
+        springs are let go of within 0.2 s, and the arm stands.
+
+        Args:
+            stiffness: Nm/rad, of all joints or (6,) of each; 0 for a joint that is only damped. None for that of the
+                vendor's example of impedance control, which it has for UR3e, UR5e and UR10e.
+            damping: ratio, likewise; with 1 a joint would just not swing past its target.
+            torque: Nm of springs and dampers, likewise, up to half of what the joint can exert; None for about those of
+                the vendor's example. A joint that is too fast is braked with up to four times as much.
+            speed: rad/s, likewise; targets are approached with 0.7 of it.
+            error: rad, likewise, by which a spring is stretched at most: beyond, its torque does not grow.
+            friction_compensation: whether the controller compensates the friction of the joints.
+            watchdog: seconds without a word from this computer, which answers each state, after which the robot ends
+                it. It may be longer than your program is ever busy: what the arm does meanwhile is bounded anyway.
+            link: see `follow`.
+
+        Raises:
+            LocalError: this firmware has no direct torque, or the arm is not known.
+        """
+        return Impedance(
+            self._context,
+            stiffness,
+            damping,
+            torque,
+            speed,
+            error,
+            friction_compensation,
+            watchdog,
+            self._opener(link),
+        )
 
     def _freedrive(
         self, axes: Sequence[object] | None, frame: Numbers | str, watchdog: float, link: LinkName
@@ -588,20 +698,30 @@ class Motions(AnswersForeignNames):
             arm = identity.kinematics
             arm.inverse(goal, state.q_target, shown_tcp(arm, state))
 
+    def _life(self, name: str) -> Lifecycle:
+        """Of a motion that the controller executes by itself."""
+        programs = self._context.programs
+        life = programs.life(name)
+        life.brake = lambda: programs.stop(life)
+        return life
+
     def _upload(
         self,
         name: str,
         body: Sequence[str],
         gauge: Callable[[RealtimeState], float] = lambda state: 0.0,
         *,
+        has_goal: bool = False,
         is_stop: bool = False,
         asks: bool = True,
         left_alone: str = _MAY_GO_ON,
     ) -> Motion:
-        """A motion that is one short program: it is sent once, and the controller executes it."""
+        """A motion that is one short program: it is sent once, and the controller executes it.
+
+        After a pause one that has a goal would be led back onto its way to it.
+        """
         context = self._context
-        life = context.programs.life(name)
-        life.brake = lambda: context.programs.stop(life)
+        life = self._life(name)
 
         def measure() -> float:
             state = context.realtime.latest
@@ -610,6 +730,8 @@ class Motions(AnswersForeignNames):
         motion = Motion(life, measure)
         wrapped = context.programs.own(body, asks=asks and not is_stop)
         context.programs.start(wrapped, life, is_stop=is_stop, left_alone=left_alone)
+        if has_goal:
+            end_where_moved(life, context.realtime)
         return motion
 
     def _speed(
@@ -648,21 +770,22 @@ class Motions(AnswersForeignNames):
     def _follow(
         self,
         following: Following,
+        tolerance: float,
         feedback: Callable[[TrajectoryFeedback], object] | None,
         open_link: Callable[[], Link],
     ) -> Motion:
         """A motion whose program receives set-points or points while it runs."""
         life = self._context.programs.life("follow")
         motion = Motion(life, lambda: following.progress)
-        LinkedProgram(life, self._context, following, open_link).begin()
+        LinkedProgram(life, self._context, following, open_link, tolerance=tolerance).begin()
         if feedback is not None:
             # In a queue and a thread of its own: it may be slow, and may raise.
             subscription = self._context.realtime.subscribe(_reporter(following, feedback))
             life.on_end(lambda: subscription.close(0))
         return motion
 
-    def _opener(self, link: LinkName) -> Callable[[], Link]:
-        """The function that opens the link to a program."""
+    def _opener(self, link: LinkName, registers: RegisterPort[Any] | None = None) -> Callable[[], Link]:
+        """The function that opens the link to a program; `registers`: other than those of words of two times six."""
         check_choice(link, "link", get_args(LinkName))
         if link == "reverse":
             return self._context.reverse.open
@@ -671,7 +794,7 @@ class Motions(AnswersForeignNames):
             raise LocalError(
                 f"firmware {firmware} has no input registers for this (3.9 and 5.3 are the first): without link='rtde'"
             )
-        return self._context.registers.open
+        return (registers or self._context.registers).open
 
     def _servoing(self, watchdog: float, lookahead_time: float, gain: float, period: float = 0.0) -> Servoing:
         return Servoing(
@@ -684,7 +807,7 @@ class Motions(AnswersForeignNames):
         )
 
     def _repr_html_(self) -> str:
-        from linkcore.html_view import html_table  # imported here: importing the library stays cheap
+        from linkcore.text import html_table  # imported here: importing the library stays cheap
 
         current = self.current
         now = "no motion runs" if current is None else f"{current!r}, {current.progress:.0%}"
@@ -714,11 +837,10 @@ def _reporter(
     """A callback that reports, for each state, where the arm is and should be."""
 
     def report(state: RealtimeState) -> None:
-        began = following.began
-        if began is not None and not following.is_over and state.time >= began:
-            t = state.time - began
-            q, qd = map(np.array, following.desired(t))
-            feedback(TrajectoryFeedback(t, q, qd, state.q_actual, state.qd_actual, q - state.q_actual))
+        times = following.times(state.time)
+        if times is not None and not following.is_over and times[1] >= 0.0:
+            q, qd = map(np.array, following.desired(times[1]))
+            feedback(TrajectoryFeedback(*times, q, qd, state.q_actual, state.qd_actual, q - state.q_actual))
 
     return report
 

@@ -22,6 +22,7 @@ from linkcore.arguments import check_number
 from linkcore.errors import BadValue
 from linkcore.handle import Lifecycle, Motion
 
+from .. import parameters
 from ..bounds import JOINT_ACCELERATION, JOINT_SPEED, TOOL_ACCELERATION, TOOL_SPEED, check_pose
 from ..interfaces.realtime.packets import RealtimeState
 from ..urscript import programs
@@ -42,7 +43,7 @@ _STEP, _TURN, _MOST_STEPS = 0.005, 0.05, 2000
 #: rad that a joint may turn between two of them if the tool turns in place; more means a singularity.
 _LEAP = 0.5
 #: m that take as long as a turn of 1 rad. A guess.
-_RADIAN = 0.25
+_RADIAN = parameters.number("metres_per_turn")
 #: m; a tool whose centre moves no further turns in place. A pose read from a robot is not more exact.
 _IN_PLACE = 1e-3
 

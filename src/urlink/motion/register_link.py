@@ -7,15 +7,16 @@ which applies a package as a whole in one cycle.
 from __future__ import annotations
 
 import random
+import threading
 from collections.abc import Callable, Mapping
-from typing import Protocol
+from typing import Generic, Protocol, TypeVar
 
-from linkcore.errors import ConnectFailed, ConnectionLost
+from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout
 
 from ..urscript.links import TOKENS, InputRegisters
 from .setpoints import WORD_SIZE, read_word
 
-__all__ = ["NAMES", "Inputs", "RegisterLink", "RegisterPort"]
+__all__ = ["NAMES", "Inputs", "RegisterLink", "RegisterPort", "random_token"]
 
 #: Number of the first float register and of the first integer register: the last twelve and the last four of all are
 #: used, so that others from 24 on are left to users, and those below 24 to fieldbuses. From 3.9 and 5.3 on.
@@ -37,27 +38,53 @@ class Inputs(Protocol):
         """Write them together, without waiting; raises `LinkError` if that fails."""
 
 
-class RegisterPort:
+L = TypeVar("L")
+
+
+class RegisterPort(Generic[L]):
     """Opens register links. The registers are claimed for the first link, and released when the robot is closed.
 
     Args:
         claim: claims RTDE inputs by their names; may raise `LinkError`.
+        timeout: seconds that a claim by another thread is waited for.
+        names: what is claimed.
+        make: makes a link of it.
     """
 
-    def __init__(self, claim: Callable[[tuple[str, ...]], Inputs]) -> None:
-        self._claim = claim
+    def __init__(
+        self,
+        claim: Callable[[tuple[str, ...]], Inputs],
+        timeout: float,
+        names: tuple[str, ...],
+        make: Callable[[Inputs], L],
+    ) -> None:
+        self._claim, self._names, self._make = claim, names, make
+        self._timeout = timeout
+        self._claiming = threading.Lock()
         self._inputs: Inputs | None = None
 
-    def open(self) -> RegisterLink:
-        """The link of the next program.
+    def open(self) -> L:
+        """The link of the next program; it may have to connect.
 
         Raises:
             InputInUse: another client, or a fieldbus, holds one of the registers.
             LinkError: RTDE cannot be used.
         """
-        if self._inputs is None:
-            self._inputs = self._claim(NAMES)
-        return RegisterLink(self._inputs)
+        # A controller gives a register to one connection, so to the first of two threads of this robot only. With a
+        # deadline: a signal handler may come here while the main thread, which it keeps, claims them.
+        if not self._claiming.acquire(timeout=self._timeout):
+            raise LinkTimeout(f"the registers of a link are still being claimed after {self._timeout:g} s")
+        try:
+            if self._inputs is None:
+                self._inputs = self._claim(self._names)
+            return self._make(self._inputs)
+        finally:
+            self._claiming.release()
+
+
+def random_token() -> int:
+    """A token that no register holds by itself: one that was never written holds 0."""
+    return random.SystemRandom().randrange(1, TOKENS)
 
 
 class RegisterLink:
@@ -75,8 +102,7 @@ class RegisterLink:
     """
 
     def __init__(self, inputs: Inputs) -> None:
-        # Registers that were never written hold 0.
-        self.endpoint = InputRegisters(FIRST_FLOAT, FIRST_INTEGER, random.SystemRandom().randrange(1, TOKENS))
+        self.endpoint = InputRegisters(FIRST_FLOAT, FIRST_INTEGER, random_token())
         self.is_up = False
         self._inputs = inputs
         self._count = 0

@@ -16,12 +16,12 @@ from ..urscript.links import InputRegisters, ReverseSocket
 from ..urscript.text import integer
 from ..vectors import JOINTS, Numbers, six
 from .context import MotionContext
-from .filtered_targets import FilteredTargets
+from .controller_clock import ProgramClock, reported_scaling
 from .following import AHEAD
 from .jerk_limited import JointLimit
 from .linked import Link
 from .linked_block import LinkedBlock
-from .paced import PacedSetpoints
+from .paced import FilteredTargets, PacedSetpoints
 from .path import Joint, Linear, Waypoint, shown_tcp
 from .servo_delay import measure
 from .setpoints import STOP_WORD, WAIT_WORD, Servoing, setpoint
@@ -75,20 +75,38 @@ class _Leading:
         self._servoing = servoing
         #: set once, by any thread
         self.paced = paced
+        self._clock = ProgramClock(1.0 / servoing.firmware.rate)
+        #: s by which the program is behind the controller's clock, and when that was measured, monotonic s
+        self._behind = self._at = 0.0
         #: rad; target positions of the arm before the first word
         self.here: list[float] | None = None
         self.has_begun = False
+        #: after a pause: the next set-point is as the first
+        self.begins_anew = False
 
     def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
         return self._servoing.body(link)
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
+        passed, scaled = self._clock.passed(state, now)
+        self._behind, self._at = self._behind + passed - scaled, now
         if self.paced is not None:
             return self.paced.answer(state, now)
         if self.has_begun:
             return b""
         self.here = state.q_target.tolist()
         return WAIT_WORD
+
+    def program_time(self, now: float) -> float:
+        """Monotonic s of which those are left out in which the program stood still, or its part of them."""
+        return now - self._behind - (1.0 - self._clock.rate) * max(now - self._at, 0.0)
+
+    def resume(self, state: RealtimeState) -> None:
+        self._clock.restart()
+        if self.paced is not None:
+            self.paced.resume(state)
+        else:
+            self.here, self.begins_anew = state.q_target.tolist(), self.has_begun
 
     def conclude(self) -> None: ...
 
@@ -138,8 +156,9 @@ class Servo(LinkedBlock):
         Args:
             q: (6,) joint positions, rad. With a target filter, anywhere within the joint limits. Without one, the first
                 must be within 0.05 rad of the target position of the arm, and after that no joint may be led faster
-                than it can move: `urlink.motion.speed_limit` describes what is refused, and how irregular a loop may
-                be.
+                than it can move in the time of the program (`scaling`): `urlink.motion.speed_limit` describes what is
+                refused, and how irregular a loop may be. While the program is paused nothing is sent, and the next
+                set-point after it is as the first.
 
         Raises:
             BadValue: not six finite numbers, too fast, or beyond a limit of the arm; nothing was sent.
@@ -154,9 +173,13 @@ class Servo(LinkedBlock):
         if self._targets is not None:
             self._targets.newest = values
         else:
-            self._check_step(values, now)
+            if self._program.is_paused:
+                return
+            passed = self._dialogue.program_time(now)
+            self._check_step(values, passed)
             self._say(setpoint(values, self._speeds(values, now)), self._servoing.watchdog)
-            self._limit.take(self._last or values, values, now)
+            self._limit.take(self._last if self._last is not None and not self._begins else values, values, passed)
+            self._dialogue.begins_anew = False
         self._count_one(values, now)
 
     def schedule(self, target: Numbers | Joint | Linear, at: float) -> float | None:
@@ -261,6 +284,17 @@ class Servo(LinkedBlock):
         self._last, self._sent_at = values, now
 
     @property
+    def scaling(self) -> float:
+        """The fraction of its speed with which the robot executes programs, 0 to 1, by the newest state.
+
+        A loop of your own lets its own time pass so much slower; otherwise the arm falls behind it.
+
+        Raises:
+            LinkTimeout, RemoteError: no state comes.
+        """
+        return reported_scaling(self._context.state())
+
+    @property
     def stats(self) -> ServoStatistics:
         """How regularly set-points, or targets, were sent; deviations are of the last 50000 intervals."""
         intervals = np.array(self._intervals)
@@ -273,11 +307,16 @@ class Servo(LinkedBlock):
 
     def _speeds(self, values: list[float], now: float) -> list[float]:
         """(6,) rad/s since the last set-point: the program goes on at these if the next one is late."""
-        if self._last is None:
+        if self._last is None or self._begins:
             return [0.0] * 6
         # Two set-points that are sent at once still are for two cycles.
         seconds = max(now - self._sent_at, self._cycle)
         return [(there - here) / seconds for here, there in zip(self._last, values, strict=True)]
+
+    @property
+    def _begins(self) -> bool:
+        """Whether the next set-point is the first, or the first after a pause."""
+        return self._last is None or self._dialogue.begins_anew
 
     def _in_range(self, q: Numbers) -> list[float]:
         values = six(q, "q")
@@ -287,7 +326,7 @@ class Servo(LinkedBlock):
         return plain
 
     def _check_step(self, values: list[float], now: float) -> None:
-        if self._last is not None:
+        if self._last is not None and not self._begins:
             excess = self._limit.excess(self._last, values, now)
             if excess is not None:
                 raise BadValue(excess)

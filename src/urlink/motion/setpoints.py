@@ -1,4 +1,4 @@
-"""The words of the streaming program, and the parameters by which it follows set-points."""
+"""Set-points: the words of the streaming program, how it follows them, and what is sent, one for each cycle."""
 
 from __future__ import annotations
 
@@ -7,14 +7,28 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..firmware import Firmware
+from ..models import Model
 from ..urscript.links import FOLLOW, SCALE, STOP, WAIT, InputRegisters, ReverseSocket, missable
 from ..urscript.streaming import COASTING, streaming
+from .speed_limit import SpeedLimit
 
-__all__ = ["STOP_WORD", "WAIT_WORD", "WORD_SIZE", "Servoing", "dated", "read_word", "setpoint"]
+__all__ = [
+    "STOP_WORD",
+    "WAIT_WORD",
+    "WORD_SIZE",
+    "Servoing",
+    "SetpointStream",
+    "dated",
+    "packed",
+    "read_word",
+    "setpoint",
+]
 
 _WORD = struct.Struct(">13i")
 #: Largest date, as large as 32 bits hold: after 49 days at 500 Hz.
 _LAST_DATE = 0x7FFF_FFFF
+#: The end of a word with a set-point.
+_FOLLOW_BYTES = FOLLOW.to_bytes(4, "big")
 #: Bytes of a word without its date.
 WORD_SIZE = _WORD.size
 
@@ -31,11 +45,24 @@ def setpoint(q: Sequence[float], qd: Sequence[float]) -> bytes:
         q: (6,) rad.
         qd: (6,) rad/s with which the program goes on from there until the next one comes.
     """
-    return _WORD.pack(*[round(each * SCALE) for each in (*q, *qd)], FOLLOW)
+    return packed(q, qd, FOLLOW)
 
 
-def dated(word: bytes, date: int) -> bytes:
-    """A word as it is sent: after it comes its date (`urlink.urscript.links`), cycles."""
+def packed(first: Sequence[float], second: Sequence[float], mode: int) -> bytes:
+    """Two times six numbers and what to do, as a program by `urlink.urscript.links` reads them, without the date."""
+    return _WORD.pack(*[round(each * SCALE) for each in (*first, *second)], mode)
+
+
+def dated(word: bytes, date: int, pauses: int = 0) -> bytes:
+    """A word as it is sent (`urlink.urscript.links`).
+
+    Args:
+        word: what to do is its end.
+        date: cycles; comes after it.
+        pauses: of the program, so far: set-points after a pause are told from those before.
+    """
+    if pauses and len(word) == WORD_SIZE and word.endswith(_FOLLOW_BYTES):
+        word = word.removesuffix(_FOLLOW_BYTES) + (WAIT + pauses).to_bytes(4, "big")
     return word + min(date, _LAST_DATE).to_bytes(4, "big")
 
 
@@ -100,3 +127,69 @@ class Servoing:
             lookahead_time=self.lookahead_time,
             gain=self.gain,
         )
+
+
+class SetpointStream:
+    """The last set-point that was sent, and how far the program on the robot has gone on from it.
+
+    While set-points are missed, that program goes on at the speed that came with the last one, ever slower
+    (`urlink.urscript.streaming`): it coasts. It counts its own cycles, which take longer while motion is scaled down.
+    Other times are those of the controller's clock; `now` is monotonic s here.
+
+    Args:
+        servoing: how set-points are followed.
+        model: the arm, whose joint speeds bound every set-point; None if it is not known.
+
+    Attributes:
+        cycle: s of the controller.
+        q: the last set-point, (6,) rad; empty before `begin`.
+        qd: (6,) rad/s with which the program goes on from there; empty before `begin`.
+    """
+
+    def __init__(self, servoing: Servoing, model: Model | None) -> None:
+        self._servoing = servoing
+        self.cycle = 1.0 / servoing.firmware.rate
+        self._limit = SpeedLimit(model, self.cycle, late=servoing.late)
+        self.q: list[float] = []
+        self.qd: list[float] = []
+        #: s since the last set-point, on the controller's clock and for the program
+        self._since = 0.0
+        self._since_scaled = 0.0
+
+    def begin(self, q: Sequence[float]) -> None:
+        """The arm rests at `q` (6, rad)."""
+        self.q, self.qd, self._since, self._since_scaled = list(q), [0.0] * 6, 0.0, 0.0
+
+    def advance(self, seconds: float, scaled: float) -> None:
+        """Advance the time, by so many s on the controller's clock and so many for the program."""
+        self._since += seconds
+        self._since_scaled += scaled
+
+    @property
+    def is_due(self) -> bool:
+        """Whether the cycle of the last set-point is over, so that the next one may be sent."""
+        return self._since >= 0.5 * self.cycle
+
+    @property
+    def missed(self) -> int:
+        """Cycles of the program without a set-point since the last one."""
+        return max(round(self._since_scaled / self.cycle) - 1, 0)
+
+    def coasted_time(self, missed: int) -> float:
+        """s at the speed of the last set-point in which the arm goes as far as by coasting for `missed` cycles."""
+        return self._servoing.coasting(missed) * self.cycle
+
+    def coasted_to(self, missed: int) -> tuple[list[float], list[float]]:
+        """Positions, rad, and speeds, rad/s, after coasting for `missed` cycles."""
+        seconds, share = self.coasted_time(missed), self._servoing.share(missed)
+        return [a + seconds * b for a, b in zip(self.q, self.qd, strict=True)], [share * each for each in self.qd]
+
+    def excess(self, q: Sequence[float], now: float) -> str | None:
+        """Why a set-point at `q` must not be sent: it is further away than a joint can move; None if it may."""
+        return self._limit.excess(self.q, q, now)
+
+    def send(self, q: list[float], qd: list[float], now: float) -> bytes:
+        """The bytes of a set-point, which becomes the last one."""
+        self._limit.take(self.q, q, now)
+        self.q, self.qd, self._since, self._since_scaled = q, qd, 0.0, 0.0
+        return setpoint(q, qd)

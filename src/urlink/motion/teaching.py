@@ -14,7 +14,7 @@ from linkcore.streaming.stream import Stream
 from ..interfaces.enums import RobotStatusBits
 from ..interfaces.realtime.packets import RealtimeState
 from ..vectors import six
-from .freedrive import Freedrive
+from .force_mode import Freedrive
 from .taught import Taught, TaughtPoint
 
 if TYPE_CHECKING:

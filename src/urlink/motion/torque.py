@@ -9,14 +9,13 @@ from numpy.typing import ArrayLike
 
 from linkcore.arguments import check_number
 from linkcore.errors import BadValue, LocalError
-from linkcore.wire.version import Since
+from linkcore.wire.fields import Since
 
 from ..urscript import yielding
 from ..vectors import JOINTS, six
 from .context import MotionContext
-from .kept_word import KeptWord, word
 from .linked import Link
-from .linked_block import LinkedBlock
+from .linked_block import KeptWord, LinkedBlock, word
 
 __all__ = ["Torque"]
 

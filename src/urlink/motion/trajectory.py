@@ -26,7 +26,7 @@ from linkcore.errors import BadValue
 from ..models import Model
 from ..vectors import JOINTS, FloatArray, numbers, six, six_limits
 from .retiming import retime
-from .trajectory_csv import read_points, write_points
+from .trajectory_files import plot, read_points, write_points
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -373,8 +373,6 @@ class Trajectory:
         Raises:
             LocalError: matplotlib is not installed (``pip install 'urlink[plot]'``).
         """
-        from .trajectory_plot import plot
-
         return plot(self, model)
 
     def _check_ends(self, near: FloatArray, within: float) -> None:

@@ -6,6 +6,8 @@ so points should be further apart in time than an answer takes.
 
 from __future__ import annotations
 
+import math
+
 from linkcore.errors import ConnectionLost
 
 from ..errors import ProgramStopped
@@ -14,6 +16,7 @@ from ..interfaces.realtime.packets import RealtimeState
 from ..urscript import waypoints
 from ..urscript.links import InputRegisters, ReverseSocket
 from ..urscript.text import number
+from .controller_clock import ProgramClock
 from .following import Following, Tolerances
 from .trajectory import Trajectory
 
@@ -36,14 +39,23 @@ class WaypointServer(Following):
     """
 
     def __init__(
-        self, trajectory: Trajectory, tolerances: Tolerances, firmware: Firmware, lookahead_time: float, gain: float
+        self,
+        trajectory: Trajectory,
+        tolerances: Tolerances,
+        firmware: Firmware,
+        lookahead_time: float,
+        gain: float,
     ) -> None:
-        super().__init__(trajectory, tolerances, 1.0 / firmware.rate)
+        super().__init__(trajectory, tolerances, ProgramClock(1.0 / firmware.rate))
+        self._next_time = float(trajectory.time[1])
         self._firmware = firmware
         self._lookahead_time = lookahead_time
         self._gain = gain
         self._line = b""
         self._requests: list[int] = []
+        #: s on the trajectory that the arm has gone on in a pause; and then: when that was, s, and (6,) rad from there
+        self._skipped = 0.0
+        self._resumed: tuple[float, list[float]] | None = None
         self._heard: float | None = None
         self._has_arrived = False
         #: s that have passed on the trajectory; None before it began
@@ -70,9 +82,10 @@ class WaypointServer(Following):
             ProgramStopped: the program has sent something that is no request.
             ToleranceExceeded: the arm is too far from the trajectory.
         """
-        passed = self._clock.passed(state.time, now)
+        passed, scaled = self._clock.passed(state, now)
         if self._t is not None:
-            self._t += passed
+            self._t = min(self._t + scaled, max(self._t, self._next_time))
+            self._passed += passed
         self._read(received, now)
         answers = []
         while self._requests and (answer := self._answer(self._requests[0], state, now)) is not None:
@@ -110,19 +123,49 @@ class WaypointServer(Following):
             return b""
         if request == waypoints.BEAT:
             return b"(1)\r\n"
+        if request == waypoints.HELD:
+            skipped, self._skipped = self._skipped, 0.0
+            return f"({number(1.0 + skipped)})\r\n".encode()
         if request < 0:
             raise ProgramStopped(f"the program on the robot asks for point {request}")
         if request == 0:
             return self._point(0, self._check_start(state)) if self._rest.is_reached(state, now) else None
         if request == 2 and self._t is None:
             # It has received the first point to go to, and moves from now on.
-            self._t = 0.0
+            self._t = self._passed = 0.0
+        elif self._t is not None and request > 2:
+            # It moves to the last but one of the points that it has asked for.
+            time = self._trajectory.time
+            self._t = max(self._t, float(time[request - 3]))
+            # After the last one it asks for nothing more.
+            self._next_time = float(time[request - 2]) if request < len(time) else math.inf
         if request < len(self._trajectory):
             return self._point(request, self._trajectory.q[request].tolist())
         # All points have been sent: the program may end before its last line was read.
         self.survives_its_program = True
         zeros = [0.0] * (waypoints.numbers_of_point(self._trajectory.is_quintic) - 1)
         return _line(waypoints.NO_MORE, zeros)
+
+    def resume(self, state: RealtimeState) -> None:
+        """Go on after a pause, from where the arm stands: the program asks how far on that is."""
+        super().resume(state)
+        self._heard = None
+        if self._t is not None:
+            before = self._t
+            self._t = max(self._nearest(state.q_target.tolist(), before), before)
+            self._skipped = self._t - before
+            q = super().desired(self._t)[0]
+            self._resumed = self._t, [a - b for a, b in zip(state.q_target.tolist(), q, strict=True)]
+
+    def desired(self, t: float) -> tuple[list[float], list[float]]:
+        """Positions, rad, and velocities, rad/s, that the arm should have at a time."""
+        q, qd = super().desired(t)
+        if self._resumed is None:
+            return q, qd
+        began, away = self._resumed
+        faded = min((t - began) / waypoints.FADING, 1.0)
+        left = 1.0 - faded * faded * (3.0 - 2.0 * faded)
+        return [a + left * b for a, b in zip(q, away, strict=True)], qd
 
     def _point(self, index: int, q: list[float]) -> bytes:
         trajectory = self._trajectory

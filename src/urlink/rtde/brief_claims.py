@@ -14,7 +14,7 @@ from linkcore.clock import monotonic
 from linkcore.errors import Closed
 from linkcore.streaming.connection import Connection
 
-from ..interfaces.rtde.protocol import Plan
+from ..interfaces.rtde.protocol import Requests
 from ..interfaces.rtde.recipes import Outputs
 from .shared_registers import Claims
 
@@ -37,7 +37,7 @@ class BriefClaims:
     """
 
     def __init__(
-        self, connect: Callable[[Plan], tuple[Connection, Claims]], clock: Callable[[], float] = monotonic
+        self, connect: Callable[[Requests], tuple[Connection, Claims]], clock: Callable[[], float] = monotonic
     ) -> None:
         self._connect = connect
         self._clock = clock
@@ -79,7 +79,7 @@ class BriefClaims:
 
     def _open(self, names: tuple[str, ...]) -> Claims:
         """Claims on a new connection, which begins with these."""
-        connection, claims = self._connect(Plan(("timestamp",), _HEARTBEAT, inputs=[names]))
+        connection, claims = self._connect(Requests(("timestamp",), _HEARTBEAT, inputs=[names]))
 
         def look(state: Outputs) -> None:
             if self._clock() - self._used > HOLD:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar, overload
 
 from linkcore.arguments import check_choice
 from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError
-from linkcore.streaming.backoff import Backoff
 from linkcore.streaming.connection import Connection
+from linkcore.streaming.connection_life import Backoff
 from linkcore.streaming.receiver import Receiver
 from linkcore.streaming.statistics import StreamCounters
 
@@ -25,7 +25,7 @@ from ..interfaces.rtde.packets import (
     join_names,
     split_names,
 )
-from ..interfaces.rtde.protocol import Plan, RtdeProtocol, RtdeRefused, check_names
+from ..interfaces.rtde.protocol import Requests, RtdeProtocol, RtdeRefused, check_names
 from ..interfaces.rtde.recipes import Outputs
 from ..interfaces.rtde.transport import RtdeTransport
 from ..interfaces.rtde.variables import IN_USE, INPUTS, NOT_FOUND, OUTPUTS
@@ -135,7 +135,7 @@ class Rtde:
         if self.is_recorded:
             return self._recorded(wanted, optional, kind)
         self._check_frequency(frequency)
-        plan = Plan(wanted, frequency, optional, kind=kind)
+        plan = Requests(wanted, frequency, optional, kind=kind)
         connection, transport = self._connection(plan, "rtde")
         stream: OutputStream[Any] = OutputStream(connection, plan, transport)
         self._keep(stream)
@@ -197,10 +197,11 @@ class Rtde:
         self._check_writable()
         wanted = with_masks(names)
         self._brief.give_back()  # a setting of this very robot may have one of them
-        plan = Plan(("timestamp",), _HEARTBEAT, inputs=[wanted])
+        plan = Requests(("timestamp",), _HEARTBEAT, inputs=[wanted])
         connection, transport = self._connection(plan, "rtde inputs")
         inputs = Inputs(connection, transport, wanted, self._source.timeout)
-        self._keep(inputs)
+        self._keep(inputs)  # before it connects: whoever closes the robot meanwhile ends that too
+        inputs._claim()
         return inputs
 
     def registers(self, *, lower: bool = False) -> Registers:
@@ -220,7 +221,7 @@ class Rtde:
         with self._lock:
             claims = self._claims
         if claims is None:
-            plan = Plan(("timestamp",), _HEARTBEAT)
+            plan = Requests(("timestamp",), _HEARTBEAT)
             connection, transport = self._connection(plan, "rtde registers")
             made = Claims(connection, transport, plan, self._source.timeout)
             with self._lock:
@@ -238,7 +239,7 @@ class Rtde:
         self._check_writable()
         return self._brief
 
-    def _connect_briefly(self, plan: Plan) -> tuple[Connection, Claims]:
+    def _connect_briefly(self, plan: Requests) -> tuple[Connection, Claims]:
         connection, transport = self._connection(plan, "rtde settings", timeout=CLAIM_TIMEOUT, backoff=Backoff(tries=0))
         return connection, Claims(connection, transport, plan, CLAIM_TIMEOUT)
 
@@ -289,7 +290,7 @@ class Rtde:
             RemoteError: the controller cannot be reached, does not answer, or answers another number of types.
         """
         until = time.monotonic() + self._source.timeout
-        transport = RtdeTransport(self._source.transport("rtde"), Plan())
+        transport = RtdeTransport(self._source.transport("rtde"), Requests())
         transport.open(self._source.timeout)
         try:
             assert transport.dialogue is not None, "the connection was made"
@@ -310,7 +311,9 @@ class Rtde:
     @staticmethod
     def _replies(transport: RtdeTransport, count: int, until: float) -> list[OutputsReply | InputsReply]:
         """The answers about so many recipes; what else comes is passed over."""
-        receiver = Receiver(transport.name, RtdeProtocol(Plan()), StreamCounters())  # the dialogue's bytes come first
+        receiver = Receiver(
+            transport.name, RtdeProtocol(Requests()), StreamCounters()
+        )  # the dialogue's bytes come first
         replies: list[OutputsReply | InputsReply] = []
         while len(replies) < count:
             left = until - time.monotonic()
@@ -330,7 +333,7 @@ class Rtde:
     # -- connections -------------------------------------------------------------------------------------
 
     def _connection(
-        self, plan: Plan, what: str, *, timeout: float | None = None, backoff: Backoff | None = None
+        self, plan: Requests, what: str, *, timeout: float | None = None, backoff: Backoff | None = None
     ) -> tuple[Connection, RtdeTransport]:
         source = self._source
         transport = (source.rtde or RtdeTransport)(source.transport("rtde"), plan)

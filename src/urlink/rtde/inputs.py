@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from linkcore.errors import BadValue, ConnectionLost, LinkTimeout
+from linkcore.errors import BadValue, Closed, ConnectionLost, LinkTimeout
 from linkcore.streaming.connection import Connection
-from linkcore.streaming.events import ConnectionState
+from linkcore.streaming.connection_life import ConnectionState
 
 from ..interfaces.rtde.packets import join_names
 from ..interfaces.rtde.protocol import check_names
@@ -114,7 +114,20 @@ class Inputs:
         self._timeout = timeout
         self._last: dict[str, Any] = {}
         self._sending = threading.Lock()
-        connection.start()
+
+    def _claim(self) -> None:
+        """Connect and claim them; closed if that fails.
+
+        Raises:
+            InputInUse, NoSuchVariable, RemoteError, Closed: they cannot be had.
+        """
+        try:
+            self._connection.start()
+        except BaseException:
+            self._connection.abandon()
+            raise
+        if self._connection.is_over:  # closed while it connected
+            raise Closed(f"{self._connection.name} was closed")
 
     @property
     def connection(self) -> ConnectionState:

@@ -9,15 +9,16 @@ from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
 from linkcore.errors import BadRecording, BadValue
 from linkcore.net.transport import Transport
-from linkcore.streaming.backoff import Backoff
 from linkcore.streaming.connection import Connection
+from linkcore.streaming.connection_life import Backoff
 from linkcore.streaming.fanout import FanOut
 from linkcore.streaming.stream import Stream
+from linkcore.streaming.thread_connection import ThreadConnection
 from linkcore.wire.packet import State
 
 from ..firmware import Firmware
 from ..interfaces.rtde.packets import REPLIES
-from ..interfaces.rtde.protocol import Plan, RtdeProtocol, check_names
+from ..interfaces.rtde.protocol import Requests, RtdeProtocol, check_names
 from ..interfaces.rtde.recipes import Outputs, Recipe
 from ..interfaces.rtde.transport import RtdeTransport
 
@@ -56,12 +57,12 @@ def _may_be_none(hint: Any) -> bool:
 def connection_of(
     name: str,
     transport: Transport,
-    plan: Plan,
+    plan: Requests,
     *,
     backoff: Backoff | None,
     timeout: float,
     silence: float | None,
-    make: Callable[..., Connection] = Connection,
+    make: Callable[..., Connection] = ThreadConnection,
 ) -> Connection:
     """A connection that asks for what the plan says, each time it is made."""
     if silence is not None and plan.frequency is not None:
@@ -74,7 +75,7 @@ def _no_parts(packet: State) -> tuple[State, ...]:
     return ()
 
 
-def recorded_plan(info: Mapping[str, Any], kind: type[Outputs]) -> Plan:
+def recorded_plan(info: Mapping[str, Any], kind: type[Outputs]) -> Requests:
     """The plan of a recorded stream, from the description of its channel.
 
     Raises:
@@ -82,7 +83,7 @@ def recorded_plan(info: Mapping[str, Any], kind: type[Outputs]) -> Plan:
     """
     try:
         recipe = Recipe(info["names"], info["types"], info["number"])
-        return Plan(tuple(info["asked"]), info["frequency"], frozenset(info["asked"]), kind=kind, recorded=recipe)
+        return Requests(tuple(info["asked"]), info["frequency"], frozenset(info["asked"]), kind=kind, recorded=recipe)
     except (KeyError, TypeError, BadValue) as error:
         raise BadRecording(f"the recording does not say which RTDE variables it holds ({error})") from None
 
@@ -98,7 +99,7 @@ class OutputStream(Stream[T]):
     """
 
     def __init__(
-        self, connection: Connection, plan: Plan, transport: RtdeTransport | None, *, lossless: bool = False
+        self, connection: Connection, plan: Requests, transport: RtdeTransport | None, *, lossless: bool = False
     ) -> None:
         kind: Any = plan.kind
         super().__init__(connection, kind, lossless=lossless)

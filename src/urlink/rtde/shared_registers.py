@@ -14,11 +14,11 @@ from typing import Any
 from linkcore.arguments import check_whole
 from linkcore.errors import BadValue, ConnectionLost, LinkTimeout
 from linkcore.streaming.connection import Connection
-from linkcore.streaming.events import ConnectionState
-from linkcore.streaming.policy import block
+from linkcore.streaming.connection_life import ConnectionState
+from linkcore.streaming.packet_queue import block
 
 from ..interfaces.rtde.packets import InputsReply, InputsRequest, PauseRequest, StartRequest, join_names
-from ..interfaces.rtde.protocol import Plan, RtdeProtocol, claim_of
+from ..interfaces.rtde.protocol import Requests, RtdeProtocol, claim_of
 from ..interfaces.rtde.recipes import Recipe
 from ..interfaces.rtde.transport import RtdeTransport
 from .inputs import checked, put_whole
@@ -43,7 +43,7 @@ class Claims:
         timeout: seconds for a claim to be answered.
     """
 
-    def __init__(self, connection: Connection, transport: RtdeTransport, plan: Plan, timeout: float) -> None:
+    def __init__(self, connection: Connection, transport: RtdeTransport, plan: Requests, timeout: float) -> None:
         self._connection = connection
         self._transport = transport
         self._plan = plan

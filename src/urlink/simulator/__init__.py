@@ -8,7 +8,7 @@ from __future__ import annotations
 from ..ports import PORTS
 from .controller import Controller
 from .faults import Faults, ScheduledFault, parse_fault
-from .robot.scaling import ScalingParameters
+from .robot.robot_parameters import ScalingParameters
 from .robot.sources import HOME, Demonstration, Setpoint, SetpointSource, Still
 from .robot.surroundings import Plane, Spring, Surroundings
 from .state import Counters

@@ -1,14 +1,21 @@
-"""One cycle of the controller, 8 ms (CB) or 2 ms (e-Series) long: the order of its steps.
+"""How the time of a simulated controller passes: in cycles of 8 ms (CB) or 2 ms (e-Series), or by calls alone.
 
     faults that are due -> programs -> their set-point -> arm -> modes -> messages about them
 
-There is no thread, clock or socket here: the owner of the controller decides when a cycle is over, a test with `step`,
-or the server's thread. The same programs and faults in the same cycles give the same result to the last bit.
+A cycle has no thread, clock or socket: the owner of the controller decides when it is over, a test with `step`, or the
+server's thread. The same programs and faults in the same cycles give the same result to the last bit.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+from linkcore.arguments import check_seconds
+from linkcore.errors import LinkTimeout
+from linkcore.threads import started
 
 from . import messages
 from .faults import FaultSchedule
@@ -16,7 +23,7 @@ from .programs.runner import ProgramRunner
 from .robot.sources import SetpointSource
 from .state import ControllerState
 
-__all__ = ["ControlLoop"]
+__all__ = ["ControlLoop", "SteppedClock", "passing"]
 
 
 class ControlLoop:
@@ -73,3 +80,56 @@ class ControlLoop:
         if cause is not None:
             for message in messages.safety_messages(state, cause):
                 state.outbox.put(message)
+
+
+#: Seconds of robot time that `passing` advances at once: some packets, then what clients have sent is read.
+_SLICE = 0.01
+
+
+class SteppedClock:
+    """Seconds that stand still until `advance`.
+
+    Args:
+        rate: cycles a second of the controller.
+    """
+
+    def __init__(self, rate: int) -> None:
+        self._rate = rate
+        self._cycles = 0
+
+    def __call__(self) -> float:
+        # In the middle of a cycle, so that rounding never counts one too few.
+        return (self._cycles + 0.5) / self._rate if self._cycles else 0.0
+
+    def advance(self, cycles: int) -> None:
+        """Advance by this many cycles."""
+        self._cycles += cycles
+
+
+@contextlib.contextmanager
+def passing(step: Callable[[int], object], rate: int, speed: float) -> Iterator[None]:
+    """Let time pass, in a thread, until the block is left.
+
+    Args:
+        step: advances by a number of cycles.
+        rate: cycles a second.
+        speed: factor of real time; less if the machine is too slow.
+    """
+    speed = check_seconds(speed, "speed", positive=True, finite=True)
+    over = threading.Event()
+    cycles = max(round(_SLICE * rate), 1)
+
+    def run() -> None:
+        due = time.monotonic()
+        while not over.wait(max(due - time.monotonic(), 0.0)):
+            # The thread that serves may get no processor time for seconds: time stands still then, and goes on.
+            with contextlib.suppress(LinkTimeout):
+                step(cycles)
+            due = max(due + cycles / rate / speed, time.monotonic() - 1.0)
+
+    thread = started(threading.Thread(target=run, name="urlink sim time", daemon=True))
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import ipaddress
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -13,38 +14,37 @@ from linkcore.clock import monotonic
 from linkcore.errors import BadValue, LocalError
 from urlink import models
 from urlink.address import RobotAddress
+from urlink.arm_file import ArmFile
 from urlink.firmware import NEWEST, RELEASES, Firmware
 from urlink.kinematics import Arm as Kinematics
 from urlink.kinematics import DenavitHartenberg
 from urlink.models import Model
 from urlink.ports import PORTS, interface
 
-from .claims import FIELDBUSES
-from .control_loop import ControlLoop
+from .control_loop import ControlLoop, SteppedClock, passing
 from .faults import Faults, FaultSchedule, LinkFaults, ScheduledFault
 from .faults.schedule import checked
 from .ports.dashboard import DashboardPort
-from .ports.gripper import GripperPort
-from .ports.interpreter import InterpreterPort
-from .ports.port import Client, Port, ScriptReceiver
-from .ports.primary import PrimaryPort, RobotStates, SecondaryPort
+from .ports.lines import GripperPort, InterpreterPort
+from .ports.port import Port, PortClient, ScriptReceiver
+from .ports.primary import PrimaryPort, SecondaryPort, StatePackages
 from .ports.realtime import RealtimePort
 from .ports.robot_api import RobotApiPort
 from .ports.rtde import RtdePort
+from .ports.serial_line import SerialLinePort
 from .programs.loader import LineAssembler, ProgramLoader
 from .programs.pendant import Pendant
 from .programs.runner import ProgramRunner
-from .registers import Registers
-from .robot.arm import Arm
+from .registers import FIELDBUSES, RegisterBanks
+from .robot.arm import SimulatedArm
 from .robot.gripper import SimulatedGripper
-from .robot.modbus import ModbusSignals
+from .robot.modbus_gripper import ModbusGripper
 from .robot.modes import Modes
-from .robot.scaling import ScalingParameters
-from .robot.signals import Signals
+from .robot.robot_parameters import ScalingParameters
+from .robot.signals import ModbusSignals, Signals
 from .robot.sources import SetpointSource, Still
 from .robot.surroundings import Surroundings
 from .state import ControllerState, Counters, firmware_for
-from .stepped_clock import SteppedClock, passing
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -97,6 +97,8 @@ class Controller:
         stepped: time passes only by `step` and within `passing`, even while the ports are served. For tests that need
             the robot at a certain moment.
         scaling: how the speed scaling of programs behaves, where that is not known or to be tried.
+        like: what was identified of an arm, which this one is then: model, calibration, TCP and payload, motors, lag,
+            noise, and the ramp of programs, as far as the recording told them.
 
     Attributes:
         host: address that it listens on.
@@ -129,7 +131,14 @@ class Controller:
         gripper: bool = True,
         stepped: bool = False,
         scaling: ScalingParameters = ScalingParameters(),  # noqa: B008 -- it is frozen
+        like: ArmFile | None = None,
     ) -> None:
+        if like is not None:
+            if model is not None and models.model(model).name != like.model:
+                raise BadValue(f"a {models.model(model).name} is not like a {like.model}, of which the file is")
+            model, calibration = like.model, calibration or like.calibration
+            if (rate := like.known("start_rate")) is not None:
+                scaling = dataclasses.replace(scaling, start_rate=rate)
         if model is None:
             model = "UR5" if firmware is not None and not Firmware.parse(firmware).is_e_series else "UR5e"
         arm = models.model(model)
@@ -151,7 +160,7 @@ class Controller:
             return motion or Still()
 
         self._state = state = ControllerState(
-            kinematics, chosen, source(), serial=serial, seed=seed, noise=noise, scaling_parameters=scaling
+            kinematics, chosen, source(), serial=serial, seed=seed, noise=noise, scaling_parameters=scaling, like=like
         )
         self._runner = ProgramRunner(state, self._route)
         self._loader = ProgramLoader(state, self._runner)
@@ -161,10 +170,12 @@ class Controller:
         self.faults = Faults(state, self._runner, self._link, self._rtde, seed=seed, call=self.call)
         self._schedule = FaultSchedule(self.faults)
         self._control = ControlLoop(state, self._runner, self._schedule, source)
-        self._states = RobotStates(state)
+        self._states = StatePackages(state)
         self._dashboard = DashboardPort(state, self.pendant)
         self._robot_api = RobotApiPort(state, self._dashboard, self.pendant)
         self._gripper = SimulatedGripper(lambda: state.time) if gripper else None
+        device = None if self._gripper is None else ModbusGripper(self._gripper)
+        self._tool_serial = SerialLinePort(state, device)
         self._realtime = RealtimePort(state, lambda client: self._script_receiver("realtime", client))
         self._ports: dict[str, Port] = {
             "primary": PrimaryPort(state, self._states, lambda client: self._script_receiver("primary", client)),
@@ -175,15 +186,16 @@ class Controller:
             "robot_api": self._robot_api,
             "interpreter": InterpreterPort(state, self._runner),
             "gripper": GripperPort(state, self._gripper),
+            "tool_serial": self._tool_serial,
         }
 
-    def _script_receiver(self, port: str, client: Client) -> ScriptReceiver:
+    def _script_receiver(self, port: str, client: PortClient) -> ScriptReceiver:
         return ScriptReceiver(
             client, self.counters, lambda line: self.received.append((port, line)), self._loader.open().put
         )
 
     def _route(self, address: str, port: int) -> tuple[str, int] | None:
-        """Where a connection of a program to this numeric address and port goes; see `program_sockets.Route`."""
+        """Where a connection of a program to this numeric address and port goes; see `program_world.Route`."""
         if ipaddress.ip_address(address).is_loopback:
             own = _NAMES.get(port)
             if own is None:
@@ -231,7 +243,7 @@ class Controller:
         return self._state.is_up and (server is None or server.is_open)
 
     @property
-    def arm(self) -> Arm:
+    def arm(self) -> SimulatedArm:
         """The joints at present: set-point, sensors, TCP and payload. A reboot makes a new object."""
         return self._state.arm
 
@@ -256,7 +268,7 @@ class Controller:
         return self._state.modbus
 
     @property
-    def registers(self) -> Registers:
+    def registers(self) -> RegisterBanks:
         """General-purpose registers: what programs read and write. A reboot makes a new object."""
         return self._state.registers
 
@@ -285,6 +297,11 @@ class Controller:
         if self._gripper is None:
             raise LocalError("no gripper is mounted: the controller was made with gripper=False")
         return self._gripper
+
+    @property
+    def tool_serial(self) -> SerialLinePort:
+        """The serial line in the tool connector: its `device`, which is the gripper by Modbus RTU unless it is set."""
+        return self._tool_serial
 
     @property
     def rtde(self) -> RtdePort:
@@ -418,7 +435,7 @@ class Controller:
         self.call(load)
 
     def follow(self, source: SetpointSource) -> None:
-        """Brake the arm, then let it follow another source of set-points. From any thread."""
+        """Brake the arm, then let it follow another source of set-points; a program that runs ends. From any thread."""
         self.call(lambda: self._runner.follow(source))
 
     def push(self, wrench: Sequence[float], joint_torques: Sequence[float] = (0.0,) * 6) -> None:

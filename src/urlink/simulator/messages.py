@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from linkcore.wire.version import Since
+from linkcore.wire.fields import Since
 from urlink.interfaces.enums import MessageSource, ReportDataType, ReportLevel, RequestedType, SafetyMode
 from urlink.interfaces.primary.robot_message import (
     NO_TIMESTAMP,

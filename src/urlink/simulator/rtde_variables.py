@@ -13,25 +13,39 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from functools import reduce
-from operator import add
+from operator import add, mul
 from types import MappingProxyType
 from typing import Any
 
 from urlink.interfaces.enums import ProgramState, RobotStatusBits, SafetyStatusBits
 from urlink.interfaces.rtde.variables import INPUTS
+from urlink.parameters import number
 
 from .registers import BITS, NUMBERS, Bank
-from .robot.modes import Stop
+from .robot.modes import StopState
+from .robot.robot_parameters import EXECUTION_TIME
 from .state import ControllerState
 
-__all__ = ["OUTPUT_VALUES", "UPTIME", "robot_current", "write_inputs"]
+__all__ = [
+    "MAIN_VOLTAGE",
+    "OUTPUT_VALUES",
+    "ROBOT_VOLTAGE",
+    "UPTIME",
+    "execution_time",
+    "robot_current",
+    "write_inputs",
+]
 
 #: s that `timestamp` begins with.
 UPTIME = 45.0
-#: V, of the rail that the joints are fed from; A, of the electronics of a standing arm.
-_RAIL, _IDLE = 48.0, 0.3
-#: m/s², of the arm at rest, upwards.
-_GRAVITY = 9.82
+#: V, of the controller's supply and of the robot's.
+MAIN_VOLTAGE, ROBOT_VOLTAGE = number("main_voltage"), number("robot_voltage")
+# A, of the electronics of a standing arm; A/W of the power that moves it; 1/A of what heats the motors.
+_IDLE, _OF_POWER, _OF_HEAT = (
+    number("robot_idle_current"),
+    number("robot_current_of_power"),
+    number("robot_current_of_heat"),
+)
 
 Output = Callable[[ControllerState], Any]
 
@@ -50,9 +64,10 @@ def _robot_status(state: ControllerState) -> int:
 
 
 _SAFETY_BITS = {
-    Stop.NONE: SafetyStatusBits.NORMAL_MODE,
-    Stop.PROTECTIVE: SafetyStatusBits.PROTECTIVE_STOPPED | SafetyStatusBits.STOPPED_DUE_TO_SAFETY,
-    Stop.EMERGENCY: (
+    StopState.NONE: SafetyStatusBits.NORMAL_MODE,
+    StopState.PROTECTIVE: SafetyStatusBits.PROTECTIVE_STOPPED | SafetyStatusBits.STOPPED_DUE_TO_SAFETY,
+    StopState.SAFEGUARD: SafetyStatusBits.SAFEGUARD_STOPPED | SafetyStatusBits.STOPPED_DUE_TO_SAFETY,
+    StopState.EMERGENCY: (
         SafetyStatusBits.ROBOT_EMERGENCY_STOPPED
         | SafetyStatusBits.EMERGENCY_STOPPED
         | SafetyStatusBits.STOPPED_DUE_TO_SAFETY
@@ -72,11 +87,25 @@ def _tool_analog_types(state: ControllerState) -> int:
 
 
 def robot_current(state: ControllerState) -> float:
-    """A, a guess: the current of the electronics, and a part of that of the motors."""
+    """A: of the electronics, of the power of the joints, and of what heats their motors.
+
+    As a UR3e has it; that other arms do is a guess.
+    """
     if not state.modes.is_powered:
         return 0.0
+    s = state.arm.sample
     # Not `sum`, which rounds in another way from Python 3.12 on: the same run sends the same bytes everywhere.
-    return 0.3 + 0.1 * reduce(add, map(abs, state.arm.sample.I_actual))
+    power: float = reduce(add, map(mul, s.M_target, s.qd_target))
+    heat: float = reduce(add, map(mul, s.I_actual, s.I_actual))
+    return max(_IDLE + _OF_POWER * power + _OF_HEAT * heat, 0.0)
+
+
+def execution_time(state: ControllerState) -> float:
+    """ms that a cycle takes the controller: without a program, or with one. 0.06 on a real CB2."""
+    if not state.firmware.is_e_series:
+        return 0.06
+    idle, busy = EXECUTION_TIME
+    return busy if state.modes.program_state is ProgramState.PLAYING else idle
 
 
 def _named(**outputs: Output) -> dict[str, Output]:
@@ -108,9 +137,8 @@ def _outputs() -> dict[str, Output]:
         actual_digital_input_bits=lambda s: s.signals.digital_inputs,
         actual_configurable_digital_input_bits=lambda s: s.signals.digital_inputs >> 8 & 0xFF,
         joint_temperatures=lambda s: s.arm.sample.T_motor,
-        # As in the real-time packet, whose number is 0.06 on a real CB2.
-        actual_execution_time=lambda s: 0.06,
-        target_execution_time=lambda s: 0.06,
+        actual_execution_time=execution_time,
+        target_execution_time=execution_time,
         robot_mode=lambda s: s.modes.robot_mode,
         joint_mode=lambda s: [s.modes.joint_mode] * 6,
         safety_mode=lambda s: s.modes.safety_mode,
@@ -120,10 +148,10 @@ def _outputs() -> dict[str, Output]:
         target_speed_fraction=lambda s: s.speed_fraction,
         time_scale_source=lambda s: s.time_scale_source,
         actual_momentum=lambda s: s.arm.sample.momentum,
-        actual_main_voltage=lambda s: _RAIL,
-        actual_robot_voltage=lambda s: _RAIL if s.modes.is_powered else 0.0,
+        actual_main_voltage=lambda s: MAIN_VOLTAGE,
+        actual_robot_voltage=lambda s: ROBOT_VOLTAGE if s.modes.is_powered else 0.0,
         actual_robot_current=robot_current,
-        actual_robot_energy_consumed=lambda s: _RAIL * _IDLE * (UPTIME + s.time),
+        actual_robot_energy_consumed=lambda s: ROBOT_VOLTAGE * _IDLE * (UPTIME + s.time),
         actual_robot_braking_energy_dissipated=lambda s: 0.0,
         actual_joint_voltage=lambda s: s.arm.sample.V_actual,
         actual_digital_output_bits=lambda s: s.signals.digital_outputs,
@@ -162,7 +190,7 @@ def _outputs() -> dict[str, Output]:
         payload_cog=lambda s: s.arm.payload_cog,
         payload_inertia=lambda s: s.arm.payload_inertia,
         script_control_line=lambda s: 0,
-        target_gravity=lambda s: [0.0, 0.0, _GRAVITY],
+        target_gravity=lambda s: s.arm.gravity,
         target_base_acceleration=lambda s: [0.0] * 6,
         target_base_wrench=lambda s: [0.0] * 6,
         control_step=lambda s: s.uptime,

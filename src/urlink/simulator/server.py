@@ -15,13 +15,11 @@ from linkcore.clock import monotonic
 from linkcore.net.loop import Connection, Handler, ListeningPort, SelectorLoop
 from urlink.ports import interface
 
-from .control_loop import ControlLoop
-from .faults.corruption import Segmenter
-from .faults.link import LinkFaults
-from .ports.port import Port, ReadOnlyReceiver, Receiver
+from .control_loop import ControlLoop, SteppedClock
+from .faults.link import LinkFaults, Segmenter
+from .ports.port import Port, PortReceiver, ReadOnlyReceiver
 from .programs.loader import ProgramLoader
 from .state import ControllerState
-from .stepped_clock import SteppedClock
 
 __all__ = ["Server"]
 
@@ -52,7 +50,7 @@ class _Client(Handler):
         self.connection = connection
         self.segmenter: Segmenter | None = None
         self._server = server
-        self._receiver: Receiver = server.receiver(name, port, self)
+        self._receiver: PortReceiver = server.receiver(name, port, self)
 
     @property
     def is_open(self) -> bool:
@@ -350,7 +348,7 @@ class Server:
         if not self._clients.get(kind) and not self._clients.get(f"{kind}_readonly"):
             self._watched.discard(kind)
 
-    def receiver(self, name: str, port: Port, client: _Client) -> Receiver:
+    def receiver(self, name: str, port: Port, client: _Client) -> PortReceiver:
         """Make the receiver for a new client."""
         return ReadOnlyReceiver(self._counters) if name.endswith("_readonly") else port.receiver(client)
 

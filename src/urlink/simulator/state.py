@@ -8,25 +8,27 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from linkcore.errors import BadValue
-from urlink.firmware import Firmware, release_of
+from urlink.firmware import Firmware, known_firmware
 from urlink.interfaces.enums import ControlMode, ProgramState, TimeScaleSource
 from urlink.kinematics import Arm as Kinematics
 from urlink.models import Model
 
-from .claims import InputClaims
-from .registers import Registers, Watchdogs
-from .robot.arm import Arm
-from .robot.modbus import ModbusSignals
-from .robot.modes import Modes, Stop
-from .robot.scaling import ScalingParameters, approached
-from .robot.signals import Signals
+from .registers import InputClaims, RegisterBanks, Watchdogs
+from .robot.arm import SimulatedArm
+from .robot.generator import Drive
+from .robot.modes import Modes, StopState
+from .robot.robot_parameters import ScalingParameters, SensorParameters, approached
+from .robot.signals import ModbusSignals, Signals
 from .robot.sources import SetpointSource
 from .robot.surroundings import Surroundings
 
-__all__ = ["ControllerState", "Counters", "Outbox", "StopCause", "firmware_for"]
+if TYPE_CHECKING:
+    from urlink.arm_file import ArmFile
+
+__all__ = ["ControllerState", "Counters", "StateOutbox", "StopCause", "firmware_for"]
 
 #: Bytes of messages in one cycle above which texts and popups are lost; a program could make thousands of them.
 MOST_MESSAGES = 1 << 14
@@ -77,7 +79,7 @@ class StopCause(NamedTuple):
     by_program: bool = False
 
 
-class Outbox:
+class StateOutbox:
     """The robot messages that wait to be sent to the clients of the primary interface.
 
     Args:
@@ -116,6 +118,7 @@ class ControllerState:
         serial: serial number of the arm.
         seed: of the noise on the sensors.
         noise: whether there is any.
+        like: what was identified of an arm; None for what is known of the model.
 
     Attributes:
         kinematics, serial: as given.
@@ -135,7 +138,9 @@ class ControllerState:
         claims: which client holds which RTDE input.
         fieldbus: that is enabled in the installation, a key of `FIELDBUSES`, or None.
         source: where the arm's set-points come from.
-        is_paused: whether the source is paused: its program was, by hand or by a protective stop.
+        is_paused: whether the source is paused: its program was, by hand or by a stop.
+        resumes: whether the program goes on by itself when the stop is over.
+        by_hand: moves the arm from the pendant while no program plays; None if nothing does.
         speed_fraction: of the speed slider, 0 to 1.
         slider: the fraction that the movement of the speed slider has come to; it follows `speed_fraction`.
         scaling: the fraction of their speed with which the commands of programs are executed; it follows `slider`, and
@@ -163,6 +168,7 @@ class ControllerState:
         seed: int,
         noise: bool,
         scaling_parameters: ScalingParameters,
+        like: ArmFile | None = None,
     ) -> None:
         self.kinematics = kinematics
         self.scaling_parameters = scaling_parameters
@@ -177,9 +183,12 @@ class ControllerState:
         self.fieldbus: str | None = None
         self.log: list[str] = []
         self.counters = Counters()
-        self.outbox = Outbox(self.counters)
+        self.outbox = StateOutbox(self.counters)
         self.surroundings = Surroundings()
-        self.arm = Arm(kinematics, source.advance(0.0), self._noise_seed, self.surroundings)
+        self._like = like
+        self.arm = self._make_arm(source)
+        if like is not None:
+            self.arm.take_tool(like)
         self._next_firmware = firmware
         self._begin(firmware, source)
 
@@ -189,12 +198,13 @@ class ControllerState:
         self.source = source
         self.uptime = 0
         self.modes = Modes(firmware)
-        self.is_paused = False
+        self.is_paused = self.resumes = False
+        self.by_hand: Drive | None = None
         self.control_mode = ControlMode.POSITION
         self.speed_fraction = self.slider = 1.0
         self.scaling = 0.0
         self.flags = [False] * FLAGS
-        self.registers = Registers()
+        self.registers = RegisterBanks()
         self.watchdogs = Watchdogs()
         self.rtde_inputs: dict[str, Any] = {}
         self.claims = InputClaims()
@@ -204,6 +214,13 @@ class ControllerState:
         self._stop_cause = StopCause()
         self._announced = self.modes.safety_mode
         self.update_modes(0.0)
+
+    def _make_arm(self, source: SetpointSource) -> SimulatedArm:
+        motors, measuring = None, SensorParameters.of(self.model)
+        if self._like is not None:
+            motors, measuring = self._like.motors, measuring.like(self._like)
+        setpoint = source.advance(0.0)
+        return SimulatedArm(self.kinematics, setpoint, self._noise_seed, self.surroundings, motors, measuring)
 
     def go_down(self, firmware: Firmware | None, seconds: float) -> None:
         """Reboot: down for some seconds, at least a cycle; then with this firmware, or the present one."""
@@ -218,7 +235,7 @@ class ControllerState:
         """
         before = self.arm
         source.start(before.setpoint.q)
-        self.arm = Arm(self.kinematics, source.advance(0.0), self._noise_seed, self.surroundings)
+        self.arm = self._make_arm(source)
         self.arm.take_tool_of(before)
         self._begin(self._next_firmware, source)
 
@@ -265,7 +282,8 @@ class ControllerState:
 
     def update_modes(self, seconds: float) -> None:
         """Update the modes by the state of arm and program, after `seconds`."""
-        self.modes.advance(seconds, self.arm.is_standing, self.source.is_program, self.is_paused)
+        is_standing = self.arm.is_standing or self.by_hand is not None
+        self.modes.advance(seconds, is_standing, self.source.is_program, self.is_paused)
 
     def stop_protectively(self, reason: str, *, by_program: bool = False) -> None:
         """Make a protective stop; the reason, and whether a program has asked for it, are for its message."""
@@ -279,8 +297,8 @@ class ControllerState:
         if modes.safety_mode is self._announced:
             return None
         self._announced = modes.safety_mode
-        self.stopped_since = None if modes.stop is Stop.NONE else self.time
-        return cause if modes.stop is Stop.PROTECTIVE else StopCause()
+        self.stopped_since = None if modes.stop is StopState.NONE else self.time
+        return cause if modes.stop is StopState.PROTECTIVE else StopCause()
 
 
 def firmware_for(model: Model, firmware: str | Firmware) -> Firmware:
@@ -293,8 +311,7 @@ def firmware_for(model: Model, firmware: str | Firmware) -> Firmware:
         BadVersion: no such firmware.
         BadValue: it does not run on the model.
     """
-    parsed = Firmware.parse(firmware)
-    release_of(parsed)
+    parsed = known_firmware(firmware)
     if model.generation == "e":
         suits, needs = parsed.is_e_series, "5.0 or later"
     elif model.name == "UR3":

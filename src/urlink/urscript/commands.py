@@ -8,38 +8,49 @@ from 5.10, and the line ``set speed`` (reports of users). What is not:
 - that analogue outputs take a fraction of their range, 0 to 1, whether they drive a current or a voltage: so the
   vendor's manual is commonly quoted, and the public drivers hand a number through unchecked;
 - that `set_payload` takes a centre of gravity from 3.0 on, and `popup` a title and two flags in every generation;
-- that flags go up to 31.
+- that flags go up to 31;
+- that `set_gravity` is in every generation: the clients of other people send it to CB3 and e-Series.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 from linkcore.errors import BadValue
-from linkcore.wire.version import Since
+from linkcore.wire.fields import Since
 from urlink.firmware import Firmware
 
 from .text import boolean, integer, number, pose, quoted, vector
 
 __all__ = [
+    "BAUD_RATES",
     "CONFIGURABLE",
+    "PARITIES",
     "STANDARD",
     "TOOL",
     "DigitalBank",
     "analog_out",
     "digital_out",
     "flag",
+    "gravity",
     "payload",
     "popup",
     "secondary",
     "speed_slider",
     "tcp",
+    "tool_communication",
     "tool_voltage",
 ]
 
+#: Bd; those of the tool's serial line.
+BAUD_RATES = (9600, 19200, 38400, 57600, 115200, 1_000_000, 2_000_000, 5_000_000)
+
 _TARGET_PAYLOAD = Since("5.10")
 
+#: s; longer is a mistake. m/s²; another length has another unit. Chosen: a base that moves is accelerated by less.
+_LONGEST_TRANSITION, _GRAVITIES = 60.0, (5.0, 15.0)
 #: kg. No arm lifts it; it tells kilograms from grams.
 _HEAVIEST = 100.0
 
@@ -107,6 +118,33 @@ def analog_out(firmware: Firmware, output: int, fraction: float) -> str:
     return f"{name}({integer(output, 0, 1, 'analogue output')}, {value})"
 
 
+#: Names of the parities of the tool's serial line -> their numbers.
+PARITIES = {"none": 0, "odd": 1, "even": 2}
+
+
+def tool_communication(
+    enabled: bool, baud_rate: int, parity: str, stop_bits: int, rx_idle_chars: float, tx_idle_chars: float
+) -> str:
+    """Set the serial line of the tool connector. The ranges are those of the vendor's script manual.
+
+    Raises:
+        BadValue: a value that the line cannot have.
+    """
+    if baud_rate not in BAUD_RATES:
+        raise BadValue(f"baud_rate is {baud_rate!r}; expected one of {', '.join(map(str, BAUD_RATES))}")
+    if parity not in PARITIES:
+        raise BadValue(f"parity is {parity!r}; expected one of {', '.join(PARITIES)}")
+    values = [
+        boolean(enabled, "enabled"),
+        str(baud_rate),
+        str(PARITIES[parity]),
+        integer(stop_bits, 1, 2, "stop_bits"),
+        number(rx_idle_chars, "rx_idle_chars", 1.0, 40.0),
+        number(tx_idle_chars, "tx_idle_chars", 0.0, 40.0),
+    ]
+    return f"set_tool_communication({', '.join(map(str, values))})"
+
+
 def tool_voltage(volts: int) -> str:
     """Supply the tool with 0, 12 or 24 V.
 
@@ -132,13 +170,20 @@ def payload(
     mass: float,
     cog: Sequence[float] | None = None,
     inertia: Sequence[float] | None = None,
+    transition_time: float = 0.0,
 ) -> str:
     """Tell what the arm carries: kg; m in the flange's frame; inertia about that: xx, yy, zz, xy, xz, yz in kg m².
+
+    Args:
+        transition_time: s over which the controller goes over to it.
 
     Raises:
         BadValue: a number out of range, or what this firmware cannot be told.
     """
     weight = number(mass, "payload mass", 0.0, _HEAVIEST, "kg")
+    seconds = number(transition_time, "transition_time", 0.0, _LONGEST_TRANSITION, "s")
+    if transition_time and (cog is None or inertia is None):
+        raise BadValue("a payload with a transition_time needs cog and inertia: the controller takes all three then")
     if cog is None and inertia is None:
         return f"set_payload({weight})"
     if firmware.is_cb2:
@@ -148,7 +193,21 @@ def payload(
         return f"set_payload({weight}, {centre})"
     if firmware not in _TARGET_PAYLOAD:
         raise BadValue(f"firmware {firmware} takes no inertia; that needs 5.10")
-    return f"set_target_payload({weight}, {centre}, {vector(inertia, 6, 'payload inertia')})"
+    moments = vector(inertia, 6, "payload inertia")
+    return f"set_target_payload({weight}, {centre}, {moments}{f', {seconds}' if transition_time else ''})"
+
+
+def gravity(acceleration: Sequence[float]) -> str:
+    """Tell the acceleration of an arm at rest, (3,) m/s² in the base frame.
+
+    Raises:
+        BadValue: not three numbers, or of a length that is none of gravity.
+    """
+    upwards = vector(acceleration, 3, "gravity")
+    length = math.hypot(*acceleration)
+    if not _GRAVITIES[0] <= length <= _GRAVITIES[1]:
+        raise BadValue(f"gravity is {length:g} m/s² long; expected {_GRAVITIES[0]:g} to {_GRAVITIES[1]:g}")
+    return f"set_gravity({upwards})"
 
 
 def tcp(offset: Sequence[float]) -> str:

@@ -2,7 +2,8 @@
 
 A word is fourteen big-endian int32: six numbers in millionths (`SCALE`), six more, what to do: `STOP`, `FOLLOW` or
 `WAIT`, and a date. In `urlink.urscript.streaming` the numbers are positions of the joints, rad, and their speeds,
-rad/s.
+rad/s. After the n-th pause of the program, `WAIT` + n stands for `FOLLOW`: a program that finds the arm elsewhere after
+a pause follows no word from before it.
 
 The date is the cycle of the controller's clock in which the state was sent that the word answers, counted from the
 first state of the motion. URScript cannot read that clock on every firmware, so the program counts its own cycles, and
@@ -46,6 +47,7 @@ __all__ = [
     "ReverseSocket",
     "introduction",
     "missable",
+    "over_registers",
     "word_loop",
 ]
 
@@ -125,6 +127,7 @@ def word_loop(
     *,
     watchdog: float,
     most_missed: int,
+    guard: str = "",
 ) -> list[str]:
     """A program that does something in each cycle, by the words that come over a link.
 
@@ -138,14 +141,35 @@ def word_loop(
         watchdog: seconds without a word after which the program ends.
         most_missed: rounds without one in these seconds, after which it says `STARVED` and ends; and rounds by which a
             word may be older than the one that came quickest.
+        guard: for each round; where it sets ``held`` to True, words from before the next pause count as none.
     """
     if isinstance(link, ReverseSocket):
         # Reading waits, so a thread of its own moves the arm.
         kind, shared, take, follow = "thread", _SHARED, _TAKE_SHARED, _over_socket(link)
     else:
-        kind, shared, take, follow = "def", _SEEN, _take_registers(link), _over_registers(link, firmware, watchdog)
+        kind, shared, take, follow = (
+            "def",
+            _SEEN,
+            _take_registers(link),
+            over_registers(link.proof, link.word, link.token, "servo()", firmware, watchdog),
+        )
+    holding = f"""
+{guard}
+        if held:
+          if wanted == followed:
+            is_new = False
+          elif is_new:
+            held = False
+          end
+        end
+        if is_new:
+          followed = wanted
+        end
+    """
     text = f"""
 {indented(shared)}
+        held = False
+        followed = {WAIT}
         starved = False
         cycle = 0
         quickest = {_SLOWEST}
@@ -158,6 +182,7 @@ def word_loop(
             if is_new:
               is_new = cycle - date - quickest <= {most_missed}
             end
+{indented(holding if guard else "", 12)}
             if wanted == {STOP}:
               going = False
             elif wanted == {WAIT}:
@@ -225,7 +250,7 @@ def _over_socket(link: ReverseSocket) -> str:
             else:
               date_read = word[14]
 {indented(_keep_quickest("date_read"), 14)}
-              if word[13] == {FOLLOW}:
+              if not (word[13] == {WAIT}):
                 goal_read = [{each("word[{n}] / " + number(SCALE))}]
                 speed_read = [{each("word[{way}] / " + number(SCALE), [str(7 + i) for i in range(6)])}]
                 enter_critical
@@ -233,7 +258,7 @@ def _over_socket(link: ReverseSocket) -> str:
                 target_speed = speed_read
                 date_told = date_read
                 fresh = True
-                mode = {FOLLOW}
+                mode = word[13]
                 exit_critical
               end
             end
@@ -267,23 +292,28 @@ def _take_registers(link: InputRegisters) -> str:
     """
 
 
-def _over_registers(link: InputRegisters, firmware: Firmware, watchdog: float) -> str:
+def over_registers(at: int, word: int, token: int, follow: str, firmware: Firmware, watchdog: float) -> str:
     """Wait for the token, for a bounded time, and follow what the registers say.
 
     The controller's own watchdog over the registers ends the program where this one cannot: it is given a second more,
     in which an arm has braked.
+
+    Args:
+        at: the register that holds the token.
+        word: the one that numbers the words.
+        follow: the call that follows them.
     """
-    proof = f"read_input_integer_register({link.proof})"
-    variable = quoted(f"input_int_register_{link.word}")
+    proof = f"read_input_integer_register({at})"
+    variable = quoted(f"input_int_register_{word}")
     return f"""
         cycles = 0
-        while cycles < {round(_LINK_TIMEOUT * firmware.rate)} and {proof} != {integer(link.token, 1, TOKENS - 1)}:
+        while cycles < {round(_LINK_TIMEOUT * firmware.rate)} and {proof} != {integer(token, 1, TOKENS - 1)}:
           cycles = cycles + 1
           sync()
         end
-        if {proof} == {link.token}:
+        if {proof} == {token}:
           rtde_set_watchdog({variable}, {number(1.0 / (watchdog + 1.0))}, "stop")
-          servo()
+          {follow}
         else:
           textmsg({quoted(NO_CONNECTION)})
         end

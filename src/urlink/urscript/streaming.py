@@ -1,4 +1,7 @@
-"""The program that follows set-points, one for each cycle of the controller."""
+"""Programs that obey a stream of words: set-points, one for each cycle of the controller, or speeds to jog at.
+
+The words of both are the same, with speeds in the place of positions; where none comes, the arm brakes.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +11,10 @@ from linkcore.arguments import check_number
 
 from ..firmware import Firmware
 from .links import InputRegisters, ReverseSocket, missable, word_loop
+from .programs import takes_duration
 from .text import each, indented, lines, number
 
-__all__ = ["COASTING", "servo_cycle", "streaming"]
+__all__ = ["COASTING", "LAST_PLACE", "found_elsewhere", "jogging", "servo_cycle", "streaming"]
 
 #: Seconds for which the streaming program goes on by itself, whatever its watchdog lets it. Chosen: the default
 #: watchdog. Longer, an arm would be led a good way past the end of a movement by a computer that is too busy.
@@ -18,6 +22,10 @@ COASTING = 0.1
 #: rad/s² with which a set-point is approached at most on CB2. Chosen: twice what the arms of that generation report as
 #: the limit of their wrists, so that what is sent in time is left as it is; a third of what the simulated one stops at.
 _HARDEST = 50.0
+#: rad/s, all joints together, below which an arm is at rest; and rad by which it has to be elsewhere then.
+_RESTING, _ELSEWHERE = 1e-4, 5e-4
+#: What comes before the first `found_elsewhere`.
+LAST_PLACE = "last_here = get_target_joint_positions()\nlast_way = 0.0"
 
 
 def streaming(
@@ -38,8 +46,9 @@ def streaming(
     positions: where set-points come only every tenth cycle, a difference between positions holds mostly what the
     program itself went on by, and so it would go on in a direction that is not wanted any more. No set-point is
     followed faster than the joints can move: where it is further away, it is approached at their largest speed. So
-    whatever goes wrong on the way, the arm does not leap. On CB2, where ``servoj`` does not smooth, the change of speed
-    is bounded too.
+    whatever goes wrong on the way, the arm does not leap. Where the arm is found at rest in another place than in the
+    round before, the program was paused: it stays there until a set-point comes from after the pause, so that those
+    from before do not lead the arm back. On CB2, where ``servoj`` does not smooth, the change of speed is bounded too.
 
     Args:
         link: how the set-points come.
@@ -76,7 +85,20 @@ def streaming(
         end
 {indented(easing)}
     """
-    start = """
+    held = "step = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]"
+    if firmware.is_cb2:
+        held += "\nmoved = step"
+    guard = f"""
+{indented(found_elsewhere(firmware))}
+        if begun and elsewhere:
+          held = True
+          q = here
+          aim = here
+{indented(held, 10)}
+        end
+    """
+    start = f"""
+{indented(LAST_PLACE)}
         q = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
         aim = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
         step = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
@@ -102,7 +124,7 @@ def streaming(
         {servo}
     """
     end = f"stopj({number(deceleration)})"
-    loop = word_loop(firmware, link, start, told, late, end, watchdog=watchdog, most_missed=most_missed)
+    loop = word_loop(firmware, link, start, told, late, end, watchdog=watchdog, most_missed=most_missed, guard=guard)
     return [*lines(bounds), *loop]
 
 
@@ -135,6 +157,27 @@ def _eased(firmware: Firmware) -> str:
     """
 
 
+def found_elsewhere(firmware: Firmware) -> str:
+    """Sets ``elsewhere``: whether the arm, ``here``, is at rest in another place than in the round before, further away
+    than its speed was then. Nothing but a pause, in which the controller has braked it and a person may have moved it,
+    explains that.
+    """
+    way = _length("(here[{i}] - last_here[{i}])")
+    return f"""
+        here = get_target_joint_positions()
+        rate = get_target_joint_speeds()
+        speed_now = {_length("rate[{i}]")}
+        elsewhere = speed_now < {number(_RESTING)} and {way} > {number(_ELSEWHERE)} + last_way
+        last_here = here
+        last_way = {number(2.0 / firmware.rate)} * speed_now
+    """
+
+
+def _length(each_joint: str) -> str:
+    parts = [each_joint.format(i=i) for i in range(6)]
+    return f"sqrt({' + '.join(f'{part} * {part}' for part in parts)})"
+
+
 def servo_cycle(firmware: Firmware, lookahead_time: float, gain: float) -> str:
     """One cycle of ``servoj`` to `q`.
 
@@ -149,3 +192,37 @@ def servo_cycle(firmware: Firmware, lookahead_time: float, gain: float) -> str:
         )
     )
     return f"servoj(q, t={number(1.0 / firmware.rate)}{smoothing})"
+
+
+def jogging(
+    firmware: Firmware,
+    link: ReverseSocket | InputRegisters,
+    *,
+    is_tool: bool,
+    acceleration: float,
+    watchdog: float,
+) -> list[str]:
+    """Move at the speeds of the newest word, and brake where none has come for a while.
+
+    ``speedj`` and ``speedl`` are called anew in each cycle, with the time of one cycle, as public drivers do. So the
+    arm goes over from one speed to the next with `acceleration`.
+
+    Args:
+        link: how the words come.
+        is_tool: they are speeds of the tool in the base frame, m/s and rad/s, rather than of the joints, rad/s.
+        acceleration: m/s² or rad/s².
+        watchdog: seconds without a word after which it brakes.
+    """
+    function, brake = ("speedl", "stopl") if is_tool else ("speedj", "stopj")
+    hardness = number(acceleration, "acceleration")
+    most_missed = missable(watchdog, firmware.rate)
+    if takes_duration(firmware):
+        go_on = f"{function}(speeds, {hardness}, {number(1.0 / firmware.rate)})"
+    else:
+        # The call takes a cycle or none, so that two cycles are the longest that a round can take at a steady speed.
+        go_on = f"{function}(speeds, {hardness})\nsync()"
+        most_missed = max(most_missed // 2, 2)
+    start = "speeds = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]\nmissed = 0"
+    told = f"speeds = goal\nmissed = 0\n{go_on}"
+    end = f"{brake}({hardness})"
+    return word_loop(firmware, link, start, told, go_on, end, watchdog=watchdog, most_missed=most_missed)

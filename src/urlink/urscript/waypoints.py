@@ -1,8 +1,9 @@
 """The program that is handed a trajectory point by point and interpolates by itself; for 3.x and later.
 
 It asks for a point by its number, a line of text, and is answered with a list of floats in brackets. The line `BEAT`
-asks whether to go on, which ``(1)`` answers, and `ARRIVED` says that the last point is reached. See
-`urlink.urscript.links` for what it has in common with other programs.
+asks whether to go on, which ``(1)`` answers, and `ARRIVED` says that the last point is reached. After a pause the
+arm is not where it was; it stays there, and `HELD` asks how many seconds of the path are behind it by that: ``(1.1)``
+for 0.1. See `urlink.urscript.links` for what it has in common with other programs.
 """
 
 from __future__ import annotations
@@ -12,18 +13,20 @@ from textwrap import dedent, indent
 
 from ..firmware import Firmware
 from .links import LINK_ENDED, NO_CONNECTION, STARVED, TOO_FAR, introduction
-from .streaming import servo_cycle
-from .text import each, integer, lines, number, quoted
+from .streaming import LAST_PLACE, found_elsewhere, servo_cycle
+from .text import each, indented, integer, lines, number, quoted
 
-__all__ = ["ARRIVED", "BEAT", "NO_MORE", "interpolating", "numbers_of_point"]
+__all__ = ["ARRIVED", "BEAT", "FADING", "HELD", "NO_MORE", "interpolating", "numbers_of_point"]
 
 #: Lines of the program that are no number of a point.
-BEAT, ARRIVED = -1, -2
+BEAT, ARRIVED, HELD = -1, -2, -3
 #: The number of the answer after the last waypoint.
 NO_MORE = -1
 
 #: Seconds for which the last waypoint is held, so that the arm catches up.
 _SETTLING = 0.2
+#: Seconds in which a difference to the path is faded out after a pause.
+FADING = 0.4
 #: rad/s; at a waypoint that is faster there is no waiting for the next one.
 _SLOW = 0.05
 
@@ -62,6 +65,31 @@ def interpolating(
         heartbeat: seconds between two questions whether this computer is there, while it needs no waypoint.
     """
     servo = servo_cycle(firmware, lookahead_time, gain)
+    go = f"""
+        def go():
+          if faded == 0.0:
+            apart = [{each("here[{i}] - q[{i}]")}]
+          end
+          if faded < 1.0:
+            left = 1.0 - faded * faded * (3.0 - 2.0 * faded)
+            q = [{each("q[{i}] + left * apart[{i}]")}]
+            faded = faded + {number(1.0 / (FADING * firmware.rate))}
+          end
+{indented(found_elsewhere(firmware), 10)}
+          if elsewhere:
+            held = True
+            q = here
+            while held and not leave:
+              {servo}
+            end
+            t = t + skipped
+            faded = 0.0
+            patient = True
+          else:
+            {servo}
+          end
+        end
+    """
     period = number(1.0 / firmware.rate)
     count = numbers_of_point(is_quintic)
     coefficients = _QUINTIC if is_quintic else _CUBIC
@@ -76,7 +104,18 @@ def interpolating(
         leave = False
         moving = True
         cycles = 0
+        held = False
+        skipped = 0.0
+        patient = False
+        faded = 1.0
+        apart = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+        q = apart
+        t = 0.0
+        here = apart
+{indented(LAST_PLACE)}
+{indented(go)}
         thread follow():
+{indented(LAST_PLACE, 10)}
           q = [{each("before[{q}]")}]
           c0 = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
           c1 = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
@@ -84,7 +123,6 @@ def interpolating(
           c3 = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
           c4 = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
           c5 = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
-          t = 0.0
           waited = 0.0
           going = True
           while going:
@@ -105,21 +143,25 @@ def interpolating(
               end
               while t < h and not leave:
                 u = t / h
+                patient = False
                 q = [{each(curve)}]
-                {servo}
+                go()
                 t = t + {period}
               end
               t = t - h
               before = next
               waited = 0.0
             elif is_last:
-              q = [{each("before[{q}]")}]
               t = 0.0
-              while t < {number(_SETTLING)} and not leave:
-                {servo}
+              while (t < {number(_SETTLING)} or faded < 1.0) and not leave:
+                q = [{each("before[{q}]")}]
+                go()
                 t = t + {period}
               end
               going = False
+            elif patient:
+              q = here
+              {servo}
             else:
               i = 0
               while i < 6:
@@ -130,7 +172,7 @@ def interpolating(
               end
               if waited < {number(max_wait)}:
                 q = [{each("before[{q}]")}]
-                {servo}
+                go()
                 waited = waited + {period}
                 t = 0.0
               else:
@@ -144,7 +186,18 @@ def interpolating(
         end
         def pause():
           cycles = cycles + 1
-          if cycles < {max(math.ceil(heartbeat * firmware.rate), 1)}:
+          if held:
+            socket_send_string({HELD})
+            socket_send_byte(10)
+            word = socket_read_ascii_float(1)
+            if word[0] < 1:
+              textmsg({quoted(LINK_ENDED)})
+              leave = True
+            else:
+              skipped = word[1] - 1.0
+              held = False
+            end
+          elif cycles < {max(math.ceil(heartbeat * firmware.rate), 1)}:
             sync()
           else:
             cycles = 0

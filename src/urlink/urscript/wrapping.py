@@ -29,7 +29,7 @@ from collections.abc import Iterator, Sequence
 from typing import Literal, NamedTuple
 
 from linkcore.errors import BadValue
-from linkcore.wire.version import Since
+from linkcore.wire.fields import Since
 
 from ..firmware import Firmware
 from .text import identifier, quoted

@@ -19,10 +19,9 @@ from linkcore.aio.loop_connection import LoopConnection
 from linkcore.aio.packets import LoopQueue
 from linkcore.errors import BadValue, Closed, ConnectFailed, LinkTimeout, LocalError
 from linkcore.net.awaited import AwaitedTcp
-from linkcore.streaming.backoff import Backoff
-from linkcore.streaming.events import ConnectionEvent, ConnectionState
+from linkcore.streaming.connection_life import Backoff, ConnectionEvent, ConnectionState
 from linkcore.streaming.fanout import FanOut
-from linkcore.streaming.policy import Policy, block, drop_oldest, latest
+from linkcore.streaming.packet_queue import Policy, block, drop_oldest, latest
 from linkcore.streaming.stream import Stream
 from tests.linkcore.script import AT_ONCE, BAD, Count, CountProtocol, counts
 

@@ -8,9 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from linkcore.isolation.hand_over import CONNECTED, DATA, LOST, Record, Records
-from linkcore.isolation.slot import Slot
-from linkcore.stamp import Stamp
+from linkcore.clock import Stamp
+from linkcore.isolation.hand_over import CONNECTED, DATA, LOST, HandedOver, Records, Slot
 
 stamps = st.builds(Stamp, st.floats(0, 1e9), st.floats(0, 2e9))
 
@@ -41,10 +40,12 @@ def test_a_slot_has_the_newest_packet_whole_or_none(packets: list[tuple[bytes, S
 
 @pytest.mark.property
 @given(
-    st.lists(st.builds(Record, st.sampled_from([CONNECTED, DATA, LOST]), st.binary(max_size=50), stamps), max_size=6),
+    st.lists(
+        st.builds(HandedOver, st.sampled_from([CONNECTED, DATA, LOST]), st.binary(max_size=50), stamps), max_size=6
+    ),
     st.lists(st.integers(0, 400), max_size=10),
 )
-def test_records_come_whole_however_they_are_cut(records: list[Record], cuts: list[int]) -> None:
+def test_records_come_whole_however_they_are_cut(records: list[HandedOver], cuts: list[int]) -> None:
     data = b"".join(map(bytes, records))
     places = sorted({0, len(data), *(min(cut, len(data)) for cut in cuts)})
     taker = Records()

@@ -12,6 +12,7 @@ import struct
 import sys
 import threading
 import time
+import weakref
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -253,6 +254,22 @@ def test_a_peer_that_closes_or_resets(bench: Bench) -> None:
     assert closed.losses == [("closed by the peer", True)]
     assert [by_peer for _, by_peer in reset.losses] == [True]
     assert not bench.port.connections
+
+
+def test_a_client_that_has_gone_leaves_no_cycle(bench: Bench) -> None:
+    """So that a host may switch the garbage collector off (docs/real-time.md)."""
+    bench.client()[0].close()
+    bench.serve(lambda: bench.handlers.pop().losses)
+    gc.collect()
+    gc.disable()
+    try:
+        bench.client()[0].close()
+        held = weakref.ref(bench.handlers[0])
+        bench.serve(lambda: bench.handlers[0].losses)
+        bench.handlers.clear()
+        assert held() is None
+    finally:
+        gc.enable()
 
 
 def test_what_a_client_sent_before_it_reset_the_connection_is_taken(bench: Bench) -> None:

@@ -18,9 +18,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from linkcore.clock import Stamp
 from linkcore.errors import BadRecording, BadValue, Closed
-from linkcore.recording.file import Kind, Record, Recording, RecordingWriter
-from linkcore.stamp import Stamp
+from linkcore.recording.file import Kind, Record, RecordingFile, RecordingWriter
 
 MAGIC = b"LINKREC1"
 
@@ -55,7 +55,7 @@ def sample(path: Path) -> tuple[bytes, list[Record], list[int]]:
     for step in steps:
         step()
         ends.append(path.stat().st_size)
-    return path.read_bytes(), list(Recording(path)), ends
+    return path.read_bytes(), list(RecordingFile(path)), ends
 
 
 # -- what is written is read -------------------------------------------------------------------------
@@ -73,7 +73,7 @@ def test_what_is_written_is_read(channels: list[list[tuple[Stamp, bytes]]]) -> N
                 writer.write(Kind.BYTES, number, stamp, payload)
                 expected.append((number, stamp, payload))
         writer.close()
-        recording = Recording(path / "run")
+        recording = RecordingFile(path / "run")
         read = [each for each in recording if each.kind is Kind.BYTES]
     assert [(each.channel, each.payload) for each in read] == [(number, payload) for number, _, payload in expected]
     for each, (_, stamp, _) in zip(read, expected, strict=True):
@@ -88,7 +88,7 @@ def test_what_is_written_is_read(channels: list[list[tuple[Stamp, bytes]]]) -> N
 def test_the_file_is_laid_out_as_documented(tmp_path: Path) -> None:
     info = json.dumps({"name": "left"}).encode()
     (tmp_path / "run").write_bytes(MAGIC + record(0, 0, info) + record(1, 0, b"abc") + record(3, 0, b""))
-    recording = Recording(tmp_path / "run")
+    recording = RecordingFile(tmp_path / "run")
     assert recording.channels == {0: {"name": "left"}}
     assert list(recording)[1] == Record(Kind.BYTES, 0, Stamp(1.0, 2.0), b"abc")
     assert recording.is_complete
@@ -105,7 +105,7 @@ def test_records_of_a_later_format_are_passed_over(tmp_path: Path) -> None:
     info = json.dumps({"name": "left"}).encode()
     data = MAGIC + record(0, 0, info) + record(200, 0, b"?") + record(1, 0, b"abc") + record(3, 0, b"")
     (tmp_path / "run").write_bytes(data)
-    recording = Recording(tmp_path / "run")
+    recording = RecordingFile(tmp_path / "run")
     assert [each.kind for each in recording] == [Kind.CHANNEL, Kind.BYTES, Kind.END]
     assert recording.left_out == 0
 
@@ -115,12 +115,13 @@ def test_a_channel_is_found_by_name_or_what_there_is_is_told(tmp_path: Path) -> 
     writer.add_channel({"name": "left"})
     writer.add_channel({"name": "right"})
     writer.close()
-    recording = Recording(tmp_path / "run")
+    recording = RecordingFile(tmp_path / "run")
     assert recording.channel("right") == 1
     with pytest.raises(BadRecording, match="holds no middle; it holds left, right"):
         recording.channel("middle")
 
 
+@pytest.mark.real_time
 def test_several_threads_write_one_file(tmp_path: Path) -> None:
     writer = RecordingWriter(tmp_path / "run")
     begin = threading.Barrier(4)
@@ -137,7 +138,7 @@ def test_several_threads_write_one_file(tmp_path: Path) -> None:
     for thread in threads:
         thread.join(30)
     writer.close()
-    recording = Recording(tmp_path / "run")
+    recording = RecordingFile(tmp_path / "run")
     assert recording.is_complete
     assert recording.left_out == 0
     for channel in range(4):
@@ -152,7 +153,7 @@ def test_several_threads_write_one_file(tmp_path: Path) -> None:
 def test_can_be_read_while_it_is_made(tmp_path: Path) -> None:
     writer = RecordingWriter(tmp_path / "run")
     writer.add_channel({"name": "left"})
-    recording = Recording(tmp_path / "run")
+    recording = RecordingFile(tmp_path / "run")
     writer.write(Kind.BYTES, 0, Stamp(1, 1), b"one")
     records = iter(recording)
     assert next(records).kind is Kind.CHANNEL
@@ -180,12 +181,12 @@ def test_a_file_that_cannot_be_made_or_read(tmp_path: Path, name: str) -> None:
     with pytest.raises(BadRecording, match="cannot write"):
         RecordingWriter(tmp_path / name)
     with pytest.raises(BadRecording, match="cannot read"):
-        Recording(tmp_path / name)
+        RecordingFile(tmp_path / name)
 
 
 def test_a_folder_is_no_recording(tmp_path: Path) -> None:
     with pytest.raises(BadRecording):
-        Recording(tmp_path)
+        RecordingFile(tmp_path)
 
 
 def test_used_after_close(tmp_path: Path) -> None:
@@ -196,7 +197,7 @@ def test_used_after_close(tmp_path: Path) -> None:
         writer.write(Kind.BYTES, 0, Stamp(1, 1), b"late")
     with pytest.raises(Closed):
         writer.add_channel({"name": "late"})
-    assert [each.kind for each in Recording(tmp_path / "run")] == [Kind.END]
+    assert [each.kind for each in RecordingFile(tmp_path / "run")] == [Kind.END]
 
 
 def test_holds_256_channels(tmp_path: Path) -> None:
@@ -207,7 +208,7 @@ def test_holds_256_channels(tmp_path: Path) -> None:
         with pytest.raises(BadValue, match="256"):
             writer.add_channel({"name": "one too many"})
     writer.close()
-    assert len(Recording(tmp_path / "run").channels) == 256
+    assert len(RecordingFile(tmp_path / "run").channels) == 256
 
 
 class Disk:
@@ -249,7 +250,7 @@ def test_a_full_disk_ends_the_file_before_the_record_that_did_not_fit(
         disk.room = 1000  # room again: what came behind half a record could not be read
     writer.close()
     assert disk.closed
-    recording = Recording(tmp_path / "run")
+    recording = RecordingFile(tmp_path / "run")
     assert [each.payload for each in recording if each.kind is Kind.BYTES] == [b"fits"]
     assert not recording.is_complete
     assert recording.left_out == (60 - 30 if error is None else 0)
@@ -270,14 +271,14 @@ def test_a_file_cut_anywhere_reads_as_what_came_before(tmp_path: Path) -> None:
         (tmp_path / "cut").write_bytes(data[:cut])
         if cut < len(MAGIC):
             with pytest.raises(BadRecording, match="not a recording"):
-                Recording(tmp_path / "cut")
+                RecordingFile(tmp_path / "cut")
             continue
         whole = sum(end <= cut for end in ends)
-        recording = Recording(tmp_path / "cut")
+        recording = RecordingFile(tmp_path / "cut")
         assert list(recording) == records[:whole], cut
         assert recording.left_out == cut - ([len(MAGIC), *ends][whole]), cut
         assert not recording.is_complete
-    assert Recording(tmp_path / "whole").is_complete
+    assert RecordingFile(tmp_path / "whole").is_complete
 
 
 def test_a_flipped_byte_never_gives_a_wrong_record(tmp_path: Path) -> None:
@@ -289,10 +290,10 @@ def test_a_flipped_byte_never_gives_a_wrong_record(tmp_path: Path) -> None:
             (tmp_path / "damaged").write_bytes(damaged)
             if at < len(MAGIC):
                 with pytest.raises(BadRecording, match="not a recording"):
-                    Recording(tmp_path / "damaged")
+                    RecordingFile(tmp_path / "damaged")
                 continue
             whole = sum(end <= at for end in ends)
-            recording = Recording(tmp_path / "damaged")
+            recording = RecordingFile(tmp_path / "damaged")
             assert list(recording) == records[:whole], (at, mask)
             assert recording.left_out == len(data) - [len(MAGIC), *ends][whole], (at, mask)
             assert not recording.is_complete
@@ -306,7 +307,7 @@ def test_arbitrary_bytes_are_no_recording_or_an_incomplete_one(data: bytes, with
     with folder() as path:
         (path / "run").write_bytes(data)
         try:
-            recording = Recording(path / "run")
+            recording = RecordingFile(path / "run")
         except BadRecording:
             assert not begins_well
         else:
@@ -323,7 +324,7 @@ def test_arbitrary_records_are_read_or_refused(kind: int, channel: int, payload:
     with folder() as path:
         (path / "run").write_bytes(MAGIC + record(kind, channel, payload))
         try:
-            recording = Recording(path / "run")
+            recording = RecordingFile(path / "run")
         except BadRecording:
             assert kind in (Kind.CHANNEL, Kind.EVENT)
         else:
@@ -336,17 +337,17 @@ def test_arbitrary_records_are_read_or_refused(kind: int, channel: int, payload:
 def test_descriptions_that_are_none(tmp_path: Path, kind: Kind, payload: bytes) -> None:
     (tmp_path / "run").write_bytes(MAGIC + record(kind, 0, payload))
     with pytest.raises(BadRecording, match="channel 0"):
-        Recording(tmp_path / "run")
+        RecordingFile(tmp_path / "run")
 
 
 def test_a_length_beyond_all_reason_is_not_read(tmp_path: Path) -> None:
     (tmp_path / "run").write_bytes(MAGIC + struct.pack(">II", 0xFFFFFFFF, 0) + b"x" * 50)
-    assert Recording(tmp_path / "run").left_out == 58
+    assert RecordingFile(tmp_path / "run").left_out == 58
 
 
 def test_a_file_that_goes_away_is_told(tmp_path: Path) -> None:
     sample(tmp_path / "run")
-    recording = Recording(tmp_path / "run")
+    recording = RecordingFile(tmp_path / "run")
     (tmp_path / "run").unlink()
     with pytest.raises(BadRecording, match="cannot read"):
         next(iter(recording))
@@ -355,7 +356,7 @@ def test_a_file_that_goes_away_is_told(tmp_path: Path) -> None:
 WRITE_FOREVER = """
 import itertools, sys
 from linkcore.recording.file import Kind, RecordingWriter
-from linkcore.stamp import Stamp
+from linkcore.clock import Stamp
 writer = RecordingWriter(sys.argv[1])
 writer.add_channel({"name": "left"})
 for number in itertools.count():
@@ -365,6 +366,7 @@ for number in itertools.count():
 
 
 @pytest.mark.slow
+@pytest.mark.real_time
 def test_a_killed_program_loses_nothing_that_was_written(tmp_path: Path) -> None:
     process = subprocess.Popen(
         [sys.executable, "-c", WRITE_FOREVER, str(tmp_path / "run")], stdout=subprocess.PIPE, text=True
@@ -376,7 +378,7 @@ def test_a_killed_program_loses_nothing_that_was_written(tmp_path: Path) -> None
         process.kill()
         # What it had said before it was killed counts too.
         said = 499 + sum(1 for line in process.stdout if line.endswith("\n"))
-    recording = Recording(tmp_path / "run")
+    recording = RecordingFile(tmp_path / "run")
     numbers = [int.from_bytes(each.payload[:4], "big") for each in recording if each.kind is Kind.BYTES]
     assert numbers == list(range(len(numbers)))
     assert len(numbers) > said

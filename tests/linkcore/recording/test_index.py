@@ -11,19 +11,17 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from linkcore.clock import Stamp
 from linkcore.errors import BadRecording
-from linkcore.recording.checksums import intact
-from linkcore.recording.file import Kind, Record, Recording
-from linkcore.recording.index import Index
-from linkcore.recording.records import HEAD, MAGIC, pack
-from linkcore.stamp import Stamp
+from linkcore.recording.file import HEAD, MAGIC, Kind, Record, RecordingFile, pack
+from linkcore.recording.index import RecordIndex, intact
 
 
 def record(number: int, size: int) -> bytes:
     return pack(Kind.BYTES, number % 3, Stamp(number * 0.002, 1.7e9 + number), bytes([number % 251]) * size)
 
 
-def records(index: Index) -> list[Record]:
+def records(index: RecordIndex) -> list[Record]:
     return [
         Record(
             Kind(index.kind[number]),
@@ -47,7 +45,7 @@ def test_what_the_reader_finds_is_found(runs: list[tuple[int, int]], cut: int) -
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "run.urlog"
         path.write_bytes(data[: max(len(data) - cut, len(MAGIC))])
-        reader, index = Recording(path), Index(path)
+        reader, index = RecordingFile(path), RecordIndex(path)
         assert records(index) == list(reader)
         assert (index.left_out, index.is_complete) == (reader.left_out, reader.is_complete)
         del index  # before the folder: a file that is mapped cannot be removed everywhere
@@ -65,7 +63,7 @@ def test_one_damaged_byte_costs_one_record(count: int, size: int, place: int, ch
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "run.urlog"
         path.write_bytes(bytes(data))
-        index = Index(path)
+        index = RecordIndex(path)
         assert [pack(*each) for each in records(index)] == whole[:hit] + whole[hit + 1 :]
         assert [(gap.record, gap.offset, gap.size) for gap in index.gaps] == [
             (hit, len(MAGIC) + hit * len(whole[0]), len(whole[0]))
@@ -75,6 +73,7 @@ def test_one_damaged_byte_costs_one_record(count: int, size: int, place: int, ch
 
 @pytest.mark.property
 @given(st.integers(0, 1500), st.integers(0, 60), st.lists(st.integers(0, 1499), max_size=4))
+@pytest.mark.simulated_time
 def test_checksums_of_many_at_once(count: int, size: int, damaged: list[int]) -> None:
     stride = len(record(0, size))
     data = bytearray(b"?" + b"".join(record(number, size) for number in range(count)))
@@ -82,7 +81,7 @@ def test_checksums_of_many_at_once(count: int, size: int, damaged: list[int]) ->
     for number in hit:
         data[1 + number * stride + stride // 2] ^= 1
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("linkcore.recording.checksums._SHARE", 2)  # so that several threads have something to do
+        patch.setattr("linkcore.recording.index._SHARE", 2)  # so that several threads have something to do
         good = intact(np.frombuffer(bytes(data), np.uint8), 1, stride, count)
     assert set(np.flatnonzero(~good).tolist()) == hit
 
@@ -91,7 +90,7 @@ def test_what_is_no_record_is_passed_over(tmp_path: Path) -> None:
     path = tmp_path / "run.urlog"
     noise = struct.pack(">II", HEAD.size, 1) * 40 + b"\0" * 7
     path.write_bytes(MAGIC + record(1, 5) + noise + record(2, 5) + noise)
-    index = Index(path)
+    index = RecordIndex(path)
     assert [each.payload for each in records(index)] == [b"\1" * 5, b"\2" * 5]
     assert [gap.size for gap in index.gaps] == [len(noise)] * 2
     assert index.left_out == 2 * len(noise)
@@ -102,6 +101,6 @@ def test_what_is_no_recording_is_refused(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "other"
     path.write_bytes(data)
     with pytest.raises(BadRecording, match="is not a recording"):
-        Index(path)
+        RecordIndex(path)
     with pytest.raises(BadRecording, match="cannot read"):
-        Index(tmp_path / "none")
+        RecordIndex(tmp_path / "none")

@@ -13,13 +13,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import linkcore.recording.player
+from linkcore.clock import Stamp
 from linkcore.errors import BadRecording, BadValue, ConnectFailed, ConnectionLost, LinkTimeout
 from linkcore.net.transport import Finished
-from linkcore.recording.file import Kind, Recording, RecordingWriter
+from linkcore.recording.file import Kind, RecordingFile, RecordingWriter
 from linkcore.recording.player import ReplayClock, ReplayTransport
 from linkcore.recording.recorder import Recorder
-from linkcore.stamp import Stamp
-from linkcore.streaming.events import ConnectionEvent, ConnectionState
+from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from linkcore.streaming.stream import Stream
 from tests.linkcore.script import Count, ScriptedTransport, counts, scripted
 from tests.waiting import until
@@ -28,7 +28,7 @@ from tests.waiting import until
 Line = tuple[float, bytes | str]
 
 
-def write(path: Path, *channels: Iterable[Line]) -> Recording:
+def write(path: Path, *channels: Iterable[Line]) -> RecordingFile:
     """A recording of these channels, named "0", "1", ..., with monotonic stamps that begin at 5000."""
     writer = RecordingWriter(path)
     for number, lines in enumerate(channels):
@@ -41,7 +41,7 @@ def write(path: Path, *channels: Iterable[Line]) -> Recording:
                 event = {"state": what, "error": f"at {seconds:g}" if what == "lost" else None}
                 writer.write(Kind.EVENT, number, stamp, json.dumps(event).encode())
     writer.close()
-    return Recording(path)
+    return RecordingFile(path)
 
 
 class FakeTime:
@@ -76,7 +76,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> FakeTime:
     return fake
 
 
-def opened(recording: Recording, clock: FakeTime, rate: float = 1.0, channel: str = "0") -> ReplayTransport:
+def opened(recording: RecordingFile, clock: FakeTime, rate: float = 1.0, channel: str = "0") -> ReplayTransport:
     transport = ReplayTransport(recording, channel, ReplayClock(recording, rate))
     transport._closed = FakeEvent(clock)
     transport.open(5)
@@ -214,6 +214,7 @@ def test_a_connection_that_was_never_made_is_replayed_so(tmp_path: Path) -> None
         transport.open(5)
 
 
+@pytest.mark.simulated_time
 def test_close_wakes_who_waits_for_a_chunk_and_none_is_lost(tmp_path: Path) -> None:
     recording = write(tmp_path / "run", [(0, b"a"), (3600, b"b")])
     clock = ReplayClock(recording)
@@ -262,13 +263,14 @@ def test_an_empty_channel_is_over_at_once(tmp_path: Path) -> None:
 
 
 def replaying(path: Path, rate: float = 0) -> Stream[Count]:
-    recording = Recording(path)
+    recording = RecordingFile(path)
     transport = ReplayTransport(recording, "0", ReplayClock(recording, rate))
     lossless = rate == 0
     return scripted(transport, name="replay", lossless=lossless)
 
 
 @pytest.mark.parametrize("size", [1, 7, 500])
+@pytest.mark.simulated_time
 def test_as_fast_as_possible_loses_nothing(tmp_path: Path, size: int) -> None:
     """More than any queue holds, with what a plain `for` uses."""
     numbers = range(1000, 4000)
@@ -279,6 +281,7 @@ def test_as_fast_as_possible_loses_nothing(tmp_path: Path, size: int) -> None:
     stream.close()
 
 
+@pytest.mark.simulated_time
 def test_a_slow_callback_loses_nothing_either(tmp_path: Path) -> None:
     write(tmp_path / "run", [(n, counts(1000 + n)) for n in range(3000)])
     stream = replaying(tmp_path / "run")
@@ -296,6 +299,7 @@ def test_a_slow_callback_loses_nothing_either(tmp_path: Path) -> None:
     stream.close()
 
 
+@pytest.mark.simulated_time
 def test_a_recorded_loss_is_a_loss_and_subscriptions_stay(tmp_path: Path) -> None:
     """Recorded from a stream that loses its connection twice, the second time with a failed attempt."""
     script = ScriptedTransport(None, None, ConnectFailed("refused"), None)
@@ -326,6 +330,7 @@ def test_a_recorded_loss_is_a_loss_and_subscriptions_stay(tmp_path: Path) -> Non
     replayed.close()
 
 
+@pytest.mark.simulated_time
 def test_a_recording_of_a_crash_replays_up_to_it(tmp_path: Path) -> None:
     write(tmp_path / "whole", [(n, counts(n)) for n in range(20)])
     data = (tmp_path / "whole").read_bytes()
@@ -337,6 +342,7 @@ def test_a_recording_of_a_crash_replays_up_to_it(tmp_path: Path) -> None:
     stream.close()
 
 
+@pytest.mark.simulated_time
 def test_closing_a_replay_that_waits_is_quick(tmp_path: Path) -> None:
     write(tmp_path / "run", [(0, counts(1)), (3600, counts(2))])
     stream = replaying(tmp_path / "run", rate=1)
@@ -347,6 +353,7 @@ def test_closing_a_replay_that_waits_is_quick(tmp_path: Path) -> None:
 
 @pytest.mark.property
 @given(st.lists(st.binary(min_size=1, max_size=30), max_size=20), st.data())
+@pytest.mark.simulated_time
 def test_recorded_and_replayed_are_the_same(chunks: list[bytes], data: st.DataObject) -> None:
     """Whatever bytes, however cut: a recorder of the replay writes what the recording holds."""
     with tempfile.TemporaryDirectory() as name:
@@ -369,7 +376,7 @@ def test_recorded_and_replayed_are_the_same(chunks: list[bytes], data: st.DataOb
 def contents(path: Path) -> list[tuple[Kind, bytes]]:
     """The chunks, and between which of them connections were lost."""
     kept: list[tuple[Kind, bytes]] = []
-    for record in Recording(path):
+    for record in RecordingFile(path):
         if record.kind is Kind.BYTES:
             kept.append((record.kind, record.payload))
         elif record.kind is Kind.EVENT and json.loads(record.payload)["state"] == "lost":

@@ -13,12 +13,14 @@ import pytest
 
 from linkcore.errors import BadRecording, BadValue, Closed, ConnectFailed, ConnectionLost, LinkTimeout
 from linkcore.net.transport import Finished
-from linkcore.recording.file import Kind, Record, Recording, RecordingWriter
+from linkcore.recording.file import Kind, Record, RecordingFile, RecordingWriter
 from linkcore.recording.recorder import Recorder
-from linkcore.streaming.policy import block
+from linkcore.streaming.packet_queue import block
 from linkcore.streaming.stream import Stream
 from tests.linkcore.script import Count, ScriptedTransport, counts, scripted
 from tests.waiting import until
+
+pytestmark = pytest.mark.simulated_time
 
 SCRIPT = {"name": "script"}
 
@@ -47,11 +49,11 @@ def stream(transport: ScriptedTransport, make_stream: Callable[[ScriptedTranspor
 
 
 def recorded(path: Path, channel: int = 0) -> bytes:
-    return b"".join(each.payload for each in Recording(path) if each.kind is Kind.BYTES and each.channel == channel)
+    return b"".join(each.payload for each in RecordingFile(path) if each.kind is Kind.BYTES and each.channel == channel)
 
 
 def events(path: Path) -> list[dict[str, Any]]:
-    return [json.loads(each.payload) for each in Recording(path) if each.kind is Kind.EVENT]
+    return [json.loads(each.payload) for each in RecordingFile(path) if each.kind is Kind.EVENT]
 
 
 class Gate:
@@ -84,7 +86,7 @@ def test_every_chunk_is_recorded_once_and_in_order(
         transport.put(*chunks, Finished())
         assert stream.join(10)
         assert subscription.stats.dropped == subscription.stats.raised == subscription.stats.waiting == 0
-    recording = Recording(tmp_path / "run")
+    recording = RecordingFile(tmp_path / "run")
     assert recording.is_complete
     assert recording.channels == {0: {"name": "script", "firmware": "5.11"}}
     # As they were cut, too.
@@ -100,7 +102,7 @@ def test_what_cannot_be_said_of_a_stream(stream: Stream[Count], tmp_path: Path, 
         assert repr(recorder) == f"<Recorder {tmp_path / 'run'}: 0 streams>"
         recorder.add(stream, {"name": "script"})
         assert repr(recorder) == f"<Recorder {tmp_path / 'run'}: 1 streams>"
-    assert Recording(tmp_path / "run").channels == {0: {"name": "script"}}
+    assert RecordingFile(tmp_path / "run").channels == {0: {"name": "script"}}
 
 
 def test_stamps_are_those_of_the_packets(stream: Stream[Count], transport: ScriptedTransport, tmp_path: Path) -> None:
@@ -110,7 +112,7 @@ def test_stamps_are_those_of_the_packets(stream: Stream[Count], transport: Scrip
         stream.subscribe(packets.append, policy=block)
         transport.put(*(counts(number) for number in range(20)), Finished())
         assert stream.join(10)
-    written = [each for each in Recording(tmp_path / "run") if each.kind is Kind.BYTES]
+    written = [each for each in RecordingFile(tmp_path / "run") if each.kind is Kind.BYTES]
     assert len(packets) == 20
     for packet, each in zip(packets, written, strict=True):
         assert packet.received is not None
@@ -135,7 +137,7 @@ def test_bytes_before_and_after_a_reconnect_are_all_there(
         ("connected", None),
         ("closed", None),
     ]
-    kinds = [each.kind for each in Recording(tmp_path / "run")]
+    kinds = [each.kind for each in RecordingFile(tmp_path / "run")]
     assert kinds[3:6] == [Kind.BYTES, Kind.BYTES, Kind.EVENT], "the loss stands where it happened"
 
 
@@ -169,7 +171,7 @@ def test_two_streams_in_one_file_are_kept_apart(
         for transport, stream in zip(transports, streams, strict=True):
             transport.put(Finished())
             assert stream.join(10)
-    recording = Recording(tmp_path / "run")
+    recording = RecordingFile(tmp_path / "run")
     assert recorded(tmp_path / "run", recording.channel("left")) == counts(*range(200))
     assert recorded(tmp_path / "run", recording.channel("right")) == counts(*range(1000, 1200))
 
@@ -226,7 +228,7 @@ def test_closing_writes_what_still_waits(
     transport.put(counts(1000))  # comes after the end
     until(lambda: stream.stats.received == 101)
     assert recorded(tmp_path / "run") == counts(*range(100))
-    assert Recording(tmp_path / "run").is_complete
+    assert RecordingFile(tmp_path / "run").is_complete
 
 
 def test_closing_the_stream_first_loses_nothing(
@@ -259,7 +261,7 @@ def test_a_disk_too_slow_to_close_is_told_and_the_file_is_as_after_a_crash(
     recorder.close()  # idempotent: it was told
     gate.open.set()
     assert subscription.join(10)
-    recording = Recording(tmp_path / "run")
+    recording = RecordingFile(tmp_path / "run")
     assert not recording.is_complete
     assert recorded(tmp_path / "run") == b""
 
@@ -295,7 +297,7 @@ def test_a_disk_that_fails_is_told_and_the_stream_goes_on(
     with pytest.raises(BadRecording, match="No space left"):
         recorder.close()
     assert "No space left" in caplog.text
-    assert not Recording(tmp_path / "run").is_complete
+    assert not RecordingFile(tmp_path / "run").is_complete
     assert recorded(tmp_path / "run") == counts(1)
 
 
@@ -336,7 +338,7 @@ def test_records_are_of_their_channel(stream: Stream[Count], transport: Scripted
         recorder.add(stream, SCRIPT)
         transport.put(counts(1), Finished())
         assert stream.join(10)
-    records: list[Record] = list(Recording(tmp_path / "run"))
+    records: list[Record] = list(RecordingFile(tmp_path / "run"))
     assert records[0].kind is Kind.CHANNEL
     assert records[-1].kind is Kind.END
     assert {record.channel for record in records} == {0}

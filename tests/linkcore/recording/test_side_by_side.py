@@ -6,11 +6,12 @@ import threading
 
 import pytest
 
-from linkcore.recording.side_by_side import side_by_side
+from linkcore.recording.index import side_by_side
 
 
 @pytest.mark.parametrize("processors", [1, 3])
 @pytest.mark.parametrize("size", [0, 1, 10, 11, 95])
+@pytest.mark.simulated_time
 def test_every_share_once_and_in_order(processors: int, size: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("os.cpu_count", lambda: processors)
     shares = side_by_side(lambda begin, end: list(range(begin, end)), 5, 5 + size, 10)
@@ -18,6 +19,7 @@ def test_every_share_once_and_in_order(processors: int, size: int, monkeypatch: 
     assert all(len(share) == 10 for share in shares[:-1])
 
 
+@pytest.mark.simulated_time
 def test_shares_are_done_at_the_same_time_and_their_errors_are_raised(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("os.cpu_count", lambda: 2)
     both = threading.Barrier(2, timeout=20.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import fcntl
 import select
 import selectors
@@ -74,6 +75,22 @@ def test_bytes_there_and_back(sim: Simulation, robot: Computer) -> None:
         assert sim.now - begun == pytest.approx(0.002, abs=1e-4)
         link.shutdown(socket.SHUT_WR)
         assert link.recv(100) == b""
+
+
+def test_it_has_no_peer_before_the_handshake_is_over(sim: Simulation, robot: Computer) -> None:
+    """Who polls would take it for open, and the refusal to receive for its end."""
+    serve(sim, robot, echo)
+    with socket.socket() as link:
+        link.setblocking(False)
+        begun = sim.now
+        assert link.connect_ex((robot.address, PORT)) == errno.EINPROGRESS
+        for seconds in (0.0005, 0.001):
+            time.sleep(seconds)
+            with pytest.raises(OSError, match="not connected"):
+                link.getpeername()
+        assert 0.001 < sim.now - begun < 0.002
+        time.sleep(0.001)
+        assert link.getpeername() == (robot.address, PORT)
 
 
 def test_nothing_listens(sim: Simulation, robot: Computer) -> None:
@@ -247,6 +264,25 @@ def test_reset_by_the_network(sim: Simulation, robot: Computer) -> None:
         sim.network.reset(sim.here, robot)
         with pytest.raises(ConnectionResetError):
             link.recv(1)
+
+
+@pytest.mark.parametrize("way", ["there", "back"])
+@pytest.mark.parametrize("is_asked_here", [True, False])
+def test_reset_by_the_network_during_a_handshake(
+    sim: Simulation, robot: Computer, way: str, is_asked_here: bool
+) -> None:
+    """Whether the request is under way or its answer."""
+    server, client = (robot, sim.here) if is_asked_here else (sim.here, robot)
+    with sim.on(server), socket.socket() as listener:
+        listener.bind(("", PORT))
+        listener.listen()
+        sim.at(0.0005 if way == "there" else 0.0015, lambda: sim.network.reset(sim.here, robot))
+        with sim.on(client):
+            with pytest.raises(ConnectionRefusedError):
+                socket.create_connection((server.address, PORT), timeout=60.0)
+            assert sim.now < 0.002
+            with socket.create_connection((server.address, PORT), timeout=60.0):  # the next one is made
+                pass
 
 
 def test_poll_select_and_selectors(sim: Simulation, robot: Computer) -> None:

@@ -77,6 +77,7 @@ def test_other_seeds_give_other_orders() -> None:
         assert sorted(order) == sorted([0, 1, 2] * 20)
 
 
+@pytest.mark.real_time
 def test_the_same_run_in_another_process() -> None:
     """With another seed of hashes and other addresses of objects."""
     program = (
@@ -270,6 +271,7 @@ def test_asyncio_on_the_same_clock() -> None:
         assert asyncio.run(program()) == ["by a thread", 1, 14.25]
 
 
+@pytest.mark.real_time
 def test_threads_from_outside_see_real_time() -> None:
     seen: list[float] = []
     proceed, done = threading.Event(), threading.Event()

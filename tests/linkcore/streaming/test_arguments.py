@@ -10,11 +10,11 @@ import pytest
 from linkcore.arguments import check_callable, check_seconds
 from linkcore.errors import BadValue
 from linkcore.net.transport import Finished
-from linkcore.streaming.connection import Connection
-from linkcore.streaming.events import ConnectionEvent, Traffic
+from linkcore.streaming.connection_life import ConnectionEvent, Traffic
 from linkcore.streaming.fanout import FanOut
-from linkcore.streaming.policy import block, drop_oldest
+from linkcore.streaming.packet_queue import block, drop_oldest
 from linkcore.streaming.stream import Stream
+from linkcore.streaming.thread_connection import ThreadConnection
 from linkcore.wire.packet import State
 from tests.linkcore.script import Count, CountProtocol, ScriptedTransport, counts, scripted
 
@@ -113,7 +113,7 @@ def test_a_kind_that_can_never_come_is_refused(stream: Stream[Count], transport:
 
 def test_a_kind_that_others_declare_can_come(transport: ScriptedTransport) -> None:
     fan_out = FanOut(Count, parts=lambda packet: (), others=(Other,))
-    stream = Stream(Connection("script", transport, CountProtocol, fan_out), Count)
+    stream = Stream(ThreadConnection("script", transport, CountProtocol, fan_out), Count)
     assert stream.of(Other)
 
 

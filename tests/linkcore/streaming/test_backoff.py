@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linkcore.errors import BadValue
-from linkcore.streaming.backoff import Backoff
+from linkcore.streaming.connection_life import Backoff
 
 pytestmark = pytest.mark.simulated_time
 

@@ -9,8 +9,7 @@ import pytest
 
 from linkcore.net.transport import Finished
 from linkcore.streaming.fanout import FanOut
-from linkcore.streaming.packet_queue import PacketQueue
-from linkcore.streaming.policy import block
+from linkcore.streaming.packet_queue import PacketQueue, block
 from linkcore.streaming.stream import Stream
 from linkcore.streaming.subscription import ThreadedDelivery
 from tests.linkcore.script import Count, ScriptedTransport, counts

@@ -15,7 +15,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition,
 
 from linkcore.errors import ConnectionLost
 from linkcore.net.transport import Finished
-from linkcore.streaming.policy import Policy, block, drop_oldest, latest
+from linkcore.streaming.packet_queue import Policy, block, drop_oldest, latest
 from linkcore.streaming.statistics import StreamCounters, SubscriptionStatistics
 from linkcore.streaming.stream import Stream
 from linkcore.streaming.subscription import Subscription

@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
+from linkcore.clock import Stamp
 from linkcore.errors import BadValue
 from linkcore.net.transport import Finished
-from linkcore.stamp import Stamp
-from linkcore.streaming.events import ConnectionEvent
+from linkcore.streaming.connection_life import ConnectionEvent
 from linkcore.streaming.history import History
 from linkcore.streaming.stream import Stream
 from tests.linkcore.script import Count, ScriptedTransport, counts

@@ -10,8 +10,8 @@ import pytest
 
 from linkcore.errors import BadValue, ConnectionLost, LocalError
 from linkcore.net.transport import Finished
-from linkcore.streaming.events import Chunk, ConnectionEvent, ConnectionState, Traffic
-from linkcore.streaming.policy import block, latest
+from linkcore.streaming.connection_life import Chunk, ConnectionEvent, ConnectionState, Traffic
+from linkcore.streaming.packet_queue import block, latest
 from linkcore.streaming.stream import Stream
 from linkcore.streaming.subscription import Subscription
 from tests.linkcore.script import Count, ScriptedTransport, counts

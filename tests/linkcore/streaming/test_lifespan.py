@@ -12,10 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linkcore.aio.packets import LoopQueue
+from linkcore.clock import Stamp
 from linkcore.errors import BadValue
-from linkcore.stamp import Stamp
-from linkcore.streaming.packet_queue import PacketQueue
-from linkcore.streaming.policy import Policy, drop_oldest
+from linkcore.streaming.packet_queue import PacketQueue, Policy, drop_oldest
 from tests.linkcore.script import Count, ScriptedTransport, counts, scripted
 from tests.waiting import until
 

@@ -12,7 +12,7 @@ import pytest
 
 from linkcore.errors import LocalError
 from linkcore.net.transport import Finished
-from linkcore.streaming.events import ConnectionState
+from linkcore.streaming.connection_life import ConnectionState
 from linkcore.streaming.stream import Stream
 from tests.linkcore.script import Count, ScriptedTransport, counts, output_of, scripted
 from tests.waiting import until

@@ -17,8 +17,7 @@ from hypothesis.stateful import (
 )
 
 from linkcore.errors import BadValue
-from linkcore.streaming.packet_queue import PacketQueue
-from linkcore.streaming.policy import Policy, block, drop_oldest, latest
+from linkcore.streaming.packet_queue import PacketQueue, Policy, block, drop_oldest, latest
 from tests.waiting import until
 
 pytestmark = pytest.mark.simulated_time

@@ -7,11 +7,10 @@ from pathlib import Path
 import pytest
 
 from linkcore.errors import Closed, ConnectFailed, ConnectionLost, LinkTimeout, LocalError
-from linkcore.recording.file import Recording
+from linkcore.recording.file import RecordingFile
 from linkcore.recording.player import ReplayClock, ReplayTransport
 from linkcore.recording.recorder import Recorder
-from linkcore.streaming.backoff import Backoff
-from linkcore.streaming.events import ConnectionState
+from linkcore.streaming.connection_life import Backoff, ConnectionState
 from linkcore.streaming.stream import Stream
 from tests.linkcore.script import Count, ScriptedTransport, counts, scripted
 from tests.waiting import until
@@ -69,7 +68,7 @@ def test_a_recording_takes_nothing(stream: Stream[Count], transport: ScriptedTra
         recorder.add(stream, {"name": "script"})
         transport.put(counts(1, 2))
         until(lambda: stream.stats.received == 2)
-    recording = Recording(tmp_path / "run.log")
+    recording = RecordingFile(tmp_path / "run.log")
     played = scripted(ReplayTransport(recording, "script", ReplayClock(recording, 0)), name="played", lossless=True)
     with pytest.raises(LocalError, match=r"recording|is over"):
         played._connection.send(b"text\n", 1.0)

@@ -8,8 +8,7 @@ import threading
 import pytest
 
 from linkcore.errors import BadValue, LinkTimeout
-from linkcore.streaming.backoff import Backoff
-from linkcore.streaming.events import ConnectionEvent, ConnectionState
+from linkcore.streaming.connection_life import Backoff, ConnectionEvent, ConnectionState
 from linkcore.streaming.silence import SilenceMonitor
 from tests.linkcore.script import ScriptedTransport, counts, output_of, scripted
 from tests.waiting import until
@@ -197,7 +196,7 @@ def test_bytes_without_packets_count_as_silence() -> None:
 _STALLED = """
 import ctypes, sys, threading
 from linkcore.net.transport import TcpTransport
-from linkcore.streaming.events import ConnectionEvent
+from linkcore.streaming.connection_life import ConnectionEvent
 from tests.linkcore.script import Count, scripted
 
 stream = scripted(TcpTransport("127.0.0.1", int(sys.argv[1]), silence=60), silence=0.2)

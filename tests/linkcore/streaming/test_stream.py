@@ -11,9 +11,8 @@ import pytest
 
 from linkcore.errors import BadValue, Closed, ConnectFailed, ConnectionLost, LinkTimeout
 from linkcore.net.transport import Finished
-from linkcore.streaming.backoff import Backoff
-from linkcore.streaming.events import Chunk, ConnectionEvent, ConnectionState, Traffic
-from linkcore.streaming.policy import Policy, block, drop_oldest, latest
+from linkcore.streaming.connection_life import Backoff, Chunk, ConnectionEvent, ConnectionState, Traffic
+from linkcore.streaming.packet_queue import Policy, block, drop_oldest, latest
 from linkcore.streaming.stream import Stream
 from tests.linkcore.script import BAD, Count, ScriptedTransport, counts, scripted
 from tests.waiting import until

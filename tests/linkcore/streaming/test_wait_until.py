@@ -9,7 +9,7 @@ import pytest
 
 from linkcore.errors import BadValue, Closed, ConnectionLost, LinkTimeout, LocalError
 from linkcore.net.transport import Finished
-from linkcore.streaming.events import ConnectionEvent, ConnectionState
+from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from linkcore.streaming.stream import Stream
 from tests.linkcore.script import Count, ScriptedTransport, counts
 from tests.waiting import until

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 from linkcore.errors import BadValue, LocalError, PacketError
-from linkcore.wire.fields import Header
-from linkcore.wire.packet import IntVector, State, Vector, packet, wire
-from linkcore.wire.shapes import (
+from linkcore.wire.fields import (
     Coded,
     Float32b,
     Float64b,
+    Header,
     Int8sb,
     Int8ub,
     Int16ub,
@@ -24,6 +23,7 @@ from linkcore.wire.shapes import (
     OpenInt,
     Text,
 )
+from linkcore.wire.packet import IntVector, State, Vector, packet, wire
 from tests.oracle import parse
 
 SIZE = Header(size=Int32sb)

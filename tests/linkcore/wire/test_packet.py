@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from linkcore.clock import Stamp
 from linkcore.errors import PacketError
-from linkcore.stamp import Stamp
-from linkcore.wire.fields import Header
+from linkcore.wire.fields import Coded, Float64b, Header, Int8ub, Int16ub, Int32sb, Int32ub, OpenInt, Raw, Text
 from linkcore.wire.packet import IntVector, State, Vector, packet, wire
-from linkcore.wire.shapes import Coded, Float64b, Int8ub, Int16ub, Int32sb, Int32ub, OpenInt, Raw, Text
 
 SIZE = Header(size=Int32sb)
 SIZE_AND_TYPE = Header(size=Int32sb, type=Int8ub)

@@ -11,12 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linkcore.errors import PacketError
-from linkcore.wire.fields import Field, Header
-from linkcore.wire.layout import Layout
-from linkcore.wire.packet import State, packet, wire
-from linkcore.wire.shapes import (
+from linkcore.wire.fields import (
     Coded,
+    Field,
     Float64b,
+    Header,
     Int8ub,
     Int16ub,
     Int32sb,
@@ -24,6 +23,8 @@ from linkcore.wire.shapes import (
     Int64ub,
     Shape,
 )
+from linkcore.wire.layout import Layout
+from linkcore.wire.packet import State, packet, wire
 from tests.oracle import parse
 
 #: Size, type of package, number of the recipe.

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from linkcore.wire.fields import NOT_A_CODE, Coded, Float64b, Int8ub, Int16ub, Mask64, OpenInt, Raw, Shape, Text
 from linkcore.wire.schema import as_construct
-from linkcore.wire.shapes import NOT_A_CODE, Coded, Float64b, Int8ub, Int16ub, Mask64, OpenInt, Raw, Shape, Text
 
 
 class Mode(OpenInt):

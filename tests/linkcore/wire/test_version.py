@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linkcore.errors import BadVersion, LocalError, PacketError, RemoteError
-from linkcore.wire.version import Since, Version, parse_version
+from linkcore.wire.fields import Since, Version, parse_version
 
 
 @pytest.mark.parametrize(

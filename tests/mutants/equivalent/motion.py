@@ -123,7 +123,7 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "a length that was computed equals the sum of the radii to the last bit",
     ),
     Equivalent(
-        "urlink/motion/trajectory_plot.py",
+        "urlink/motion/trajectory_files.py",
         None,
         "1000",
         "1001",
@@ -179,7 +179,7 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "where both bounds of y are equal, either slope leads Newton's method from the right to the same place",
     ),
     Equivalent(
-        "urlink/motion/root_finding.py",
+        "urlink/motion/jerk_limited.py",
         "root",
         "value < 0.0",
         "value <= 0.0",
@@ -194,7 +194,7 @@ EQUIVALENT: tuple[Equivalent, ...] = (
     ),
     Equivalent(
         "urlink/motion/register_link.py",
-        "__init__",
+        "random_token",
         "1",
         "2",
         "one of two thousand million tokens is never chosen; what counts is that none is 0",
@@ -256,10 +256,10 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "before the first set-point none is missed, so no program goes on at this pace",
     ),
     Equivalent(
-        "urlink/motion/following.py",
+        "urlink/motion/controller_clock.py",
         "passed",
-        "way >= self._quickest - _EARLIER",
-        "way > self._quickest - _EARLIER",
+        "way >= self._quickest - EARLIER",
+        "way > self._quickest - EARLIER",
         "a tenth of a second between two clocks, to the last bit",
     ),
     Equivalent(

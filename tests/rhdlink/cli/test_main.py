@@ -87,6 +87,7 @@ def test_wrong_usage_is_2(run: Run, argv: tuple[str, ...]) -> None:
         (("turtle", "--picture", "way.bmp"), "an .svg or a .png"),
     ],
 )
+@pytest.mark.real_time
 def test_what_fails_is_one_line_on_stderr_and_1(run: Run, argv: tuple[str, ...], said: str) -> None:
     status, out, err = run(*argv)
     assert (status, out) == (1, "")
@@ -95,6 +96,7 @@ def test_what_fails_is_one_line_on_stderr_and_1(run: Run, argv: tuple[str, ...],
     assert err.count("\n") == 1
 
 
+@pytest.mark.real_time
 def test_a_port_that_is_taken(run: Run, host: Host) -> None:
     status, out, err = run("turtle", "--port", str(host.port))
     assert (status, out) == (1, "")
@@ -108,6 +110,7 @@ def test_text_of_errors_is_harmless(run: Run, tmp_path: Path) -> None:
     assert "x\\x1b[2J\\u202ey" in err
 
 
+@pytest.mark.real_time
 def test_verbose_logs_to_stderr(run: Run) -> None:
     status, _, err = run("turtle", "--port", "0", "--duration", "0.05", "-vv")
     assert status == 0
@@ -116,6 +119,7 @@ def test_verbose_logs_to_stderr(run: Run) -> None:
 
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 @pytest.mark.parametrize("options", [("--plain",), ("--json",)])
+@pytest.mark.real_time
 def test_signals_end_a_watch_quietly(
     spawn: Spawn, address: str, options: tuple[str, ...], number: int, status: int
 ) -> None:
@@ -127,6 +131,7 @@ def test_signals_end_a_watch_quietly(
     assert (process.returncode, err) == (status, "")
 
 
+@pytest.mark.real_time
 def test_reader_that_has_had_enough_is_no_error(spawn: Spawn, address: str) -> None:
     process = spawn("watch", address, "--json")
     assert process.stdout is not None

@@ -15,6 +15,8 @@ from tests.waiting import until
 
 from .conftest import Run, Spawn
 
+pytestmark = pytest.mark.simulated_time
+
 MISSIONS = Path(__file__).parents[3] / "examples" / "missions"
 
 
@@ -118,6 +120,7 @@ def test_a_log_is_kept_in_its_folder(run: Run, script: Path, tmp_path: Path) -> 
     assert rest[: len(first)] == first
 
 
+@pytest.mark.real_time
 def test_a_script_runs_on_a_robot(spawn: Spawn, script: Path) -> None:
     robot = Turtle()
     script.write_text('label "on"\nturn 90\ngoto "on"\n')
@@ -131,6 +134,7 @@ def test_a_script_runs_on_a_robot(spawn: Spawn, script: Path) -> None:
         until(lambda: robot.cmdtransvel == robot.cmdrotvel == 0)
 
 
+@pytest.mark.real_time
 def test_what_clients_say_steers_no_terminal(spawn: Spawn) -> None:
     process = spawn("mission", "--serve", "--turtle", "--port", "0", "--profile", "mrc")
     assert process.stdout is not None
@@ -145,6 +149,7 @@ def test_what_clients_say_steers_no_terminal(spawn: Spawn) -> None:
     assert "stringcat" in out
 
 
+@pytest.mark.real_time
 def test_clients_of_mrc_are_served(spawn: Spawn) -> None:
     process = spawn("mission", "--serve", "--turtle", "--port", "0")
     assert process.stdout is not None

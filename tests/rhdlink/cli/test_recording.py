@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 
 import rhdlink
-from linkcore.recording.file import Kind, Recording, RecordingWriter
-from linkcore.stamp import Stamp
+from linkcore.clock import Stamp
+from linkcore.recording.file import Kind, RecordingFile, RecordingWriter
 from rhdlink import Host
 from rhdlink.plugins.logger import Logger
 from rhdlink.plugins.turtle import Turtle
-from rhdlink.recording.playback import play
+from rhdlink.recording import play
 from rhdlink.variables import Database, TimeStamp
 from rhdlink.wire.messages import END
 from tests.harm import assert_harmless, strict
@@ -128,6 +128,7 @@ def test_wrong_usage(run: Run, recording: Path, argv: tuple[str, ...]) -> None:
     assert err.startswith("usage: rhdlink replay")
 
 
+@pytest.mark.simulated_time
 def test_record_and_replay(run: Run, address: str, tmp_path: Path) -> None:
     path = str(tmp_path / "drive.urlog")
     status, out, err = run("record", address, path, "--count", "20")
@@ -145,6 +146,7 @@ def test_record_and_replay(run: Run, address: str, tmp_path: Path) -> None:
     assert (status, out.splitlines()[0]) == (0, "#1 ar: grants access as reader, 2 bytes at 0")
 
 
+@pytest.mark.simulated_time
 def test_a_recording_never_overwrites_one(run: Run, address: str, recording: Path) -> None:
     before = recording.read_bytes()
     status, out, err = run("record", address, str(recording))
@@ -153,6 +155,7 @@ def test_a_recording_never_overwrites_one(run: Run, address: str, recording: Pat
     assert recording.read_bytes() == before
 
 
+@pytest.mark.simulated_time
 def test_who_is_not_there_leaves_no_file(run: Run, tmp_path: Path) -> None:
     path = tmp_path / "drive.urlog"
     assert run("record", "127.0.0.1:1", str(path))[0] == 1
@@ -160,6 +163,7 @@ def test_who_is_not_there_leaves_no_file(run: Run, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.real_time
 def test_a_signal_ends_it_in_order(spawn: Spawn, address: str, tmp_path: Path, number: int, status: int) -> None:
     path = tmp_path / "drive.urlog"
     process = spawn("record", address, str(path))
@@ -169,9 +173,10 @@ def test_a_signal_ends_it_in_order(spawn: Spawn, address: str, tmp_path: Path, n
     out, err = process.communicate(timeout=20)
     assert (process.returncode, err) == (status, "")
     assert ", complete\n" in out
-    assert Recording(path).is_complete
+    assert RecordingFile(path).is_complete
 
 
+@pytest.mark.simulated_time
 def test_a_lost_connection_is_in_the_recording(tmp_path: Path, own_port: int) -> None:
     path = tmp_path / "drive.urlog"
     with Host([Turtle()], port=own_port, pacing="lockstep"):
@@ -182,10 +187,11 @@ def test_a_lost_connection_is_in_the_recording(tmp_path: Path, own_port: int) ->
     with Host([Turtle()], port=own_port, pacing="lockstep"):
         robot.sync()
         robot.close()
-    moments = [(moment.connection, moment.is_handshake) for moment in play(Recording(path))]
+    moments = [(moment.connection, moment.is_handshake) for moment in play(RecordingFile(path))]
     assert moments == [(1, True), (1, False), (2, True), (2, False)]
 
 
+@pytest.mark.simulated_time
 def test_a_disk_that_fails_costs_the_recording_and_not_the_connection(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -201,9 +207,10 @@ def test_a_disk_that_fails_costs_the_recording_and_not_the_connection(
         with pytest.raises(rhdlink.BadRecording):
             robot.close()
         robot.close()
-    assert not Recording(tmp_path / "drive.urlog").is_complete
+    assert not RecordingFile(tmp_path / "drive.urlog").is_complete
 
 
+@pytest.mark.simulated_time
 def test_what_the_logger_wrote_is_played(run: Run, tmp_path: Path) -> None:
     path = tmp_path / "drive.urlog"
     with (

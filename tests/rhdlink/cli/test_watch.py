@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import pytest
 
 import rhdlink
-from linkcore.stamp import Stamp
-from linkcore.streaming.events import ConnectionEvent, ConnectionState
+from linkcore.clock import Stamp
+from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from rhdlink import Host
 from rhdlink.cli.view import RateCounter
 from rhdlink.plugins.turtle import Turtle
@@ -18,6 +18,7 @@ from tests.harm import strict
 from .conftest import Run, Spawn
 
 
+@pytest.mark.simulated_time
 def test_lines_with_units_and_rates(run: Run, address: str) -> None:
     status, out, err = run("watch", address, "rotpos", "counter", "--plain", "--count", "2")
     assert (status, err) == (0, "")
@@ -30,6 +31,7 @@ def test_lines_with_units_and_rates(run: Run, address: str) -> None:
     assert "tick" not in out
 
 
+@pytest.mark.simulated_time
 def test_each_update_as_json(run: Run, address: str) -> None:
     status, out, err = run("watch", address, "--json", "counter", "tick", "--count", "5")
     assert (status, err) == (0, "")
@@ -42,6 +44,7 @@ def test_each_update_as_json(run: Run, address: str) -> None:
     assert updates[0]["stamps"].keys() == updates[0]["variables"].keys()
 
 
+@pytest.mark.simulated_time
 def test_duration(run: Run, address: str) -> None:
     for option in ("--plain", "--json"):
         status, out, _ = run("watch", address, option, "--duration", "0.3")
@@ -49,12 +52,14 @@ def test_duration(run: Run, address: str) -> None:
         assert out
 
 
+@pytest.mark.simulated_time
 def test_a_variable_that_is_not_there(run: Run, address: str) -> None:
     status, out, err = run("watch", address, "nope")
     assert (status, out) == (1, "")
     assert "no variable 'nope'" in err
 
 
+@pytest.mark.real_time
 def test_a_robot_that_goes_and_comes_back(spawn: Spawn, own_port: int) -> None:
     with Host([Turtle()], period=0.002, port=own_port):
         process = spawn("watch", f"127.0.0.1:{own_port}", "tick", "--plain", "-vv")
@@ -99,6 +104,7 @@ def test_a_lost_connection_is_told_until_it_is_back() -> None:
     assert counter.rates(2.4) == (None, {})
 
 
+@pytest.mark.simulated_time
 def test_old_values_say_so(address: str) -> None:
     from rhdlink.cli.view import View
 
@@ -108,6 +114,7 @@ def test_old_values_say_so(address: str) -> None:
     assert text.startswith("12:00:00 LOST | x\\x1b | OLD DATA, 3.2 s | gone\\x07 | tick ")
 
 
+@pytest.mark.real_time
 def test_on_a_terminal_it_is_painted(spawn: Spawn, address: str) -> None:
     pytest.importorskip("rich")
     pty = pytest.importorskip("pty")  # not everywhere

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from rhdlink.plugins.turtle import SmrTurtle, Turtle
-from rhdlink.smrcl.controller import Controller
+from rhdlink.smrcl.controller import MissionController
 from rhdlink.smrcl.outbox import Said, SaidKind
 from rhdlink.smrcl.profile import SOUND, Profile, find_profile
 from rhdlink.smrcl.robot_conf import SMR, VELOMEGA, RobotConf
@@ -41,7 +41,7 @@ class Bench:
         self.turtle = Turtle(self.world) if self.robot == "velomega" else SmrTurtle(self.world)
         self.link = PluginLink([self.turtle])
         usual = VELOMEGA if self.robot == "velomega" else SMR
-        self.controller = Controller(
+        self.controller = MissionController(
             self.conf or usual, self.link.read, self.link.write, profile=find_profile(self.profile), **self.options
         )
         self.request = self.controller.first_request()

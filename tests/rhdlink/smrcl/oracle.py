@@ -1,7 +1,7 @@
 """The recorded runs of the original MRC, and a controller of ours that is put in its place.
 
 A run is a table with a row for each tick: what MRC wrote in the request of that tick, and what the robot answered. Here
-the answers are fed to a `Controller`, and what it writes is compared with what MRC wrote.
+the answers are fed to a `MissionController`, and what it writes is compared with what MRC wrote.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from rhdlink.smrcl.controller import Controller
+from rhdlink.smrcl.controller import MissionController
 from rhdlink.smrcl.outbox import SaidKind
 from rhdlink.smrcl.profile import MRC
 from rhdlink.smrcl.robot_conf import SMR, VELOMEGA, RobotConf
@@ -155,7 +155,7 @@ class Replayed:
 def replay(recorded: Recorded) -> Replayed:
     """Put a controller in MRC's place."""
     read, write = recorded.tables()
-    controller = Controller(recorded.conf, read, write, profile=MRC)
+    controller = MissionController(recorded.conf, read, write, profile=MRC)
     sent: dict[int, list[str]] = {}
     session = None
     if recorded.script.endswith(".ses"):

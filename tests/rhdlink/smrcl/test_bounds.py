@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from rhdlink import Mission
 from rhdlink.smrcl.commands import COMMANDS
-from rhdlink.smrcl.controller import Controller
-from rhdlink.smrcl.interpreter import Limits
+from rhdlink.smrcl.controller import MissionController
+from rhdlink.smrcl.interpreter import MissionLimits
 from rhdlink.smrcl.profile import MRC, SOUND, Profile
 from rhdlink.smrcl.robot_conf import SMR, VELOMEGA
 from tests.rhdlink.smrcl.bench import Bench
@@ -35,7 +35,7 @@ PROFILES = pytest.mark.parametrize("profile", [SOUND, MRC], ids=lambda profile: 
     ],
 )
 def test_what_has_no_end_is_ended(profile: Profile, source: str, reason: str) -> None:
-    bench = Bench("velomega", profile, options={"limits": Limits(lines=2000, calls=500)}).run(source)
+    bench = Bench("velomega", profile, options={"limits": MissionLimits(lines=2000, calls=500)}).run(source)
     assert bench.reason.startswith(reason)
     assert tuple(bench.written["cmdtransvel"]) == tuple(bench.written["cmdrotvel"]) == (0,)
 
@@ -92,7 +92,7 @@ def test_a_line_of_a_thousand_operators_is_a_mistake() -> None:
 
 
 def test_variables_have_an_end() -> None:
-    bench = Bench("velomega", options={"limits": Limits(lines=30_000)})
+    bench = Bench("velomega", options={"limits": MissionLimits(lines=30_000)})
     bench.run("".join(f"v{number}x = 1\n" for number in range(10_001)))
     assert bench.reason == "there is no room for further variables"
 
@@ -160,7 +160,7 @@ programs = st.lists(st.one_of(free, commands), max_size=12).map(
 @pytest.mark.property
 @given(source=programs)
 def test_random_programs_stay_within_their_bounds(robot: str, profile: Profile, source: str) -> None:
-    bench = Bench(robot, profile, options={"limits": Limits(lines=300, calls=20)})
+    bench = Bench(robot, profile, options={"limits": MissionLimits(lines=300, calls=20)})
     began = time.process_time()
     bench.run(source, cycles=120)
     assert time.process_time() - began < 10.0
@@ -213,7 +213,7 @@ hostile = st.lists(
     )
 )
 def test_random_clients_stay_within_their_bounds(profile: Profile, chunks: list[bytes]) -> None:
-    bench = Bench("velomega", profile, options={"limits": Limits(lines=300, calls=20)})
+    bench = Bench("velomega", profile, options={"limits": MissionLimits(lines=300, calls=20)})
     dialogue = bench.controller.serve()
     bench.run(cycles=23)
     sessions = [dialogue.connect(), dialogue.connect()]
@@ -242,7 +242,7 @@ def test_random_clients_stay_within_their_bounds(profile: Profile, chunks: list[
 def test_whatever_the_counters_do_the_pose_stays_a_number(counters: list[tuple[int, int]], is_smr: bool) -> None:
     conf = SMR if is_smr else VELOMEGA
     names = conf.reads
-    controller = Controller(conf, {"tick": 1, **dict.fromkeys(names, 1)}, {name: [0] for name in conf.writes})
+    controller = MissionController(conf, {"tick": 1, **dict.fromkeys(names, 1)}, {name: [0] for name in conf.writes})
     controller.load("drive\n")
     for tick, pair in enumerate(counters):
         written = controller.step({"tick": [tick], **{name: [count] for name, count in zip(names, pair, strict=True)}})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rhdlink.smrcl.dialogue import MOST_COMMANDS, Dialogue, Session
+from rhdlink.smrcl.dialogue import MOST_COMMANDS, ClientDialogue, Session
 from tests.rhdlink.smrcl.bench import Bench
 
 PROFILES = pytest.mark.parametrize("profile", ["sound", "mrc"])
@@ -15,7 +15,7 @@ class Talk:
 
     def __init__(self, profile: str = "sound") -> None:
         self.bench = Bench("velomega", profile)
-        self.dialogue: Dialogue = self.bench.controller.serve()
+        self.dialogue: ClientDialogue = self.bench.controller.serve()
         self.client = self.dialogue.connect()
         self.bench.run(cycles=25)
 

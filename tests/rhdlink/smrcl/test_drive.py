@@ -17,6 +17,8 @@ from rhdlink.smrcl.robot_link import PluginLink
 from rhdlink.world import World
 from tests.waiting import interrupted, until
 
+pytestmark = pytest.mark.simulated_time
+
 #: Simulated time is quick, but a loaded machine is not.
 SECONDS = 30.0
 
@@ -119,6 +121,7 @@ def test_a_cancelled_motion_stands(drive: Drive, robot: Turtle | SmrTurtle) -> N
     until(lambda: stands(robot))
 
 
+@pytest.mark.real_time
 def test_a_motion_whose_wait_is_interrupted_is_cancelled(drive: Drive, robot: Turtle | SmrTurtle) -> None:
     motion = drive.forward(500.0)
     interrupted(lambda: motion.wait(SECONDS, cancel=False), lambda: not stands(robot))
@@ -194,6 +197,7 @@ def test_a_wall_is_followed(side: str) -> None:
     assert abs(world.pose.y - y) == pytest.approx(0.3, abs=0.05)
 
 
+@pytest.mark.real_time
 def test_an_obstacle_stops_a_motion_before_it() -> None:
     world = World(4.0, (1.0, 2.0, 0.0), Scene(walls=[((2.0, 1.0), (2.0, 3.0))]))
     with Drive(SmrTurtle(world)) as drive:

@@ -24,14 +24,14 @@ from rhdlink.smrcl.profile import MRC, SOUND, Profile
 from rhdlink.smrcl.symbols import Symbols
 from rhdlink.smrcl.syntax import (
     PRECEDENCE,
+    ArrayElement,
     Binary,
     Call,
-    Element,
     Evaluate,
     Expression,
     Negate,
-    Number,
-    Variable,
+    NumberLiteral,
+    VariableName,
     write_expression,
 )
 
@@ -68,11 +68,11 @@ def truth(value: bool | np.bool_) -> np.float64:
 
 def computed(tree: Expression) -> np.float64:
     """What a tree is worth."""
-    if isinstance(tree, Number):
+    if isinstance(tree, NumberLiteral):
         return np.float64(tree.value)
-    if isinstance(tree, Variable):
+    if isinstance(tree, VariableName):
         return np.float64(VALUES[tree.name])
-    if isinstance(tree, Element):
+    if isinstance(tree, ArrayElement):
         return np.float64(ARRAY[int(computed(tree.index))])
     if isinstance(tree, Negate):
         return np.float64(-computed(tree.operand))
@@ -101,9 +101,9 @@ def computed(tree: Expression) -> np.float64:
     return results[tree.operator]()
 
 
-numbers = st.builds(Number, st.one_of(st.sampled_from([0.0, 0.5, 1.0, 2.0, 3.0, 1e300]), st.floats(0.0, 1e3)))
-elements = st.builds(Element, st.just(Variable("q")), st.builds(Number, st.floats(0.0, 2.99)))
-leaves = st.one_of(numbers, st.builds(Variable, st.sampled_from(sorted(VALUES))), elements)
+numbers = st.builds(NumberLiteral, st.one_of(st.sampled_from([0.0, 0.5, 1.0, 2.0, 3.0, 1e300]), st.floats(0.0, 1e3)))
+elements = st.builds(ArrayElement, st.just(VariableName("q")), st.builds(NumberLiteral, st.floats(0.0, 2.99)))
+leaves = st.one_of(numbers, st.builds(VariableName, st.sampled_from(sorted(VALUES))), elements)
 
 
 def _compound(inner: st.SearchStrategy[Expression]) -> st.SearchStrategy[Expression]:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from rhdlink.smrcl.interpreter import Limits
+from rhdlink.smrcl.interpreter import MissionLimits
 from rhdlink.smrcl.outbox import SaidKind
-from rhdlink.smrcl.plan import Plan, PlanLine, split_lines
+from rhdlink.smrcl.plan import MissionPlan, PlanLine, split_lines
 from tests.rhdlink.smrcl.bench import Bench
 
 PROFILES = pytest.mark.parametrize("profile", ["sound", "mrc"])
@@ -175,7 +175,7 @@ def test_what_mrc_prints_of_wallest(line: str, printed: str) -> None:
     ],
 )
 def test_a_failure_has_its_line_and_column(profile: str, source: str, place: tuple[int, int]) -> None:
-    bench = Bench("velomega", profile, options={"limits": Limits(lines=100)}).run(source)
+    bench = Bench("velomega", profile, options={"limits": MissionLimits(lines=100)}).run(source)
     failure = bench.controller.failure
     assert failure is not None
     assert (failure.line, failure.column) == place
@@ -233,7 +233,7 @@ def test_mrc_cuts_long_lines() -> None:
 
 
 def test_labels_are_compared_up_to_the_first_other_character() -> None:
-    plan = Plan(
+    plan = MissionPlan(
         [PlanLine('label "a b"', 1), PlanLine("label \\x\\", 2), PlanLine('labelled "c"', 3), PlanLine('label "a"', 4)]
     )
     assert plan.find_label("a") == 0

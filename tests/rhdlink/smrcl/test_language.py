@@ -13,23 +13,23 @@ from rhdlink.smrcl.lexer import TokenType, tokenize
 from rhdlink.smrcl.parser import FUNCTIONS, RESERVED, Parser
 from rhdlink.smrcl.syntax import (
     PRECEDENCE,
+    ArrayElement,
     Assign,
     Binary,
     Call,
     Case,
-    Command,
-    Element,
+    CommandStatement,
     EndSwitch,
     Evaluate,
     Expression,
     If,
-    Line,
     Negate,
-    Number,
+    NumberLiteral,
+    ScriptLine,
     SpeedSetting,
     Switch,
-    Text,
-    Variable,
+    TextLiteral,
+    VariableName,
     WaitFor,
     write_expression,
     write_line,
@@ -38,8 +38,8 @@ from rhdlink.smrcl.syntax import (
 PARSER = Parser(frozenset(COMMANDS))
 
 names = st.from_regex(r"[A-Za-z][A-Za-z0-9]{0,6}", fullmatch=True).filter(lambda name: name not in RESERVED)
-numbers = st.builds(Number, st.floats(min_value=0.0, allow_nan=False))
-variables = st.builds(Variable, names, st.booleans())
+numbers = st.builds(NumberLiteral, st.floats(min_value=0.0, allow_nan=False))
+variables = st.builds(VariableName, names, st.booleans())
 texts = st.text(st.characters(codec="latin-1", exclude_characters='"\\\0\n\r'), max_size=8)
 
 
@@ -48,7 +48,7 @@ def _compound(inner: st.SearchStrategy[Expression]) -> st.SearchStrategy[Express
         lambda name: st.builds(Call, st.just(name), st.tuples(*[inner] * FUNCTIONS[name]))
     )
     return st.one_of(
-        st.builds(Element, variables, inner),
+        st.builds(ArrayElement, variables, inner),
         calls,
         st.builds(Negate, inner),
         st.builds(Binary, st.sampled_from(sorted(PRECEDENCE)), inner, inner),
@@ -56,8 +56,8 @@ def _compound(inner: st.SearchStrategy[Expression]) -> st.SearchStrategy[Express
 
 
 expressions: st.SearchStrategy[Expression] = st.recursive(st.one_of(numbers, variables), _compound, max_leaves=8)
-signed = st.builds(Number, st.floats(allow_nan=False))
-operands = st.one_of(signed, st.builds(Text, texts), variables)
+signed = st.builds(NumberLiteral, st.floats(allow_nan=False))
+operands = st.one_of(signed, st.builds(TextLiteral, texts), variables)
 speeds = st.one_of(
     st.builds(SpeedSetting, st.just("v"), st.one_of(signed, variables)),
     st.builds(SpeedSetting, st.just("a"), st.one_of(numbers, variables)),
@@ -65,7 +65,7 @@ speeds = st.one_of(
 conditions = st.lists(expressions, max_size=3).map(tuple)
 ends = st.one_of(
     st.builds(
-        Command,
+        CommandStatement,
         st.sampled_from(sorted(COMMANDS)),
         st.lists(operands, max_size=4).map(tuple),
         st.lists(speeds, max_size=2).map(tuple),
@@ -79,19 +79,21 @@ ends = st.one_of(
     st.builds(EndSwitch),
 )
 # What begins with a minus would go on the assignment before it, so only one assignment comes before.
-assignments = st.builds(Assign, st.one_of(variables, st.builds(Element, variables, expressions)), expressions)
+assignments = st.builds(Assign, st.one_of(variables, st.builds(ArrayElement, variables, expressions)), expressions)
 lines = st.one_of(
-    st.just(Line(())),
-    st.builds(lambda one: Line((one,)), st.one_of(assignments, ends)),
+    st.just(ScriptLine(())),
+    st.builds(lambda one: ScriptLine((one,)), st.one_of(assignments, ends)),
     st.builds(
-        lambda first, last: Line((first, last)), assignments, ends.filter(lambda end: not isinstance(end, WaitFor))
+        lambda first, last: ScriptLine((first, last)),
+        assignments,
+        ends.filter(lambda end: not isinstance(end, WaitFor)),
     ),
 )
 
 
 @pytest.mark.property
 @given(lines)
-def test_a_line_that_is_written_is_read_as_the_same_line(line: Line) -> None:
+def test_a_line_that_is_written_is_read_as_the_same_line(line: ScriptLine) -> None:
     assert PARSER.parse(write_line(line)) == line
 
 
@@ -111,7 +113,7 @@ def test_any_text_is_a_line_or_a_problem_within_it(text: str) -> None:
 def test_brackets_stand_where_they_are_needed_and_nowhere_else(expression: Expression) -> None:
     """Taking a pair away changes the tree, or the text was written without it."""
     text = write_expression(expression)
-    assert PARSER.parse(f"eval {text}") == Line((Evaluate((expression,)),))
+    assert PARSER.parse(f"eval {text}") == ScriptLine((Evaluate((expression,)),))
     assert PARSER.parse(f"eval (({text}))") == PARSER.parse(f"eval {text}")
 
 
@@ -198,8 +200,8 @@ def test_a_problem_is_told_with_its_column(text: str, column: int, message: str)
 def test_what_stands_before_a_problem_is_kept() -> None:
     line = PARSER.parse("a = 4 fwd 1 @v 0.2 )")
     assert line.statements == (
-        Assign(Variable("a"), Number(4.0)),
-        Command("fwd", (Number(1.0),), (SpeedSetting("v", Number(0.2)),), is_broken=True),
+        Assign(VariableName("a"), NumberLiteral(4.0)),
+        CommandStatement("fwd", (NumberLiteral(1.0),), (SpeedSetting("v", NumberLiteral(0.2)),), is_broken=True),
     )
     assert line.problem is not None
 
@@ -229,11 +231,11 @@ def test_a_line_falls_into_tokens(text: str, tokens: list[str]) -> None:
 
 
 def test_numbers_too_large_are_written_so_that_they_are_read_again() -> None:
-    line = Line((Evaluate((Number(math.inf),)),))
+    line = ScriptLine((Evaluate((NumberLiteral(math.inf),)),))
     assert PARSER.parse(write_line(line)) == line
 
 
-@pytest.mark.parametrize("line", [PARSER.parse("fwd ("), Line((Command("print", (Text('"'),)),))])
-def test_what_has_no_text_is_not_written(line: Line) -> None:
+@pytest.mark.parametrize("line", [PARSER.parse("fwd ("), ScriptLine((CommandStatement("print", (TextLiteral('"'),)),))])
+def test_what_has_no_text_is_not_written(line: ScriptLine) -> None:
     with pytest.raises(ValueError, match=r"no text|no string"):
         write_line(line)

@@ -15,12 +15,14 @@ from rhdlink import BadMission, BadValue, Cancelled, LinkTimeout, Mission, Missi
 from rhdlink.errors import WrongVariables
 from rhdlink.host.config import BadConfiguration
 from rhdlink.plugins.turtle import SmrTurtle, Turtle
-from rhdlink.smrcl.interpreter import Limits
+from rhdlink.smrcl.interpreter import MissionLimits
 from rhdlink.smrcl.mission import LARGEST, read_script
 from rhdlink.smrcl.outbox import Said, SaidKind
 from rhdlink.smrcl.robot_link import PluginLink
 from rhdlink.world import World
 from tests.waiting import interrupted, until
+
+pytestmark = pytest.mark.simulated_time
 
 #: Goes on until somebody ends it.
 ENDLESS = 'label "on"\nwait 1\ngoto "on"\n'
@@ -105,6 +107,7 @@ def test_a_script_comes_from_a_file(tmp_path: Path) -> None:
         Mission(path)
 
 
+@pytest.mark.real_time
 def test_a_run_that_takes_too_long_ends_and_the_robot_stands() -> None:
     robot = turtle()
     with pytest.raises(LinkTimeout, match="not over in time"):
@@ -133,7 +136,7 @@ def test_a_mission_that_fails_says_where() -> None:
 
 def test_limits_are_a_mission_s_own() -> None:
     with pytest.raises(MissionLimit, match="50 lines in one cycle"):
-        Mission('n = 1\nlabel "on"\ngoto "on"\n', turtle(), limits=Limits(lines=50)).run()
+        Mission('n = 1\nlabel "on"\ngoto "on"\n', turtle(), limits=MissionLimits(lines=50)).run()
 
 
 def test_a_mission_needs_a_robot_that_it_can_drive(tmp_path: Path) -> None:
@@ -342,7 +345,7 @@ def test_a_run_says_which_conditions_are_true() -> None:
 
 def test_a_cancelled_mission_stands() -> None:
     robot = turtle()
-    run = Mission(f"drive : ($drivendist > 1)\nn = 1\n{ENDLESS}", robot, limits=Limits()).start()
+    run = Mission(f"drive : ($drivendist > 1)\nn = 1\n{ENDLESS}", robot, limits=MissionLimits()).start()
     until(lambda: run.line > 2)
     assert 0.0 < run.progress <= 1.0
     assert run.variables == {"n": 1.0}
@@ -353,6 +356,7 @@ def test_a_cancelled_mission_stands() -> None:
     assert stands(robot)
 
 
+@pytest.mark.real_time
 def test_a_mission_whose_wait_is_interrupted_is_cancelled() -> None:
     robot = turtle()
     run = Mission("drive\n" + ENDLESS, robot).start()

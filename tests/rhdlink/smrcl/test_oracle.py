@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from rhdlink.smrcl.controller import Controller
+from rhdlink.smrcl.controller import MissionController
 from rhdlink.smrcl.profile import MRC
 from rhdlink.smrcl.robot_conf import VELOMEGA
 from tests.rhdlink.smrcl.oracle import Recorded, drives, manifest, normal, older_drives, replay
@@ -51,7 +51,7 @@ def test_an_older_drive_is_repeated(recorded: Recorded) -> None:
 def run_alone(source: str) -> tuple[int, str]:
     """Ticks and text of a script on a velocity-omega robot that moves exactly as it is told."""
     read, write = {"tick": 1, "transpos": 1, "rotpos": 1}, {"cmdtransvel": [0], "cmdrotvel": [0]}
-    controller = Controller(VELOMEGA, read, write, profile=MRC)
+    controller = MissionController(VELOMEGA, read, write, profile=MRC)
     controller.load(source)
     request = controller.first_request()
     travelled = heading = 0.0

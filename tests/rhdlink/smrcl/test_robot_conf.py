@@ -11,7 +11,7 @@ from rhdlink import Host, connect
 from rhdlink.host.config import BadConfiguration
 from rhdlink.plugins.turtle import Turtle
 from rhdlink.smrcl.mission import suitable_conf
-from rhdlink.smrcl.motion.control import Drive
+from rhdlink.smrcl.motion.control import DriveKind
 from rhdlink.smrcl.robot_conf import RobotConf, parse_robot_conf, read_robot_conf
 from rhdlink.smrcl.robot_link import ClientLink
 from tests.rhdlink.smrcl.bench import Bench
@@ -35,7 +35,7 @@ TEXT = """<?xml version="1.0" ?>
 
 def test_a_file_says_what_the_robot_is() -> None:
     conf = parse_robot_conf(TEXT)
-    assert (conf.drive, conf.name, conf.heading_source) == (Drive.VELOMEGA, "turtle", 1)
+    assert (conf.drive, conf.name, conf.heading_source) == (DriveKind.VELOMEGA, "turtle", 1)
     assert (conf.left_scale, conf.right_scale, conf.width, conf.max_tick) == (0.00002, 0.0, 0.26, 10000.0)
     assert (conf.speed, conf.acceleration) == (0.3, 0.25)
     assert (conf.left_speed_scale, conf.right_speed_scale) == (100000.0, 40000.0)
@@ -129,6 +129,7 @@ def test_what_is_not_calibrated_is_logged(tmp_path: Path, caplog: pytest.LogCapt
     assert "there are calibrations of smr1, which `calibration` takes" in caplog.text
 
 
+@pytest.mark.simulated_time
 def test_a_mission_takes_the_calibration_of_its_robot(tmp_path: Path) -> None:
     with Host([Turtle()], port=0) as host, connect(host.address, access="w") as robot:
         link = ClientLink(robot)

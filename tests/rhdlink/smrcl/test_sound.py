@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 import rhdlink.smrcl
+from rhdlink.errors import BadMission
 from rhdlink.plugins.turtle import Turtle
-from rhdlink.smrcl.errors import BadMission
 from rhdlink.smrcl.mission import Mission
 from rhdlink.smrcl.outbox import SaidKind
 from rhdlink.smrcl.profile import BOTH, MRC, SOUND, Profile, differences, find_profile

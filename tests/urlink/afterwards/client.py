@@ -95,6 +95,25 @@ def lead(robot: Robot, servo: Any) -> None:
     robot.realtime.subscribe(send)
 
 
+def streamed(robot: Robot, stream: Any) -> None:
+    """Points at a steady speed, all of them at once; most of them wait in memory."""
+    way = np.array(TURN)
+    times = np.arange(0.1, LONG, 0.1)
+    ramp = [SLOW * (max(time - 0.5, 0.0) + 0.5 * min(time, 0.5) ** 2 / 0.5) for time in times]
+    speeds = [min(time / 0.5, 1.0) for time in times]
+    points = [
+        urlink.TrajectoryPoint(READY + angle / SLOW * way, time, speed * way)
+        for angle, time, speed in zip(ramp, times, speeds, strict=True)
+    ]
+    stream.append(points, wait=False)
+
+
+def drawn(robot: Robot, impedance: Any) -> None:
+    """The last joint, slowly: a radian at 0.7 rad/s."""
+    q = robot.realtime.wait().q_actual
+    impedance.send([*q[:5], q[5] + 1.0])
+
+
 def twist(robot: Robot, torque: Any) -> None:
     """A small torque on the last joint."""
 
@@ -189,11 +208,14 @@ ROWS: dict[str, Begin] = {
     "follow_rtde": partial(follow, link="rtde"),
     "follow_low_bandwidth": partial(follow, low_bandwidth=True),
     "servo": entered(lambda robot: robot.motion.servo(), lead),
+    "stream": entered(lambda robot: robot.motion.stream(), streamed),
+    "stream_rtde": entered(lambda robot: robot.motion.stream(link="rtde"), streamed),
     "jog": entered(lambda robot: robot.motion.jog("base", timeout=60.0), lambda robot, jog: jog.move(ALONG)),
     "force_mode": entered(lambda robot: robot.motion.force_mode("base", *DOWN), lambda robot, mode: mode),
     "freedrive": entered(lambda robot: robot.freedrive(), lambda robot, mode: mode),
     "teach": entered(lambda robot: robot.teach(), lambda robot, mode: mode),
     "torque": entered(lambda robot: robot.motion.torque(), twist),
+    "impedance": entered(lambda robot: robot.motion.impedance(), drawn),
     "script": lambda robot, block: lambda: robot.script.run(TEXT),
     "interpreter": interpreter,
     "dashboard_play": dashboard_play,

@@ -136,7 +136,7 @@ class Process:
 class Processes:
     """Two processes in real time; in a network of their own if it is to fall silent."""
 
-    hold = 2.5
+    hold = 5.0
 
     def __init__(self, firmware: str, row: str, *, is_alone: bool) -> None:
         self._block = contextlib.ExitStack()

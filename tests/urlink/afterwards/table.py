@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from linkcore.wire.version import Since
+from linkcore.wire.fields import Since
 from urlink.firmware import Firmware
 
 __all__ = ["CALLED", "COLUMNS", "FIRMWARES", "ROWS", "Row", "cells", "drawn", "firmwares", "page"]
@@ -87,11 +87,14 @@ ROWS = {
     "follow_rtde": Row('`follow(link="rtde")`', led=True, since=_REGISTERS),
     "follow_low_bandwidth": Row("`follow(low_bandwidth=True)`", led=True, within=3.5, since=_CB3),
     "servo": Row("`servo`", led=True),
+    "stream": Row("`stream`", led=True, within=3.0, since=Since("3.4")),
+    "stream_rtde": Row('`stream(link="rtde")`', led=True, within=3.0, since=_REGISTERS),
     "jog": Row("`jog`", led=True),
     "force_mode": Row("`force_mode`", led=True, since=_CB3),
     "freedrive": Row("`freedrive`", led=True, since=_CB3),
     "teach": Row("`teach`", led=True, since=_CB3),
     "torque": Row("`torque`", led=True, since=Since("5.23/10.11")),
+    "impedance": Row("`impedance`", led=True, since=Since("5.23/10.11")),
     "script": Row("`robot.script.run`"),
     "interpreter": Row("`interpreter.execute`", called=BACK, since=_E),
     # The Robot API is asked first whether the program is paused.

@@ -16,6 +16,7 @@ from tests.cancelling import Sent, Trial, run_cancelled, sends, turns
 from tests.waiting import until
 from urlink import Circular, Joint, Linear
 from urlink.simulator import Controller, Still
+from urlink.simulator.ports.rtde import RtdeSession
 
 pytestmark = pytest.mark.simulated_time
 
@@ -166,6 +167,14 @@ async def servo(robot: Any) -> None:
                 break
 
 
+async def streamed(robot: Any, **how: Any) -> None:
+    async with robot.motion.stream(**how) as stream:
+        here = robot.realtime.latest.q_target.tolist()
+        await stream.append(urlink.TrajectoryPoint([*here[:5], here[5] + 0.01], 0.2, [0] * 6))
+        await stream.replace(0.1, urlink.TrajectoryPoint([*here[:5], here[5] + 0.02], 0.3, [0] * 6))
+        await stream.clear()
+
+
 def left_soon(block: Callable[[Any], Any]) -> Use:
     async def use(robot: Any) -> None:
         async with block(robot):
@@ -189,7 +198,7 @@ async def written(robot: Any) -> None:
         await inputs.send(input_int_register_24=1)
 
 
-OVER_RTDE = "servo over RTDE"
+OVER_RTDE, STREAM_OVER_RTDE = "servo over RTDE", "stream over RTDE"
 BLOCKS: dict[str, Use] = {
     "servo": servo,
     "jog": left_soon(lambda robot: robot.motion.jog("tool", watchdog=0.5)),
@@ -197,8 +206,11 @@ BLOCKS: dict[str, Use] = {
         lambda robot: robot.motion.force_mode("base", [0, 0, 1, 0, 0, 0], [0] * 6, [0.1] * 6, watchdog=0.5)
     ),
     "torque": left_soon(lambda robot: robot.motion.torque(watchdog=0.5)),
+    "impedance": left_soon(lambda robot: robot.motion.impedance()),
     "freedrive": left_soon(lambda robot: robot.freedrive(watchdog=0.5)),
     "teach": left_soon(lambda robot: robot.teach()),
+    "stream": streamed,
+    STREAM_OVER_RTDE: lambda robot: streamed(robot, link="rtde"),
     OVER_RTDE: left_soon(lambda robot: robot.motion.servo(watchdog=0.5, link="rtde")),
     "a motion": moved,
     "interpreter": interpreted,
@@ -218,7 +230,7 @@ def may_follow(name: str, data: bytes) -> bool:
     The word of a link that stops is all zeros, and its date of 4 bytes. RTDE packages begin with their size and their
     type; "U" is a data package, with which a link over RTDE stops.
     """
-    types = (b"V", b"v", b"O", b"I", b"S", *([b"U"] if name == OVER_RTDE else []))
+    types = (b"V", b"v", b"O", b"I", b"S", *([b"U"] if name in (OVER_RTDE, STREAM_OVER_RTDE) else []))
     stops_link = len(data) > 4 and not any(data[:-4])
     return b"urlink_stop" in data or stops_link or data[2:3] in types
 
@@ -292,3 +304,32 @@ def test_a_recording_that_is_cancelled_is_closed(tmp_path: Path, controller: Con
     for number in turns(5):
         if not check(number, controller, sends, work):
             break
+
+
+def test_a_claim_of_inputs_that_is_not_answered_leaves_no_task(
+    controller: Controller, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The controller has taken the connection of a link over RTDE, and hangs."""
+    asked = asyncio.Event()
+
+    async def servo() -> None:
+        async with urlink.connect_async(controller.address, stale_after=SLOW) as robot:
+            await robot.realtime.wait(SLOW)
+            loop = asyncio.get_running_loop()
+
+            def unanswered(session: RtdeSession, request: object) -> None:
+                loop.call_soon_threadsafe(asked.set)
+
+            monkeypatch.setattr(RtdeSession, "_set_up_inputs", unanswered)
+            async with robot.motion.servo(link="rtde"):
+                raise AssertionError("it was not answered")
+
+    async def cancel() -> None:
+        leading = asyncio.create_task(servo())
+        await asked.wait()
+        leading.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await leading
+        assert asyncio.all_tasks() == {asyncio.current_task()}
+
+    asyncio.run(cancel())

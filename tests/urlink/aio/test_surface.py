@@ -16,8 +16,9 @@ import pytest
 import urlink
 from linkcore.aio.async_stream import AsyncFeed
 from urlink.aio import parts
-from urlink.aio.awaited import Part
+from urlink.aio.awaited import AwaitedPart
 from urlink.interfaces.gripper.client import Gripper
+from urlink.interfaces.tool_serial import ToolSerial
 
 ROOT = Path(__file__).parents[3]
 
@@ -32,9 +33,11 @@ PAIRS: dict[str, tuple[type, type]] = {
     "robot.script": (urlink.Scripts, parts.AsyncScripts),
     "robot.dashboard": (urlink.Dashboard, parts.AsyncDashboard),
     "robot.gripper": (Gripper, parts.AsyncGripper),
+    "robot.tool_serial": (ToolSerial, parts.AsyncToolSerial),
     "robot.rtde": (urlink.rtde.Rtde, parts.AsyncRtde),
     "robot.registers": (urlink.rtde.Registers, parts.AsyncRegisters),
     "interpreter": (urlink.Interpreter, parts.AsyncInterpreter),
+    "points": (urlink.motion.PointStream, parts.AsyncPointStream),
     "teaching": (urlink.motion.Teaching, parts.AsyncTeaching),
     "inputs": (urlink.rtde.Inputs, parts.AsyncInputs),
     "outputs": (urlink.rtde.OutputStream, parts.AsyncOutputStream),
@@ -60,7 +63,10 @@ ASKED = {"interpreter.state"}
 #: What is entered with ``async with``.
 BLOCKS = {
     *("robot.motion.servo", "robot.motion.jog", "robot.motion.force_mode", "robot.motion.torque"),
+    "robot.motion.stream",
+    "robot.motion.impedance",
     *("robot.freedrive", "robot.teach", "robot.interpreter", "robot.record", "robot.rtde.inputs", "robot.rtde.outputs"),
+    "robot.view",
 }
 #: What returns at once in both.
 AT_ONCE = {"of", "iterate", "position_of", "cancel", "add_done_callback"}
@@ -74,6 +80,7 @@ def surface(kind: type, attributes: tuple[str, ...] = ()) -> set[str]:
 ATTRIBUTES = {
     "robot": ("address",),
     "teaching": ("taught",),
+    "points": ("buffer",),
     "inputs": ("names",),
     "outputs": ("names", "frequency"),
 }
@@ -106,7 +113,7 @@ def test_the_same_names_take_the_same_arguments(path: str) -> None:
         assert found == {key: value for key, value in wanted.items() if key not in less}, name
 
 
-@pytest.mark.parametrize("path", [path for path, (_, kind) in PAIRS.items() if issubclass(kind, Part)])
+@pytest.mark.parametrize("path", [path for path, (_, kind) in PAIRS.items() if issubclass(kind, AwaitedPart)])
 def test_every_method_is_awaited_and_what_is_unknown_is_an_error(path: str) -> None:
     kind = PAIRS[path][1]
     for name in methods(path):
@@ -124,6 +131,7 @@ def test_every_method_is_awaited_and_what_is_unknown_is_an_error(path: str) -> N
 #: Types of results there -> here.
 GIVEN = {
     "urlink.commanding.interpreter.Interpreter": "urlink.aio.parts.AsyncInterpreter",
+    "urlink.motion.point_stream.PointStream": "urlink.aio.parts.AsyncPointStream",
     "urlink.motion.teaching.Teaching": "urlink.aio.parts.AsyncTeaching",
     "urlink.rtde.inputs.Inputs": "urlink.aio.parts.AsyncInputs",
     "urlink.rtde.shared_registers.Registers": "urlink.aio.parts.AsyncRegisters",
@@ -204,13 +212,15 @@ def revealed(lines: list[str]) -> list[str]:
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
+@pytest.mark.real_time
 def test_the_types_of_all_results_are_those_of_the_blocking_face(tmp_path: Path) -> None:
-    names = ["robot", "interpreter", "teaching", "inputs", "outputs"]
+    names = ["robot", "interpreter", "points", "teaching", "inputs", "outputs"]
     blocking_types = (
-        "urlink.Robot, urlink.Interpreter, urlink.motion.Teaching, urlink.rtde.Inputs, urlink.rtde.OutputStream[Cell]"
+        "urlink.Robot, urlink.Interpreter, urlink.motion.PointStream, urlink.motion.Teaching, urlink.rtde.Inputs, "
+        "urlink.rtde.OutputStream[Cell]"
     )
     awaited_types = (
-        "urlink.AsyncRobot, parts.AsyncInterpreter, parts.AsyncTeaching, parts.AsyncInputs, "
+        "urlink.AsyncRobot, parts.AsyncInterpreter, parts.AsyncPointStream, parts.AsyncTeaching, parts.AsyncInputs, "
         "parts.AsyncOutputStream[Cell]"
     )
     lines = {True: [], False: []}  # type: dict[bool, list[str]]
@@ -248,6 +258,7 @@ def test_the_types_of_all_results_are_those_of_the_blocking_face(tmp_path: Path)
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
+@pytest.mark.real_time
 def test_mypy_finds_mistakes(tmp_path: Path) -> None:
     found = typed(tmp_path, MISTAKES)
     errors = [int(line.split(":")[1]) for line in found if ": error: " in line]
@@ -256,6 +267,7 @@ def test_mypy_finds_mistakes(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
+@pytest.mark.real_time
 def test_pyright_finds_mistakes(tmp_path: Path) -> None:
     pyright = shutil.which("pyright", path=os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]))
     if pyright is None:

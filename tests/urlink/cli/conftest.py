@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 import urlink.cli
+from linkcore.clock import Stamp
 from linkcore.recording.file import Kind, RecordingWriter
-from linkcore.stamp import Stamp
 from tests.harm import HOSTILE
 from tests.spawning import spawning
 from urlink.interfaces.primary.robot_state import MasterboardData, ToolData
@@ -31,19 +31,19 @@ def run(capsys: pytest.CaptureFixture[str]) -> Run:
     return run
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture
 def controller() -> Iterator[Controller]:
     """A simulated e-Series controller on free ports."""
     with Controller("UR5e", "5.11") as controller:
         yield controller
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture
 def address(controller: Controller) -> str:
     return controller.address
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture
 def old_address() -> Iterator[str]:
     """A simulated CB2 controller: no safety mode, no program state, no outputs in real time."""
     with Controller("UR5", "1.8") as controller:

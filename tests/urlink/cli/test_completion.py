@@ -51,6 +51,7 @@ def script(run: Run) -> str:
         (("record", "host", "a.urlog", "--count", ""), set()),
     ],
 )
+@pytest.mark.real_time
 def test_what_is_offered(script: str, words: tuple[str, ...], offered: set[str]) -> None:
     assert completed(script, "urlink", *words) == offered
 
@@ -61,6 +62,7 @@ def test_zsh_runs_what_bash_runs(run: Run, script: str) -> None:
     assert "bashcompinit" in out.removesuffix(script)
 
 
+@pytest.mark.real_time
 def test_the_other_program(capsys: pytest.CaptureFixture[str]) -> None:
     assert rhdlink.cli.main(["completion", "bash"]) == 0
     script = capsys.readouterr().out

@@ -1,10 +1,14 @@
 from __future__ import annotations
 
+import pytest
+
 from tests.waiting import until
 from urlink.interfaces.enums import RobotMode
 from urlink.simulator import Controller
 
 from .conftest import Run
+
+pytestmark = pytest.mark.simulated_time
 
 
 def test_a_question(run: Run, address: str) -> None:

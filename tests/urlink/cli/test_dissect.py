@@ -10,12 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import urlink
+from linkcore.clock import Stamp
 from linkcore.recording.file import Kind, RecordingWriter
-from linkcore.stamp import Stamp
 from tests import real_captures
 from tests.harm import HOSTILE, assert_harmless, strict
-from urlink.cli.dissect import Piece, dissect
-from urlink.cli.stretches import cut, guess_interface
+from urlink.cli.dissect import PacketPiece, cut, dissect, guess_interface
 from urlink.firmware import RELEASES
 from urlink.packets import JointData, RealtimeState, RobotModeData, RobotState, TextMessage, VersionMessage
 from urlink.simulator import Controller
@@ -44,7 +43,7 @@ def _hex(pieces: list[dict[str, Any]]) -> Iterator[tuple[int, str]]:
             yield piece["offset"], piece["hex"]
 
 
-def as_json(pieces: Iterator[Piece]) -> list[dict[str, Any]]:
+def as_json(pieces: Iterator[PacketPiece]) -> list[dict[str, Any]]:
     return [json.loads(json.dumps(piece.as_json())) for piece in pieces]
 
 

@@ -8,12 +8,14 @@ from pathlib import Path
 import pytest
 
 from tests.harm import HOSTILE, assert_harmless, strict
-from urlink.cli.tap import Tap
+from urlink.cli.options import Tap
 from urlink.packets import RealtimeState
 from urlink.robot import connect
 from urlink.simulator import Controller
 
 from .conftest import Run, write
+
+pytestmark = pytest.mark.simulated_time
 
 Spawn = Callable[..., "subprocess.Popen[str]"]
 
@@ -153,6 +155,7 @@ def test_drops_are_told(capsys: pytest.CaptureFixture[str], address: str) -> Non
     assert "packets were dropped: the output was too slow for them" in capsys.readouterr().err
 
 
+@pytest.mark.real_time
 def test_lost_connections_are_told(spawn: Spawn) -> None:
     with Controller("UR5e", "5.11") as controller:
         process = spawn("echo", controller.address, "time")

@@ -12,6 +12,9 @@ from urlink.simulator import Controller
 
 from .conftest import Run, write
 
+pytestmark = pytest.mark.simulated_time
+
+
 _STATS = StreamStatistics(
     received=9,
     decoded=8,

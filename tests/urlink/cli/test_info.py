@@ -10,6 +10,8 @@ from urlink.simulator import Controller
 
 from .conftest import Run, write
 
+pytestmark = pytest.mark.simulated_time
+
 
 def test_text(run: Run, controller: Controller, address: str) -> None:
     status, out, err = run("info", address)

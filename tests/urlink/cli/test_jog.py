@@ -27,6 +27,7 @@ def terminal() -> Iterator[tuple[int, int]]:
 
 
 @pytest.mark.slow
+@pytest.mark.real_time
 def test_keys_move_the_arm(spawn: Callable[..., subprocess.Popen[str]], terminal: tuple[int, int]) -> None:
     hand, screen = terminal
     with Controller("UR5", "3.15") as controller:

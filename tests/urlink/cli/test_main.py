@@ -11,8 +11,22 @@ import pytest
 from .conftest import Run, write
 
 COMMANDS = (
-    *("monitor", "echo", "rtde", "hz", "info", "doctor", "run", "jog", "teach", "dashboard", "record", "replay"),
-    *("plot", "export", "foxglove", "dissect", "serve", "sim", "completion"),
+    *(
+        "monitor",
+        "echo",
+        "rtde",
+        "hz",
+        "info",
+        "doctor",
+        "accept",
+        "run",
+        "jog",
+        "teach",
+        "dashboard",
+        "record",
+        "replay",
+    ),
+    *("plot", "export", "exercise", "identify", "compare", "foxglove", "view", "dissect", "serve", "sim", "completion"),
 )
 Spawn = Callable[..., "subprocess.Popen[str]"]
 
@@ -99,6 +113,7 @@ def test_wrong_usage_is_2(run: Run, argv: tuple[str, ...]) -> None:
         (("record", "ur://127.0.0.1?primary=1&secondary=1", "/tmp/x.urlog"), "connection refused"),
     ],
 )
+@pytest.mark.real_time
 def test_what_fails_is_one_line_on_stderr_and_1(run: Run, argv: tuple[str, ...], said: str) -> None:
     status, out, err = run(*argv)
     assert (status, out) == (1, "")
@@ -115,6 +130,7 @@ def test_text_of_errors_is_harmless(run: Run, tmp_path: Path) -> None:
     assert "x\\x1b[2J\\u202ey" in err
 
 
+@pytest.mark.real_time
 def test_verbose_logs_to_stderr(run: Run, address: str) -> None:
     status, out, err = run("echo", address, "time", "--count", "1", "-vv")
     assert status == 0
@@ -124,6 +140,7 @@ def test_verbose_logs_to_stderr(run: Run, address: str) -> None:
     assert err == "" or " linkcore." in err
 
 
+@pytest.mark.real_time
 def test_warnings_are_shown_without_verbose(run: Run, tmp_path: Path) -> None:
     bad = bytes.fromhex("000001f4") + bytes(496)
     path = write(tmp_path / "bad.urlog", {"realtime": [bad, bad]})
@@ -134,6 +151,7 @@ def test_warnings_are_shown_without_verbose(run: Run, tmp_path: Path) -> None:
     assert err.endswith("urlink: 2 packets could not be decoded\n")
 
 
+@pytest.mark.real_time
 def test_reader_that_has_had_enough_is_no_error(spawn: Spawn, address: str) -> None:
     process = spawn("echo", address, "q_actual")
     assert process.stdout is not None
@@ -146,6 +164,7 @@ def test_reader_that_has_had_enough_is_no_error(spawn: Spawn, address: str) -> N
 
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 @pytest.mark.parametrize("command", ["echo", "hz", "monitor"])
+@pytest.mark.real_time
 def test_signals_end_quietly(spawn: Spawn, address: str, command: str, number: int, status: int) -> None:
     process = spawn(command, address)
     assert process.stdout is not None

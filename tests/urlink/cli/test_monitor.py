@@ -17,18 +17,19 @@ import pytest
 from rich.console import Console
 
 import urlink
-from linkcore.streaming.events import ConnectionState
+from linkcore.streaming.connection_life import ConnectionState
 from linkcore.streaming.statistics import StreamStatistics
 from tests.harm import HOSTILE, assert_harmless
 from urlink.cli import monitor
-from urlink.cli.glance import Glance, Status, status_of
+from urlink.cli.glance import Glance, StreamStatus, age_text, line, status_of
 from urlink.cli.picture import Picture
-from urlink.cli.plain import age_text, line
 from urlink.cli.reading import Reading, read
 from urlink.firmware import RELEASES, Firmware
 from urlink.simulator import Controller
 
 from .conftest import Run, write
+
+pytestmark = pytest.mark.simulated_time
 
 _STATS = StreamStatistics(
     received=7,
@@ -136,15 +137,15 @@ def test_lost_connection_is_loud_and_its_data_old() -> None:
         where = controller.address
         with urlink.connect(where, silence=0.7, backoff=urlink.Backoff(first=0.2, most=0.2)) as robot:
             glances = monitor.watch(robot, "realtime")
-            fresh = until(glances, lambda glance: glance.status is Status.CONNECTED)
+            fresh = until(glances, lambda glance: glance.status is StreamStatus.CONNECTED)
             assert fresh.is_fresh
             assert fresh.reading is not None
 
             controller.faults.stall(60)
-            silent = until(glances, lambda glance: glance.status is not Status.CONNECTED)
-            assert silent.status is Status.SILENT
+            silent = until(glances, lambda glance: glance.status is not StreamStatus.CONNECTED)
+            assert silent.status is StreamStatus.SILENT
             assert not silent.is_fresh
-            lost = until(glances, lambda glance: glance.status is Status.LOST and glance.trouble is not None)
+            lost = until(glances, lambda glance: glance.status is StreamStatus.LOST and glance.trouble is not None)
             assert lost.reading is not None
             assert lost.reading.age > 0.5
             assert " LOST | " in line(lost, "12:00:00")
@@ -152,7 +153,7 @@ def test_lost_connection_is_loud_and_its_data_old() -> None:
             assert re.search(r"│  LOST   OLD DATA, [\d.]+ m?s ", painted(lost))
 
             controller.faults.heal()
-            again = until(glances, lambda glance: glance.status is Status.CONNECTED)
+            again = until(glances, lambda glance: glance.status is StreamStatus.CONNECTED)
             assert again.stats.reconnects >= 1
             assert again.trouble is None
 
@@ -162,7 +163,7 @@ def test_controller_that_comes_back_with_other_firmware() -> None:
         where = controller.address
         with urlink.connect(where, backoff=urlink.Backoff(first=0.05, most=0.1)) as robot:
             glances = monitor.watch(robot, "realtime")
-            until(glances, lambda glance: glance.status is Status.CONNECTED)
+            until(glances, lambda glance: glance.status is StreamStatus.CONNECTED)
             controller.faults.reboot("5.12", downtime=0.3)
             glance = until(glances, lambda glance: "firmware 5.12" in glance.robot)
             assert glance.stats.reconnects >= 1
@@ -171,17 +172,17 @@ def test_controller_that_comes_back_with_other_firmware() -> None:
 @pytest.mark.parametrize(
     ("connection", "has_latest", "age", "status"),
     [
-        (ConnectionState.CONNECTING, False, None, Status.CONNECTING),
-        (ConnectionState.CONNECTED, False, None, Status.WAITING),
-        (ConnectionState.CONNECTED, True, 0.0, Status.CONNECTED),
-        (ConnectionState.CONNECTED, True, 1.0, Status.SILENT),
-        (ConnectionState.CONNECTED, False, 0.0, Status.SILENT),
-        (ConnectionState.CONNECTING, False, 0.0, Status.LOST),
-        (ConnectionState.LOST, False, 0.0, Status.LOST),
-        (ConnectionState.CLOSED, False, 0.0, Status.ENDED),
+        (ConnectionState.CONNECTING, False, None, StreamStatus.CONNECTING),
+        (ConnectionState.CONNECTED, False, None, StreamStatus.WAITING),
+        (ConnectionState.CONNECTED, True, 0.0, StreamStatus.CONNECTED),
+        (ConnectionState.CONNECTED, True, 1.0, StreamStatus.SILENT),
+        (ConnectionState.CONNECTED, False, 0.0, StreamStatus.SILENT),
+        (ConnectionState.CONNECTING, False, 0.0, StreamStatus.LOST),
+        (ConnectionState.LOST, False, 0.0, StreamStatus.LOST),
+        (ConnectionState.CLOSED, False, 0.0, StreamStatus.ENDED),
     ],
 )
-def test_status(connection: ConnectionState, has_latest: bool, age: float | None, status: Status) -> None:
+def test_status(connection: ConnectionState, has_latest: bool, age: float | None, status: StreamStatus) -> None:
     reading = None if age is None else Reading(urlink.packets.Stamp(time.monotonic() - age, 0.0))
     assert status_of(connection, has_latest, reading) is status
 
@@ -189,22 +190,22 @@ def test_status(connection: ConnectionState, has_latest: bool, age: float | None
 @pytest.mark.parametrize(
     ("rate", "usual", "status"),
     [
-        (500.0, 500.0, Status.CONNECTED),
-        (476.0, 500.0, Status.CONNECTED),
-        (474.0, 500.0, Status.SLOW),
-        (111.0, 500.0, Status.SLOW),
-        (9.4, 10.0, Status.SLOW),
-        (None, 500.0, Status.CONNECTED),
-        (111.0, None, Status.CONNECTED),
+        (500.0, 500.0, StreamStatus.CONNECTED),
+        (476.0, 500.0, StreamStatus.CONNECTED),
+        (474.0, 500.0, StreamStatus.SLOW),
+        (111.0, 500.0, StreamStatus.SLOW),
+        (9.4, 10.0, StreamStatus.SLOW),
+        (None, 500.0, StreamStatus.CONNECTED),
+        (111.0, None, StreamStatus.CONNECTED),
     ],
 )
-def test_it_is_green_only_at_the_usual_rate(rate: float | None, usual: float | None, status: Status) -> None:
+def test_it_is_green_only_at_the_usual_rate(rate: float | None, usual: float | None, status: StreamStatus) -> None:
     reading = Reading(urlink.packets.Stamp.now(), q=[0.0] * 6)
     seen = status_of(ConnectionState.CONNECTED, True, reading, rate, usual)
     assert seen is status
     glance = Glance("UR5e", "here", seen, reading, _STATS, rate, usual)
     assert glance.is_fresh
-    if status is Status.SLOW:
+    if status is StreamStatus.SLOW:
         assert f"SLOW   {rate:.1f} of {usual:g} Hz" in painted(glance).replace("  SLOW ", "SLOW")
         assert f" SLOW | UR5e | {rate:.1f} of {usual:g} Hz | " in line(glance, "12:00:00")
 
@@ -223,7 +224,7 @@ def test_a_controller_that_leaves_out_states_is_not_green(address: str, controll
         stalling = threading.Thread(target=stall)
         stalling.start()
         try:
-            glance = until(glances, lambda glance: glance.status is Status.SLOW)
+            glance = until(glances, lambda glance: glance.status is StreamStatus.SLOW)
         finally:
             finished.set()
             stalling.join()
@@ -252,17 +253,17 @@ def test_every_firmware_can_be_read_and_painted(release: Any) -> None:
         assert reading.pose is not None
         assert len(reading.q) == len(reading.pose) == 6
         for width in (100, 80, 40):
-            text = painted(Glance("UR", "made", Status.CONNECTED, reading, _STATS), width)
+            text = painted(Glance("UR", "made", StreamStatus.CONNECTED, reading, _STATS), width)
             assert max(map(len, text.splitlines())) <= width
             assert "wrist 3" in text or width == 40
-        assert line(Glance("UR", "made", Status.CONNECTED, reading, _STATS), "12:00:00")
+        assert line(Glance("UR", "made", StreamStatus.CONNECTED, reading, _STATS), "12:00:00")
     assert read(realtime).q == pytest.approx(list(realtime.q_actual))
     assert read(primary).analog[-1].unit == "mA"
     assert read(primary).analog[-1].value == pytest.approx(4.0)
 
 
 def test_state_without_sub_packages_can_be_painted() -> None:
-    glance = Glance("UR", "made", Status.CONNECTED, read(urlink.packets.RobotState()), _STATS)
+    glance = Glance("UR", "made", StreamStatus.CONNECTED, read(urlink.packets.RobotState()), _STATS)
     assert "joint" not in painted(glance)
     assert "robot –" in painted(glance)
     assert "no state" not in line(glance, "12:00:00")
@@ -288,7 +289,7 @@ def test_picture_shows_it_all() -> None:
         program_state=4,
         speed_scaling=0.5,
     )
-    glance = Glance("UR5e  firmware 5.11", "made realtime", Status.CONNECTED, read(state), _STATS, 125.0)
+    glance = Glance("UR5e  firmware 5.11", "made realtime", StreamStatus.CONNECTED, read(state), _STATS, 125.0)
     text = painted(glance)
     for part in (
         "CONNECTED", "125.0 Hz", "180.00", "3.1416", "nan", "inf", "1.25", "41.5", "FAULT", "UNKNOWN_99", "0.2000",
@@ -304,8 +305,8 @@ def test_picture_shows_it_all() -> None:
 
 def test_old_values_are_dim_and_never_green() -> None:
     state = urlink.packets.RealtimeState("5.11", robot_mode=7, safety_mode=1, safety_status=1, joint_modes=[253] * 6)
-    fresh = Glance("UR", "made", Status.CONNECTED, read(state), _STATS)
-    lost = Glance("UR", "made", Status.LOST, read(state), _STATS, trouble="cable")
+    fresh = Glance("UR", "made", StreamStatus.CONNECTED, read(state), _STATS)
+    lost = Glance("UR", "made", StreamStatus.LOST, read(state), _STATS, trouble="cable")
     green = "\x1b[32m"
     assert green in painted(fresh, colour=True)
     assert green not in painted(lost, colour=True)
@@ -313,7 +314,7 @@ def test_old_values_are_dim_and_never_green() -> None:
 
 
 def test_hostile_text_is_painted_harmlessly() -> None:
-    glance = Glance(HOSTILE, HOSTILE, Status.LOST, None, _STATS, trouble=HOSTILE, message=HOSTILE)
+    glance = Glance(HOSTILE, HOSTILE, StreamStatus.LOST, None, _STATS, trouble=HOSTILE, message=HOSTILE)
     assert_harmless(painted(glance), line(glance, "12:00:00"))
     assert "\\x1b[2J" in painted(glance)
 
@@ -366,6 +367,7 @@ def on_terminal(*argv: str, interrupt_after: bytes | None = None, code: str = ""
 _HIDE, _SHOW = "\x1b[?25l", "\x1b[?25h"
 
 
+@pytest.mark.real_time
 def test_terminal_is_left_clean_at_the_end(address: str) -> None:
     status, written = on_terminal("monitor", address, "--duration", "0.5")
     assert status == 0
@@ -375,6 +377,7 @@ def test_terminal_is_left_clean_at_the_end(address: str) -> None:
     assert written.endswith(f"╯\x1b[0m\r\n{_SHOW}")
 
 
+@pytest.mark.real_time
 def test_ctrl_c_leaves_the_terminal_clean(address: str) -> None:
     status, written = on_terminal("monitor", address, interrupt_after=b"wrist 3")
     assert status == 130
@@ -382,12 +385,14 @@ def test_ctrl_c_leaves_the_terminal_clean(address: str) -> None:
     assert written.endswith(f"╯\x1b[0m\r\n{_SHOW}")
 
 
+@pytest.mark.real_time
 def test_plain_lines_on_a_terminal(address: str) -> None:
     status, written = on_terminal("monitor", address, "--plain", "--duration", "0.2")
     assert status == 0
     assert "\x1b" not in written
 
 
+@pytest.mark.real_time
 def test_without_rich_lines_and_a_hint(address: str) -> None:
     status, written = on_terminal("monitor", address, "--duration", "0.2", code="sys.modules['rich'] = None")
     assert status == 0
@@ -396,6 +401,7 @@ def test_without_rich_lines_and_a_hint(address: str) -> None:
     assert "\x1b" not in written
 
 
+@pytest.mark.real_time
 def test_rich_is_imported_by_the_picture_alone() -> None:
     code = "import sys; import urlink.cli; assert 'rich' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)

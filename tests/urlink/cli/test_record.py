@@ -7,17 +7,19 @@ from pathlib import Path
 
 import pytest
 
-from linkcore.recording.file import Kind, Recording
+from linkcore.recording.file import Kind, RecordingFile
 from urlink import decode
 from urlink.simulator import Controller
 
 from .conftest import Run
 
+pytestmark = pytest.mark.real_time
+
 Spawn = Callable[..., "subprocess.Popen[str]"]
 
 
 def payload(path: Path, name: str) -> bytes:
-    recording = Recording(path)
+    recording = RecordingFile(path)
     number = recording.channel(name)
     return b"".join(each.payload for each in recording if each.kind is Kind.BYTES and each.channel == number)
 
@@ -30,7 +32,7 @@ def test_duration(run: Run, address: str, tmp_path: Path) -> None:
     assert f"{path}: " in out
     assert "bytes, complete\n" in out
     assert " RealtimeState, " in out
-    recording = Recording(path)
+    recording = RecordingFile(path)
     assert recording.is_complete
     assert [info["name"] for info in recording.channels.values()] == ["realtime", "primary"]
     assert len(payload(path, "realtime")) > 1220 * 100  # 250 packets in that time, fewer on a busy machine
@@ -42,7 +44,7 @@ def test_count_and_interface(run: Run, address: str, tmp_path: Path, interface: 
     status, out, _ = run("record", address, str(path), "--interface", interface, "--count", "3")
     assert status == 0
     assert f"{interface}: UR5e, firmware 5.11, {address}" in out
-    assert [info["name"] for info in Recording(path).channels.values()] == [interface]
+    assert [info["name"] for info in RecordingFile(path).channels.values()] == [interface]
     assert len(decode(payload(path, interface), "realtime" if interface == "realtime" else "primary")) >= 3
 
 
@@ -75,7 +77,7 @@ def test_signals_close_the_file_in_order(spawn: Spawn, address: str, tmp_path: P
     out, err = process.communicate(timeout=20)
     assert (process.returncode, err) == (status, "")
     assert "bytes, complete\n" in out
-    recording = Recording(path)
+    recording = RecordingFile(path)
     assert recording.is_complete
     assert recording.left_out == 0
 

@@ -6,14 +6,16 @@ from pathlib import Path
 
 import pytest
 
+from linkcore.clock import Stamp
 from linkcore.recording.file import Kind, RecordingWriter
-from linkcore.stamp import Stamp
 from tests.harm import HOSTILE, assert_harmless, strict
 from urlink.firmware import RELEASES
 from urlink.packets import RealtimeState
 from urlink.simulator import Controller
 
 from .conftest import Run, write
+
+pytestmark = pytest.mark.simulated_time
 
 
 def test_summary(run: Run, recording: Path) -> None:

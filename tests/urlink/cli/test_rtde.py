@@ -16,6 +16,8 @@ from urlink.simulator import Controller
 
 from .conftest import Run
 
+pytestmark = pytest.mark.simulated_time
+
 
 def test_variables_line_by_line(run: Run, address: str) -> None:
     status, out, err = run("rtde", address, "robot_mode", "actual_q", "--count", "2", "--frequency", "100")

@@ -14,6 +14,9 @@ from urlink.simulator import Controller
 
 from .conftest import Run
 
+pytestmark = pytest.mark.simulated_time
+
+
 Spawn = Callable[..., "subprocess.Popen[str]"]
 
 
@@ -62,6 +65,7 @@ def test_it_is_stopped_when_time_is_up(
     until(lambda: controller.program_name is None)
 
 
+@pytest.mark.real_time
 def test_interrupting_stops_it(
     spawn: Spawn, controller: Controller, address: str, program: Callable[[str], str]
 ) -> None:

@@ -58,6 +58,7 @@ def test_it_lists_which_distributions_there_are(run: Run, monkeypatch: pytest.Mo
         assert says in err
 
 
+@pytest.mark.real_time
 def test_an_adapter_is_listed_and_serves_robots_by_name(run: Run, entry: Entry) -> None:
     assert "fake     (installed)" in run("serve")[1]
     options = ("--duration", "0.1", "--topic", "hall", "--require-enable", "on_startup", "--watchdog", "2")

@@ -14,6 +14,7 @@ from .conftest import Run
 
 
 @pytest.mark.slow
+@pytest.mark.real_time
 def test_waypoints_are_taught_by_lines_and_played(
     spawn: Callable[..., subprocess.Popen[str]], run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -51,6 +52,7 @@ def test_waypoints_are_taught_by_lines_and_played(
         (["a.json", "--digital-input", "9"], 1, "standard digital input"),
     ],
 )
+@pytest.mark.real_time
 def test_what_makes_no_sense(run: Run, arguments: list[str], status: int, text: str) -> None:
     found, _, err = run("teach", "sim://", *arguments)
     assert found == status

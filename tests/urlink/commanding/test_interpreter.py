@@ -17,13 +17,7 @@ from linkcore.errors import BadValue, Cancelled, ConnectFailed, LinkTimeout, Loc
 from linkcore.handle import Phase
 from tests.waiting import until
 from urlink.commanding.interpreter import CLEAR_AFTER
-from urlink.interfaces.interpreter.protocol import (
-    LONGEST_REPLY,
-    WORDS,
-    InterpreterProtocol,
-    parse_reply,
-    statement_line,
-)
+from urlink.interfaces.interpreter import LONGEST_REPLY, WORDS, InterpreterProtocol, parse_reply, statement_line
 from urlink.simulator import Controller, Still
 from urlink.simulator.urscript.statements import MOST
 

@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
+from linkcore.clock import Stamp
 from linkcore.errors import Cancelled, Closed, ConnectFailed, ConnectionLost, LinkError, LinkTimeout
 from linkcore.handle import Lifecycle, Phase
-from linkcore.stamp import Stamp
-from linkcore.streaming.events import ConnectionEvent, ConnectionState
+from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from tests.urlink.line import FIRMWARE, STARTED, Programming, Run, Subscriber, slow
 from urlink.errors import CompileError, NotRunning, ProgramStopped, SafetyStop, ScriptFailed
 from urlink.interfaces.enums import RobotMode, SafetyMode

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
+from linkcore.clock import Stamp
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkError
-from linkcore.stamp import Stamp
-from linkcore.streaming.events import ConnectionEvent, ConnectionState
+from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from linkcore.wire.packet import State
 from tests.urlink.line import FIRMWARE, Desk, Subscriber, fast, slow
 from urlink.commanding.interlock import Interlock

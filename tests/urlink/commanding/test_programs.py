@@ -14,7 +14,7 @@ import pytest
 import urlink
 from linkcore.errors import BadValue, Cancelled, Closed, ConnectionLost, LinkTimeout
 from linkcore.handle import Handle, Phase
-from linkcore.streaming.events import ConnectionState
+from linkcore.streaming.connection_life import ConnectionState
 from tests.urlink.stand_in import StandIn
 from tests.waiting import until
 from urlink.commanding import programs as module

@@ -10,8 +10,7 @@ from typing import Any
 import pytest
 
 from linkcore.errors import BadValue, Closed, ConnectFailed, ConnectionLost, LinkError, LinkTimeout, LocalError
-from linkcore.streaming.backoff import Backoff
-from linkcore.streaming.events import ConnectionState
+from linkcore.streaming.connection_life import Backoff, ConnectionState
 from tests.linkcore.script import ScriptedTransport
 from tests.urlink.stand_in import StandIn
 from tests.waiting import until

@@ -13,11 +13,11 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from linkcore.callbacks import CallbackThread
+from linkcore.clock import Stamp
 from linkcore.errors import ConnectionLost, LinkError
-from linkcore.stamp import Stamp
 from linkcore.streaming.connection import Connection
-from linkcore.streaming.events import ConnectionEvent, ConnectionState
+from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
+from linkcore.threads import CallbackThread
 from tests.urlink.line import Line
 from urlink.commanding.channel import CommandChannel
 from urlink.commanding.interlock import STALE_AFTER, Interlock, Policy

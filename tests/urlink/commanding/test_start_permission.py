@@ -14,10 +14,10 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 from tests.urlink.line import FIRMWARE, STARTED, STOPPED, Programming, Run
 from urlink.firmware import Firmware
 from urlink.interfaces.primary.robot_message import TextMessage
-from urlink.simulator.registers import Registers
+from urlink.simulator.registers import RegisterBanks
 from urlink.simulator.urscript import compile_script
 from urlink.simulator.urscript.machine import Execution
-from urlink.simulator.urscript.world import World
+from urlink.simulator.urscript.world import ScriptWorld
 
 MOVED = "moves the arm"
 
@@ -55,7 +55,7 @@ class Clients(RuleBasedStateMachine):
         self.clients = [Client(self.firmware, 0), Client(self.firmware, 100)]
         #: of each client, the texts that have not been read yet
         self.wires: list[list[str]] = [[], []]
-        self.registers, self.flags = Registers(), [False] * 32
+        self.registers, self.flags = RegisterBanks(), [False] * 32
         self.cycle = 0
         self.running: tuple[str, Execution] | None = None
         self.moved: list[str] = []
@@ -73,7 +73,7 @@ class Clients(RuleBasedStateMachine):
             text_message=self.text_message,
             q_actual=(0.0,) * 6,
         )
-        return Execution(compile_script(text, Firmware.parse(self.firmware)), cast(World, world))
+        return Execution(compile_script(text, Firmware.parse(self.firmware)), cast(ScriptWorld, world))
 
     def text_message(self, text: str) -> None:
         assert self.running is not None

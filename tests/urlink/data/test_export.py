@@ -16,7 +16,7 @@ import rhdlink
 import rhdlink.cli
 import urlink
 import urlink.cli
-from linkcore.recording.exporting import export
+from linkcore.recording.table_files import export
 from rhdlink.plugins.turtle import Turtle
 from urlink.poses import compose, quaternion_to_rotvec
 
@@ -152,10 +152,11 @@ def test_what_cannot_be_written_leaves_nothing_and_harms_nothing(recording: urli
         recording.export(tmp_path / "nowhere" / "run.csv")
 
 
+@pytest.mark.real_time
 def test_what_takes_long_has_a_bar_on_a_terminal(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("linkcore.cli.progress_bar._PERIOD", 0.0)
+    monkeypatch.setattr("linkcore.cli.options._PERIOD", 0.0)
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     drive = tmp_path / "drive.urlog"
     with (
@@ -183,6 +184,7 @@ def test_what_takes_long_has_a_bar_on_a_terminal(
         assert capsys.readouterr().err == ""
 
 
+@pytest.mark.real_time
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "run.csv"
     assert urlink.cli.main(["export", str(CAPTURE), str(path), "--rate", "20", "tcp_force"]) == 0

@@ -39,6 +39,7 @@ def read(path: Path, *, whole: bool = True) -> dict[str, list[Any]]:
     return found
 
 
+@pytest.mark.simulated_time
 def test_everything_that_was_streamed_is_in_it(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     with urlink.connect(f"replay://{CAPTURE}?rate=max") as robot:
@@ -67,6 +68,7 @@ def test_everything_that_was_streamed_is_in_it(tmp_path: Path) -> None:
     assert len(read(tmp_path / "again.mcap")["/joint_states"]) == len(run.realtime)
 
 
+@pytest.mark.simulated_time
 def test_it_says_which_robot_it_is_of(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     before = np.datetime64(time.time_ns(), "ns")
@@ -90,6 +92,7 @@ def test_without_the_extra_nothing_is_left(tmp_path: Path, monkeypatch: pytest.M
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.simulated_time
 def test_the_disk_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object) -> None:
         raise OSError(28, "No space left on device")
@@ -113,6 +116,7 @@ with urlink.connect("sim://") as robot, robot.record(sys.argv[1]):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGKILL")
+@pytest.mark.real_time
 def test_a_killed_program_leaves_a_file_that_opens(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     with subprocess.Popen([sys.executable, "-c", PROGRAM, str(path)], stdout=subprocess.PIPE, text=True) as program:

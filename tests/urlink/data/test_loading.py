@@ -17,8 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import urlink
-from linkcore.recording.file import Kind, RecordingWriter
-from linkcore.recording.records import pack
+from linkcore.recording.file import Kind, RecordingWriter, pack
 from urlink.interfaces.primary.robot_message import TextMessage, VersionMessage
 from urlink.interfaces.primary.robot_state import JointData, RobotModeData, RobotState
 from urlink.interfaces.realtime.protocol import RealtimeProtocol
@@ -279,6 +278,7 @@ def test_frames_of_polars() -> None:
 
 
 @pytest.mark.parametrize("path", [CAPTURES / f"simulator-{version}.urlog" for version in ("1.8", "3.15", "5.25")])
+@pytest.mark.simulated_time
 def test_recordings_of_the_simulator(path: Path) -> None:
     run = urlink.load(path)
     with urlink.connect(f"replay://{path}?rate=max") as robot:

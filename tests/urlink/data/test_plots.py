@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import urlink
 import urlink.cli
 from linkcore import plotting
-from linkcore.cli.progress_bar import ProgressBar
+from linkcore.cli.options import ProgressBar
 from linkcore.plotting import Curves, Plot
 from linkcore.recording.file import Kind, RecordingWriter
 from linkcore.streaming.history import History
@@ -94,6 +94,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert "no field 'nothing'" in capsys.readouterr().err
 
 
+@pytest.mark.real_time
 def test_a_live_plot_shows_what_comes(monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[Plot] = []
     array = History.array
@@ -118,6 +119,7 @@ def test_a_live_plot_shows_what_comes(monkeypatch: pytest.MonkeyPatch) -> None:
     assert -10 < lines[0].get_xdata()[0] < lines[0].get_xdata()[-1] <= 0
 
 
+@pytest.mark.simulated_time
 def test_what_a_notebook_shows_is_escaped(run: urlink.Recording) -> None:
     with urlink.connect(f"replay://{CAPTURE}?rate=max") as robot:
         robot.realtime.wait()
@@ -134,7 +136,7 @@ def test_what_a_notebook_shows_is_escaped(run: urlink.Recording) -> None:
 def test_a_bar_on_a_terminal_and_nothing_elsewhere(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("linkcore.cli.progress_bar._PERIOD", 0.0)
+    monkeypatch.setattr("linkcore.cli.options._PERIOD", 0.0)
     for is_terminal, quiet in ((False, False), (True, True), (True, False)):
         monkeypatch.setattr(sys.stderr, "isatty", lambda is_terminal=is_terminal: is_terminal)
         with ProgressBar("writing", quiet) as progress:

@@ -11,20 +11,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from linkcore.clock import Stamp
 from linkcore.errors import PacketError, WrongPeer
 from linkcore.net.transport import Finished
-from linkcore.stamp import Stamp
-from linkcore.streaming.policy import block
+from linkcore.streaming.packet_queue import block
 from linkcore.wire.framing import Framer
 from linkcore.wire.packet import State
 from tests.linkcore.script import ScriptedTransport
 from urlink.firmware import RELEASES, Firmware, Release, release_of
 from urlink.identity import Identity
-from urlink.interfaces.primary.framing import PackageBoundary
-from urlink.interfaces.primary.protocol import PrimaryProtocol
+from urlink.interfaces.primary.protocol import PackageBoundary, PrimaryProtocol
 from urlink.interfaces.primary.robot_state import SUB_PACKAGES
-from urlink.interfaces.realtime.framing import RealtimeBoundary
-from urlink.interfaces.realtime.protocol import RealtimeProtocol
+from urlink.interfaces.realtime.protocol import RealtimeBoundary, RealtimeProtocol
 from urlink.packets import (
     AdditionalInfo,
     JointData,
@@ -551,6 +549,7 @@ def test_text_may_hold_headers() -> None:
     assert fed(PrimaryProtocol, *bytewise(b"".join(parts)))[0] == parts
 
 
+@pytest.mark.real_time
 def test_what_shares_its_bytes_with_a_bad_package_is_counted_once() -> None:
     broken = of_type(16, of_type(0, b"too short for robot mode data"[:20]))
     longer = JointData.LAYOUTS.of("5.8").encode({}, b"appended")

@@ -18,9 +18,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from linkcore.wire import framing
-from urlink.interfaces.primary import framing as primary
+from urlink.interfaces.primary import protocol as primary
 from urlink.interfaces.primary.protocol import PrimaryProtocol
-from urlink.interfaces.realtime import framing as realtime
+from urlink.interfaces.realtime import protocol as realtime
 from urlink.interfaces.realtime.protocol import RealtimeProtocol
 from urlink.packets import RealtimeState, VersionMessage
 

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from linkcore.clock import Stamp
 from linkcore.errors import BadValue, PacketError
-from linkcore.stamp import Stamp
 from linkcore.wire.framing import Framer
 from tests import real_captures
 from tests.oracle import parse

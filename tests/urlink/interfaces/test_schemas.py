@@ -10,8 +10,8 @@ import pytest
 
 import urlink
 from linkcore.errors import BadValue, BadVersion, PacketError
+from linkcore.wire.fields import Mask64, OpenInt
 from linkcore.wire.packet import State
-from linkcore.wire.shapes import Mask64, OpenInt
 from urlink import decode
 from urlink.firmware import NEWEST, RELEASES, Firmware, Release, infer, release_of
 from urlink.interfaces import enums

@@ -10,18 +10,22 @@ import numpy as np
 
 from tests.urlink.motion.rehearsal import HOME
 from urlink.firmware import Firmware
+from urlink.interfaces.enums import ProgramState
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.kinematics import Arm
 from urlink.models import model
 from urlink.motion.paced import PacedSetpoints, SetpointSource
 from urlink.motion.setpoints import WAIT_WORD, WORD_SIZE, Servoing, dated, read_word
 from urlink.motion.speed_limit import largest_speeds
-from urlink.simulator.registers import Registers
+from urlink.simulator.registers import RegisterBanks
 from urlink.simulator.robot.generator import MotionGenerator
 from urlink.simulator.robot.sources import Setpoint
-from urlink.simulator.urscript import Execution, World, compile_script
+from urlink.simulator.urscript import Execution, ScriptWorld, compile_script
 from urlink.urscript.links import ReverseSocket
 from urlink.urscript.wrapping import Permission, program
+
+#: Of a state whose program is executed at full speed.
+PLAYING: dict[str, Any] = {"speed_scaling": 1.0, "program_state": ProgramState.PLAYING}
 
 
 class Line:
@@ -75,14 +79,18 @@ class Bench:
         self.texts: list[str] = []
         self.path: list[list[float]] = []
         self.flags = [False] * 32
-        self.registers = Registers()
+        self.registers = RegisterBanks()
         #: (variable, frequency, action) of what it had watched
         self.watched: list[tuple[str, float, str]] = []
         script = compile_script(program("tried", body, permission).text, firmware)
-        self.execution = Execution(script, cast(World, self))
+        self.execution = Execution(script, cast(ScriptWorld, self))
 
     @property
     def q_actual(self) -> Sequence[float]:
+        return self.motion.setpoint.q
+
+    @property
+    def q_target(self) -> Sequence[float]:
         return self.motion.setpoint.q
 
     @property
@@ -116,7 +124,7 @@ class Bench:
 
     def beside(self, text: str) -> None:
         """A `sec`, which takes no time."""
-        execution = Execution(compile_script(text, self.firmware), cast(World, self))
+        execution = Execution(compile_script(text, self.firmware), cast(ScriptWorld, self))
         execution.advance()
         assert execution.is_over
         assert execution.error is None, execution.error
@@ -166,7 +174,8 @@ class Led:
         """What of it motions look at."""
         at = self.bench.motion.setpoint
         q, qd = np.array(at.q), np.array(at.qd)
-        return cast(RealtimeState, SimpleNamespace(time=self.time, q_target=q, q_actual=q, qd_target=qd, qd_actual=qd))
+        seen = SimpleNamespace(time=self.time, q_target=q, q_actual=q, qd_target=qd, qd_actual=qd, **PLAYING)
+        return cast(RealtimeState, seen)
 
     def run(self, cycles: int, missed: int = 0) -> None:
         """So many cycles, of which the first few pass without a state."""

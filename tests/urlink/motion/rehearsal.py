@@ -20,7 +20,8 @@ from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.kinematics import Arm
 from urlink.motion.context import MotionContext
 from urlink.motion.motions import LinkName, Motions
-from urlink.motion.register_link import NAMES, RegisterPort
+from urlink.motion.point_registers import INPUTS, PointRegisterLink
+from urlink.motion.register_link import NAMES, RegisterLink, RegisterPort
 from urlink.motion.reverse import ReversePort
 from urlink.motion.setpoints import WORD_SIZE
 from urlink.urscript.wrapping import finish_marker, start_marker
@@ -63,7 +64,8 @@ class Rehearsal(StandIn):
                 self.realtime,
                 self.who,
                 reverse,
-                RegisterPort(self._claim),
+                RegisterPort(self._claim, 1.0, NAMES, RegisterLink),
+                RegisterPort(self._claim, 1.0, INPUTS, lambda inputs: PointRegisterLink(inputs, lambda: None)),
                 self.section,
                 # Motions go by the clock of the test: one cycle passes with each state.
                 clock=lambda: self.time,
@@ -75,6 +77,8 @@ class Rehearsal(StandIn):
         self.q = list(HOME)
         self.qd = [0.0] * 6
         self.time = 100.0
+        #: as it is reported; not on CB2
+        self.scaling = 1.0
         self.cycle = 1.0 / self.firmware.rate
         self.link: socket.socket | None = None
         #: those in the last word, rad/s
@@ -97,6 +101,7 @@ class Rehearsal(StandIn):
         self.state(fast=False)
         mode = {"robot_mode": RobotModeCB2.RUNNING if self.firmware.is_cb2 else RobotMode.RUNNING}
         safety = {} if self.firmware.is_cb2 else {"safety_mode": SafetyMode.NORMAL}
+        time = {} if self.firmware.is_cb2 else {"speed_scaling": self.scaling}
         actual = [*self.q[:5], self.q[5] + away]
         state = RealtimeState(
             self.firmware,
@@ -107,6 +112,7 @@ class Rehearsal(StandIn):
             qd_actual=self.qd,
             tool_vector_actual=self.pose,
             **mode,
+            **time,
             **safety,
         )
         self.fast.put(bytes(state))

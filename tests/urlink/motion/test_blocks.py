@@ -23,6 +23,8 @@ from urlink.motion.linked_block import LinkedBlock
 from urlink.motion.motions import LinkName
 from urlink.vectors import FloatArray, Numbers
 
+pytestmark = pytest.mark.simulated_time
+
 DOWN = [0, 0, -10.0, 0, 0, 0.5]
 B = TypeVar("B", bound=LinkedBlock)
 

@@ -20,15 +20,17 @@ import pytest
 
 from linkcore.errors import Cancelled, ConnectionLost, LinkError
 from linkcore.handle import Motion, Phase
-from linkcore.wire.version import Since
+from linkcore.wire.fields import Since
 from tests.urlink.motion.lockstep import READY, TIMEOUT, Lockstep
 from tests.waiting import until
 from urlink import Joint, Linear, Taught
 from urlink.errors import NotRunning, SafetyStop
 from urlink.firmware import Firmware
 from urlink.motion import TaughtPoint
-from urlink.motion.trajectory import Trajectory
+from urlink.motion.trajectory import Trajectory, TrajectoryPoint
 from urlink.robot import Robot
+
+pytestmark = pytest.mark.real_time
 
 #: firmware -> arm: each generation, and of the e-Series the ends of what is known.
 GENERATIONS = {"1.8": "ur5", "3.15": "ur5", "5.11": "ur5e", "5.25": "ur5e", "10.12": "ur5e"}
@@ -101,6 +103,13 @@ def schedule(robot: Robot, block: contextlib.ExitStack) -> Motion:
     return servo
 
 
+def streamed(robot: Robot, block: contextlib.ExitStack, **way: Any) -> Motion:
+    stream = block.enter_context(robot.motion.stream(watchdog=1.0, **way))
+    begin = robot.realtime.wait(5).q_target
+    stream.append(TrajectoryPoint(begin + 0.5, 2.5, [0.0] * 6, [0.0] * 6), wait=False)
+    return stream
+
+
 def jog(robot: Robot, block: contextlib.ExitStack, **way: Any) -> Motion:
     jog = block.enter_context(robot.motion.jog("base", timeout=60.0, watchdog=WATCHDOG, **way))
     jog.move([0, 0, 0.1, 0, 0, 0])
@@ -160,6 +169,13 @@ def push_softly(torque: Any, state: Any) -> None:
         torque.send([0, 0, 0, 0, 0, 0.5])
 
 
+def impedance(robot: Robot, block: contextlib.ExitStack) -> Motion:
+    soft = block.enter_context(robot.motion.impedance(watchdog=1.0))
+    q = robot.realtime.wait().q_actual
+    soft.send([*q[:5], q[5] + 1.0])
+    return soft
+
+
 def interpreter(robot: Robot, block: contextlib.ExitStack) -> Any:
     interpreter = robot.interpreter()
     block.callback(interpreter._close)
@@ -200,6 +216,8 @@ MODES = {
     "servo_rtde": Mode(partial(servo, link="rtde"), _REGISTERS, link="rtde"),
     "servo_jerk_limited": Mode(servo_jerk_limited, link="own"),
     "schedule": Mode(schedule, link="own"),
+    "stream": Mode(streamed, Since("3.4"), link="own"),
+    "stream_rtde": Mode(partial(streamed, link="rtde"), _REGISTERS, link="rtde"),
     "jog": Mode(jog, link="own"),
     "jog_rtde": Mode(partial(jog, link="rtde"), _REGISTERS, link="rtde"),
     "speed_joints": Mode(speed_joints),
@@ -215,6 +233,7 @@ MODES = {
     "play": Mode(play),
     "until_contact": Mode(until_contact, Since("3.3")),
     "torque": Mode(torque, Since("5.23/10.11"), link="own"),
+    "impedance": Mode(impedance, Since("5.23/10.11"), link="own"),
     "interpreter": Mode(interpreter, Since("5.10")),
 }
 

@@ -6,6 +6,7 @@ import contextlib
 import socket
 import threading
 from collections.abc import Callable
+from queue import SimpleQueue
 from types import SimpleNamespace
 from typing import cast
 
@@ -16,6 +17,7 @@ from hypothesis import strategies as st
 
 from linkcore.errors import BadAddress, BadValue, Cancelled, ConnectFailed, ConnectionLost, LinkTimeout, LocalError
 from linkcore.handle import Motion, Phase
+from linkcore.pending_call import PendingCall
 from tests.urlink.motion.rehearsal import FOLLOW, STOP, TIMEOUT, WAIT, Rehearsal, turned
 from tests.waiting import until
 from urlink.errors import NotEnabled, NotRunning, ProgramStopped, SafetyStop, ToleranceExceeded
@@ -26,6 +28,8 @@ from urlink.motion import TrajectoryFeedback
 from urlink.motion.following import Following
 from urlink.motion.motions import _reporter
 from urlink.motion.trajectory import Trajectory
+
+pytestmark = pytest.mark.real_time
 
 #: A tenth of a radian there and back.
 PATH = Trajectory.from_arrays([0.0, 0.2, 0.4], [turned(0), turned(0.1), turned(0)])
@@ -44,6 +48,22 @@ def begun(robot: Rehearsal, **options: object) -> Motion:
 def half_way(robot: Rehearsal, motion: Motion) -> None:
     while motion.progress < 0.5:
         assert robot.obey() is not None
+
+
+def test_no_word_follows_a_task_that_was_cancelled_but_the_stop(rehearsal: Callable[..., Rehearsal]) -> None:
+    """A state comes before the thread that stops the arm for it."""
+    robot = rehearsal(link="rtde")
+    call, stops = PendingCall(), SimpleQueue[Callable[[], object]]()
+    motion = call.make(lambda: robot.motion.follow(PATH))
+    robot.connect()
+    assert robot.obey() is not None
+    call.give_up(stops.put)
+    for _ in range(5):
+        robot.show()
+    assert robot.inputs.written.empty()
+    stops.get(timeout=TIMEOUT)()
+    assert robot.inputs.written.get(timeout=TIMEOUT)["input_int_register_46"] == STOP
+    assert motion.phase is Phase.CANCELLED
 
 
 # -- to the end ----------------------------------------------------------------------------------------
@@ -135,14 +155,14 @@ def test_feedback_may_be_slow_and_may_raise(led: Rehearsal) -> None:
 
 def test_feedback_is_told_from_the_beginning_to_the_end() -> None:
     told: list[TrajectoryFeedback] = []
-    following = SimpleNamespace(began=None, is_over=False, desired=lambda t: ([t] * 6, [2.0] * 6))
+    following = SimpleNamespace(times=lambda time: None, is_over=False, desired=lambda t: ([t] * 6, [2.0] * 6))
     report = _reporter(cast(Following, following), told.append)
 
     def seen(time: float) -> RealtimeState:
         return RealtimeState(Firmware(5, 11), time=time, q_actual=[0.125] * 6, qd_actual=[1.0] * 6)
 
     report(seen(50.0))
-    following.began = 50.0
+    following.times = lambda time: (time - 50.0, 0.5 * (time - 50.0))
     report(seen(49.5))
     assert told == []
     report(seen(50.0))
@@ -150,13 +170,14 @@ def test_feedback_is_told_from_the_beginning_to_the_end() -> None:
     following.is_over = True
     report(seen(51.0))
     assert [each.time for each in told] == [0.0, 0.5]
+    assert [each.trajectory_time for each in told] == [0.0, 0.25]
     last = told[-1]
     for values, value in (
-        (last.q_desired, 0.5),
+        (last.q_desired, 0.25),
         (last.qd_desired, 2.0),
         (last.q_actual, 0.125),
         (last.qd_actual, 1.0),
-        (last.error, 0.375),
+        (last.error, 0.125),
     ):
         assert values.tolist() == [value] * 6
 

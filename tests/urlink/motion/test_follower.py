@@ -13,14 +13,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linkcore.errors import BadValue, LinkError, LinkTimeout
-from tests.urlink.motion.bench import Bench
+from tests.urlink.motion.bench import PLAYING, Bench
 from tests.urlink.motion.rehearsal import FOLLOW, WAIT, turned
 from urlink.errors import ToleranceExceeded
 from urlink.firmware import Firmware
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.models import Model, model
+from urlink.motion.controller_clock import ControllerClock
 from urlink.motion.follower import Follower
-from urlink.motion.following import ControllerClock, Tolerances, stands
+from urlink.motion.following import Tolerances, stands
 from urlink.motion.setpoints import WORD_SIZE, Servoing, setpoint
 from urlink.motion.speed_limit import EARLY, largest_speeds
 from urlink.motion.trajectory import Trajectory
@@ -53,7 +54,7 @@ def state(time: float, q: list[float], qd: float = 0.0) -> RealtimeState:
     position, speeds = np.array(q), np.array([0.0] * 5 + [qd])
     return cast(
         RealtimeState,
-        SimpleNamespace(time=time, q_target=position, q_actual=position, qd_target=speeds, qd_actual=speeds),
+        SimpleNamespace(time=time, q_target=position, q_actual=position, qd_target=speeds, qd_actual=speeds, **PLAYING),
     )
 
 
@@ -293,7 +294,7 @@ def test_waits_for_the_arm_to_stand() -> None:
     assert word(led.step(b"", moving, 11.5))[1] == WAIT
     with pytest.raises(LinkTimeout, match=r"did not come to rest within 1\.5 s, so the trajectory did not begin"):
         led.step(b"", moving, 11.51)
-    assert (led.began, led.progress, led.is_over) == (None, 0.0, False)
+    assert (led.times(1.0), led.progress, led.is_over) == (None, 0.0, False)
 
 
 def test_an_arm_stands_below_two_hundredths_of_a_radian_a_second() -> None:
@@ -377,7 +378,7 @@ def test_where_the_arm_has_to_be_when(t: float, off: float, speed: float, what: 
     seen = state(50.0 + t, turned(off), speed)
     if what in ("goes on", "is over"):
         led._compare(seen, t)
-        assert (led.is_over, led.progress, led.began) == (what == "is over", t / 2.0, 50.0)
+        assert (led.is_over, led.progress, led.times(50.0 + t)) == (what == "is over", t / 2.0, (0.0, t))
     else:
         with pytest.raises(ToleranceExceeded, match=what):
             led._compare(seen, t)
@@ -386,11 +387,13 @@ def test_where_the_arm_has_to_be_when(t: float, off: float, speed: float, what: 
 def test_feedback_is_told_where_the_trajectory_is() -> None:
     feeding = Feeding(follower())
     feeding.state()
-    assert feeding.follower.began == pytest.approx(50.002)
+    assert feeding.follower.times(50.002) == pytest.approx((0.0, 0.0))
     for _ in range(99):
         feeding.state()
     assert feeding.follower.progress == pytest.approx(0.198 / 2.0)
-    assert feeding.follower.began == pytest.approx(50.002)
+    for after in (0.0, 0.0631, 0.198, 0.2):  # between states, and ahead of the newest
+        assert feeding.follower.times(50.002 + after) == pytest.approx((after, after))
+    assert feeding.follower.times(50.0) is None
 
 
 # -- with the program that follows -----------------------------------------------------------------------
@@ -534,8 +537,9 @@ def test_the_experiment_of_the_original_driver(firmware: Firmware) -> None:
         setpoint, now = bench.motion.setpoint, bench.cycle * bench.period
         words = led.step(b"", state(50.0 + now, list(setpoint.q), setpoint.qd[5]), 1000.0 + now)
         bench.say(words)
-        assert led.began is not None
-        t = 50.0 + now - led.began
+        times = led.times(50.0 + now)
+        assert times is not None
+        t = times[1]
         errors.append(setpoint.q[5] - path.sample(t - lag)[0][5])
         bench.run()
         assert bench.cycle < 10 * firmware.rate

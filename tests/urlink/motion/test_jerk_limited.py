@@ -14,8 +14,8 @@ from tests.urlink.motion.bench import Led
 from tests.urlink.motion.rehearsal import HOME, turned
 from urlink.firmware import Firmware
 from urlink.models import model
-from urlink.motion.filtered_targets import FilteredTargets
 from urlink.motion.jerk_limited import JointLimit, Profile, TargetFilter, joint_limits
+from urlink.motion.paced import FilteredTargets
 
 _limits = st.builds(JointLimit, st.floats(0.05, 4.0), st.floats(0.1, 40.0), st.floats(0.5, 500.0))
 _part = st.one_of(st.just(0.0), st.floats(-1.0, 1.0))

@@ -24,8 +24,8 @@ from urlink.models import model
 from urlink.motion import Jog
 from urlink.motion.setpoints import STOP_WORD, WAIT_WORD, read_word, setpoint
 from urlink.poses import rotvec_to_matrix
-from urlink.urscript.jogging import jogging
 from urlink.urscript.links import LINK_ENDED, STARVED, ReverseSocket
+from urlink.urscript.streaming import jogging
 
 _FIRMWARES = [Firmware.parse(each) for each in ("1.8", "3.1", "3.15", "5.11", "5.25")]
 _REST = [0.0] * 6
@@ -53,6 +53,7 @@ def answers(robot: Rehearsal) -> Iterator[list[float]]:
 
 
 class TestWhatIsSaid:
+    @pytest.mark.simulated_time
     def test_a_speed_lapses(self, robot: Rehearsal) -> None:
         with opened(robot, timeout=0.1) as jog:
             moved = robot.time
@@ -79,6 +80,7 @@ class TestWhatIsSaid:
             jog.move(_REST)
 
     @pytest.mark.parametrize("frame", ["base", "tool"])
+    @pytest.mark.simulated_time
     def test_frames_of_the_tool(self, robot: Rehearsal, frame: str) -> None:
         robot.q = [0.3, -1.2, 1.4, -1.0, 0.5, 0.7]
         robot.show()
@@ -99,6 +101,7 @@ class TestWhatIsSaid:
             ("tool", "UR10e", [5.0] * 3 + [10.0] * 3, "speedl("),
         ],
     )
+    @pytest.mark.simulated_time
     def test_how_fast_it_may_be(
         self, rehearsal: Callable[..., Rehearsal], frame: str, arm: str, most: list[float], call: str
     ) -> None:
@@ -120,6 +123,7 @@ class TestWhatIsSaid:
                     with pytest.raises(BadValue, match=named):
                         jog.move(speeds)
 
+    @pytest.mark.simulated_time
     def test_a_speed_holds_for_its_time_and_no_longer(self, robot: Rehearsal) -> None:
         with opened(robot, timeout=0.25) as jog:
             jog.move([0.1] * 6)
@@ -127,6 +131,7 @@ class TestWhatIsSaid:
             for now, speeds in ((told, [0.1] * 6), (told + 0.25, [0.1] * 6), (np.nextafter(told + 0.25, 999), _REST)):
                 assert read_word(jog._dialogue.step(b"", state, now))[0] == pytest.approx(speeds)
 
+    @pytest.mark.simulated_time
     def test_what_is_refused(self, robot: Rehearsal) -> None:
         with pytest.raises(BadValue, match="frame='world'"):
             robot.motion.jog("world")  # type: ignore[arg-type]
@@ -139,6 +144,7 @@ class TestWhatIsSaid:
             with pytest.raises(BadValue, match="shape"):
                 jog.move([1, 2])
 
+    @pytest.mark.simulated_time
     def test_a_stop(self, robot: Rehearsal) -> None:
         with opened(robot) as jog:
             jog.move([0.1] * 6)
@@ -152,6 +158,7 @@ class TestWhatIsSaid:
 class TestHeldSpeeds:
     """A speed for longer than its program may go on unled."""
 
+    @pytest.mark.real_time
     def test_is_held_for_its_time_and_then_ends(self, robot: Rehearsal) -> None:
         motion = robot.motion.speed_joints([0.3, 0, 0, 0, 0, 0], duration=0.6)
         assert "speedj(" in robot.uploaded
@@ -167,6 +174,7 @@ class TestHeldSpeeds:
         robot.finish()
         motion.wait(TIMEOUT)
 
+    @pytest.mark.real_time
     def test_the_next_call_changes_it_without_another_program(self, robot: Rehearsal) -> None:
         motion = robot.motion.speed_joints([0.3, 0, 0, 0, 0, 0], duration=3600.0)
         robot.connect()
@@ -191,6 +199,7 @@ class TestHeldSpeeds:
         ],
         ids=["acceleration", "tool", "short"],
     )
+    @pytest.mark.real_time
     def test_what_needs_another_program(self, robot: Rehearsal, other: Callable[[Any], Motion]) -> None:
         motion = robot.motion.speed_joints([0.3, 0, 0, 0, 0, 0], duration=5.0)
         robot.connect()
@@ -201,6 +210,7 @@ class TestHeldSpeeds:
         with pytest.raises(Cancelled, match="preempted"):
             motion.wait(TIMEOUT)
 
+    @pytest.mark.real_time
     def test_a_stop_refuses_the_next_call(self, robot: Rehearsal) -> None:
         motion = robot.motion.speed_joints([0.3, 0, 0, 0, 0, 0], duration=5.0)
         robot.connect()
@@ -262,6 +272,7 @@ def test_the_tool_in_a_straight_line(firmware: Firmware) -> None:
     assert moved == pytest.approx([0, 0, -0.0475, 0, 0, 0], abs=0.1 * 3 * jogged.period)
 
 
+@pytest.mark.simulated_time
 def test_many_calls_of_the_hand_are_one_program(rehearsal: Callable[..., Rehearsal]) -> None:
     robot = rehearsal("3.15", "UR5", link="rtde")
     with opened(robot, link="rtde") as jog:

@@ -17,6 +17,8 @@ from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.motion.linked import LinkedProgram
 from urlink.urscript.links import InputRegisters, ReverseSocket
 
+pytestmark = pytest.mark.simulated_time
+
 
 class Talk:
     """A dialogue, its link, and the program that they lead; each does as the test has set it."""
@@ -74,6 +76,8 @@ class Talk:
         if self.failure is not None:
             raise self.failure
         return self.answer
+
+    def resume(self, state: RealtimeState) -> None: ...
 
     def conclude(self) -> None:
         self.concluded += 1

@@ -18,6 +18,8 @@ from urlink.interfaces.enums import RobotMode, SafetyMode
 from urlink.kinematics import Arm
 from urlink.urscript.wrapping import StartPlace, expiry_marker, start_marker
 
+pytestmark = pytest.mark.simulated_time
+
 MOVES: list[tuple[Callable[[Rehearsal], Motion], str, str]] = [
     (lambda r: r.motion.move_joints([0] * 6), "move_joints", "movej([0.0, 0.0, 0.0, 0.0, 0.0, 0.0], a=1.4, v=1.05)"),
     (

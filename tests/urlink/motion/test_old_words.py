@@ -19,9 +19,8 @@ from urlink.firmware import Firmware
 from urlink.motion.setpoints import WAIT_WORD, dated, setpoint
 from urlink.robot import Robot
 from urlink.simulator import Controller, Still
-from urlink.urscript.jogging import jogging
 from urlink.urscript.links import STARVED, ReverseSocket
-from urlink.urscript.streaming import streaming
+from urlink.urscript.streaming import jogging, streaming
 from urlink.urscript.yielding import force_mode, freedrive
 
 STILL = [0.0] * 6

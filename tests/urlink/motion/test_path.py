@@ -300,6 +300,7 @@ def test_what_is_accepted_breaks_no_limit(seed: int, firmware: str) -> None:
 # -- how far it has got --------------------------------------------------------------------------------
 
 
+@pytest.mark.simulated_time
 def test_progress_by_segment(robot: Rehearsal) -> None:
     up, down = [*HOME[:5], 0.4], list(HOME)
     motion = robot.motion.path([Joint(up), Joint(down), Joint([*HOME[:5], 0.1])])
@@ -335,6 +336,7 @@ def test_progress_by_segment(robot: Rehearsal) -> None:
     assert motion.progress == 1.0
 
 
+@pytest.mark.simulated_time
 def test_nothing_is_sent_of_a_path_that_is_refused(robot: Rehearsal) -> None:
     with pytest.raises(BadValue, match="waypoint 0"):
         robot.motion.path([Joint([9.0] * 6)])
@@ -344,6 +346,7 @@ def test_nothing_is_sent_of_a_path_that_is_refused(robot: Rehearsal) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("arm", "firmware"), [("ur5", "1.8"), ("ur5", "3.15"), ("ur5e", "5.11"), ("ur5e", "10.12")])
+@pytest.mark.simulated_time
 def test_a_path_on_the_simulated_arm(arm: str, firmware: str) -> None:
     with urlink.connect(f"sim://{arm}?firmware={firmware}", stale_after=20.0, silence=30.0) as robot:
         robot.motion.move_joints(READY, speed=3.0, acceleration=20.0, wait=TIMEOUT)
@@ -369,6 +372,7 @@ def test_a_path_on_the_simulated_arm(arm: str, firmware: str) -> None:
         assert robot.realtime.wait(TIMEOUT).tool_vector_actual[:3] == pytest.approx(aside[:3], abs=1e-3)
 
 
+@pytest.mark.simulated_time
 def test_a_circle_is_measured_along_it(robot: Rehearsal) -> None:
     start = robot.pose
     via, to = shifted(start, 0, 0.05, 0.05), shifted(start, 0, 0.1, 0)
@@ -383,6 +387,7 @@ def test_a_circle_is_measured_along_it(robot: Rehearsal) -> None:
     motion.wait(TIMEOUT)
 
 
+@pytest.mark.simulated_time
 def test_points_in_a_row_are_no_circle(robot: Rehearsal) -> None:
     with pytest.raises(BadValue, match="no circle"):
         robot.motion.move_circular(shifted(robot.pose, 0, 0.1, 0), shifted(robot.pose, 0, 0.2, 0))
@@ -401,6 +406,7 @@ WAITING: list[Callable[[Rehearsal, float], object]] = [
 
 
 @pytest.mark.parametrize("move", WAITING)
+@pytest.mark.simulated_time
 def test_waits_when_it_is_asked_to(robot: Rehearsal, move: Callable[[Rehearsal, float], object]) -> None:
     def play() -> None:
         until(lambda: robot.sent)
@@ -428,6 +434,7 @@ def test_waits_when_it_is_asked_to(robot: Rehearsal, move: Callable[[Rehearsal, 
     ],
     ids=["wait=True", "wait()", "stop"],
 )
+@pytest.mark.real_time
 def test_an_interrupted_wait_cancels_the_motion(robot: Rehearsal, waiting: Callable[[Rehearsal], object]) -> None:
     def begins() -> bool:
         if robot.motion.current is None:
@@ -442,12 +449,14 @@ def test_an_interrupted_wait_cancels_the_motion(robot: Rehearsal, waiting: Calla
     assert robot.motion.current is None
 
 
+@pytest.mark.real_time
 def test_waiting_can_end_without_the_motion(robot: Rehearsal) -> None:
     motion = robot.motion.move_joints(HOME)
     interrupted(lambda: motion.wait(TIMEOUT, cancel=False))
     assert robot.motion.current is motion
 
 
+@pytest.mark.simulated_time
 def test_what_ends_a_motion_is_raised_while_it_is_waited_for(robot: Rehearsal) -> None:
     def preempt() -> None:
         until(lambda: robot.motion.current is not None)

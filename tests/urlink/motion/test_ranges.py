@@ -16,6 +16,8 @@ from urlink import Linear
 from urlink.models import model
 from urlink.motion.trajectory import Trajectory
 
+pytestmark = pytest.mark.simulated_time
+
 UR5E = model("UR5e")
 PATH = Trajectory.from_arrays([0.0, 1.0], [HOME, turned(0.1)])
 POSES = [[0.1, 0.2, 0.3, 0, 0, 0], [0.3, 0.2, 0.4, 0, 0, 0]]
@@ -48,6 +50,8 @@ RANGES: list[tuple[str, Call, float, float]] = [
     ("rate", lambda m, x: m.servo(x), 0.1, 10_000),
     ("watchdog", lambda m, x: m.jog(watchdog=x), 0.01, 10),
     ("timeout", lambda m, x: m.jog(timeout=x), 0.01, 60),
+    ("buffer", lambda m, x: m.stream(x), 0.05, 10),
+    ("watchdog", lambda m, x: m.stream(watchdog=x), 0.1, 2),
     ("acceleration", lambda m, x: m.jog(acceleration=x), 1e-3, 40),
     ("speed", lambda m, x: m.until_contact([0, 0, 1], x), 1e-3, 1),
     ("distance", lambda m, x: m.until_contact([0, 0, 1], distance=x), 1e-3, 10),
@@ -59,6 +63,12 @@ RANGES: list[tuple[str, Call, float, float]] = [
     ("watchdog", lambda m, x: m.force_mode("base", *SIX, watchdog=x), 0.05, 10),
     ("watchdog", lambda m, x: m._freedrive(None, "base", x, "reverse"), 0.05, 10),
     ("watchdog", lambda m, x: m.torque(watchdog=x), 0.01, 1),
+    ("watchdog", lambda m, x: m.impedance(watchdog=x), 0.05, 10),
+    (r"stiffness\[0\] \(base\)", lambda m, x: m.impedance(stiffness=x), 0, 10_000),
+    (r"damping\[5\] \(wrist 3\)", lambda m, x: m.impedance(damping=[1, 1, 1, 1, 1, x]), 0, 3),
+    (r"torque\[4\] \(wrist 2\)", lambda m, x: m.impedance(torque=[1, 1, 1, 1, x, 1]), 0, UR5E.max_torque[4] / 2),
+    (r"speed\[1\] \(shoulder\)", lambda m, x: m.impedance(speed=[1, x, 1, 1, 1, 1]), 0.01, UR5E.max_speed[1]),
+    (r"error\[2\] \(elbow\)", lambda m, x: m.impedance(error=[1, 1, x, 1, 1, 1]), 0, 3),
     (r"limits\[3\] \(wrist 1\)", lambda m, x: m.torque(limits=[1, 1, 1, x, 1, 1]), 0, UR5E.max_torque[3]),
 ]
 #: For an arm that nobody knows, whose joints have no limits that could be held against.
@@ -137,6 +147,7 @@ TRY: dict[str, Callable[[Any], object]] = {
     "freedrive": lambda m: m._freedrive(None, "base", 0.5, "reverse"),
     "axes": lambda m: m._freedrive([1, 0, 0, 0, 0, 0], "base", 0.5, "reverse"),
     "torque": lambda m: m.torque(),
+    "impedance": lambda m: m.impedance(),
 }
 
 
@@ -154,6 +165,8 @@ TRY: dict[str, Callable[[Any], object]] = {
         ("axes", "5.9", "5.10"),
         ("torque", "5.22", "5.23"),
         ("torque", "10.10", "10.11"),
+        ("impedance", "5.22", "5.23"),
+        ("impedance", "10.10", "10.11"),
     ],
 )
 def test_the_first_firmware_that_has_it(

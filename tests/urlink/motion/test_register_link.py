@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from collections.abc import Callable, Mapping
 
 import numpy as np
 import pytest
 
-from linkcore.errors import ConnectFailed, ConnectionLost
+from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout
 from tests.urlink.motion.bench import Bench
 from tests.urlink.motion.rehearsal import HOME, turned
 from urlink.firmware import Firmware
@@ -107,7 +109,7 @@ def test_registers_are_claimed_for_the_first_program_alone() -> None:
         claimed.append(names)
         return Inputs(lambda package: None)
 
-    port = RegisterPort(claim)
+    port = RegisterPort(claim, 1.0, NAMES, RegisterLink)
     assert claimed == []
     opened = [port.open() for _ in range(3)]
     assert claimed == [NAMES]
@@ -115,6 +117,39 @@ def test_registers_are_claimed_for_the_first_program_alone() -> None:
     tokens = {link.endpoint.token for link in opened}
     assert len(tokens) == 3
     assert all(0 < token < links.TOKENS for token in tokens)
+
+
+@pytest.mark.simulated_time
+def test_two_threads_claim_the_registers_once() -> None:
+    claimed: list[float] = []
+
+    def claim(names: tuple[str, ...]) -> Inputs:
+        claimed.append(time.monotonic())
+        time.sleep(0.5)  # until the controller answers
+        return Inputs(lambda package: None)
+
+    port = RegisterPort(claim, 1.0, NAMES, RegisterLink)
+    opened: list[RegisterLink] = []
+    threads = [threading.Thread(target=lambda: opened.append(port.open())) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(opened) == 2
+    assert len(claimed) == 1
+
+
+@pytest.mark.simulated_time
+def test_a_claim_is_waited_for_no_longer_than_the_timeout() -> None:
+    def claim(names: tuple[str, ...]) -> Inputs:
+        with pytest.raises(LinkTimeout, match="still being claimed after 1 s"):
+            port.open()  # as a signal handler does
+        raise ConnectionLost("cut")
+
+    port = RegisterPort(claim, 1.0, NAMES, RegisterLink)
+    for _ in range(2):  # the next one tries again
+        with pytest.raises(ConnectionLost, match=r"^cut$"):
+            port.open()
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)

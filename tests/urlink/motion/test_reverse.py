@@ -11,6 +11,8 @@ from linkcore.errors import BadAddress, ConnectFailed, ConnectionLost, LinkTimeo
 from tests.waiting import until
 from urlink.motion.reverse import ReverseLink, ReversePort
 
+pytestmark = pytest.mark.simulated_time
+
 TIMEOUT = 60.0
 
 
@@ -138,6 +140,7 @@ def serves(link: ReverseLink) -> None:
         assert program.recv(100) == b"set-point"
 
 
+@pytest.mark.real_time
 def test_who_comes_from_elsewhere_is_refused(link: ReverseLink, caplog: pytest.LogCaptureFixture) -> None:
     with socket.create_connection(link.endpoint[:2], TIMEOUT, source_address=("127.0.0.77", 0)) as stranger:
         stranger.sendall(token(link))
@@ -264,6 +267,7 @@ def test_closing_ends_those_who_wait(link: ReverseLink) -> None:
     assert not is_up(link)
 
 
+@pytest.mark.real_time
 def test_another_address_that_programs_come_from() -> None:
     link = ReversePort("127.0.0.1", peer="127.0.0.77").open()
     with socket.create_connection(link.endpoint[:2], TIMEOUT, source_address=("127.0.0.77", 0)) as program:
@@ -282,6 +286,7 @@ def test_an_address_that_something_translates() -> None:
     link.close()
 
 
+@pytest.mark.real_time
 def test_a_fixed_port_waits_for_the_newest_program(own_port: int) -> None:
     where = ReversePort("127.0.0.1", port=own_port)
     first = where.open()

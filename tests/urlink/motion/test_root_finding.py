@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
-from urlink.motion.root_finding import root
+from urlink.motion.jerk_limited import root
 
 PRECISION = 1e-12
 

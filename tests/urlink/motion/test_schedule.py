@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from linkcore.errors import BadValue, LinkError, LocalError
-from tests.urlink.motion.bench import Led
+from tests.urlink.motion.bench import PLAYING, Led
 from tests.urlink.motion.rehearsal import HOME, Rehearsal, turned
 from tests.urlink.motion.test_servo import opened
 from tests.waiting import until
@@ -28,6 +28,8 @@ from urlink.motion.setpoints import read_word, setpoint
 from urlink.motion.trajectory import Trajectory
 from urlink.motion.waypoint_schedule import Schedule
 from urlink.poses import compose, invert
+
+pytestmark = pytest.mark.simulated_time
 
 _FIRMWARES = [Firmware.parse(each) for each in ("1.8", "3.15", "5.11")]
 
@@ -135,8 +137,8 @@ def test_a_trajectory_is_followed_without_the_lag() -> None:
         while not follower.is_over:
             state = led.state()
             led.bench.say(follower.step(b"", state, led.time))
-            if follower.began is not None:
-                errors.append(state.q_actual[5] - follower.desired(state.time - follower.began)[0][5])
+            if (times := follower.times(state.time)) is not None:
+                errors.append(state.q_actual[5] - follower.desired(times[1])[0][5])
             led.bench.run()
             assert led.time < led.BEGIN + 5
         seen.append(np.abs(errors).max())
@@ -349,7 +351,7 @@ class TestServo:
             still, time, q = np.zeros(6), robot.time, list(HOME)
             while q != pytest.approx(turned(0.02), abs=1e-6):
                 time += robot.cycle
-                state = SimpleNamespace(time=time, q_target=np.array(HOME), qd_target=still)
+                state = SimpleNamespace(time=time, q_target=np.array(HOME), qd_target=still, **PLAYING)
                 q = read_word(servo._dialogue.step(b"", cast(RealtimeState, state), time))[0]
             # The last few thousandths of a second are less than a millionth of a radian.
             assert at - time == pytest.approx(2 * robot.cycle if delay is None else delay, abs=0.003)

@@ -19,6 +19,8 @@ from urlink.interfaces.enums import SafetyMode
 from urlink.motion import Servo, ServoStatistics
 from urlink.motion.trajectory import Trajectory
 
+pytestmark = pytest.mark.simulated_time
+
 
 class Beside:
     """The robot's side of the beginning and the end of a block, which the thread of the test waits in."""

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from linkcore.errors import LinkTimeout
+from tests.urlink.motion.bench import PLAYING
 from urlink.firmware import Firmware
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.models import model
 from urlink.motion.paced import PacedSetpoints
-from urlink.motion.setpoint_stream import SetpointStream
-from urlink.motion.setpoints import STOP_WORD, WAIT_WORD, Servoing, read_word
+from urlink.motion.setpoints import STOP_WORD, WAIT_WORD, Servoing, SetpointStream, read_word
 from urlink.motion.speed_limit import EARLY, largest_speeds
 from urlink.urscript.links import STOP, WAIT
 
@@ -66,15 +66,15 @@ def test_the_next_set_point_is_due_half_a_cycle_after_the_last_and_late_after_on
 ) -> None:
     for _ in range(2):
         assert (stream.is_due, stream.missed) == (False, 0)
-        stream.advance(0.49 * CYCLE)
+        stream.advance(0.49 * CYCLE, 0.49 * CYCLE)
         assert not stream.is_due
-        stream.advance(0.01 * CYCLE)
+        stream.advance(0.01 * CYCLE, 0.01 * CYCLE)
         assert (stream.is_due, stream.missed) == (True, 0)
-        stream.advance(0.9 * CYCLE)
+        stream.advance(0.9 * CYCLE, 0.9 * CYCLE)
         assert stream.missed == 0
-        stream.advance(0.2 * CYCLE)
+        stream.advance(0.2 * CYCLE, 0.2 * CYCLE)
         assert stream.missed == 1
-        stream.advance(10.0 * CYCLE)
+        stream.advance(10.0 * CYCLE, 10.0 * CYCLE)
         assert (stream.is_due, stream.missed) == (True, 11)
         stream.send(at(0.3), REST, 10.0)
 
@@ -112,10 +112,10 @@ class Source:
     def restart(self, time: float, q: Sequence[float], qd: Sequence[float]) -> None:
         self.called.append(("restart", time, q, qd))
 
-    def at(self, time: float) -> tuple[list[float], list[float]]:
+    def at(self, time: float, rate: float) -> tuple[list[float], list[float]]:
         return at(self.speed * (time - 50.0)), at(self.speed)
 
-    def accept(self, time: float) -> None:
+    def accept(self, time: float, rate: float) -> None:
         self.called.append(("accept", time))
 
 
@@ -128,7 +128,7 @@ class Fed:
 
     def state(self, passed: float, *, now: float | None = None, speed: float = 0.0) -> bytes:
         joints, speeds = np.zeros(6), np.array(at(speed))
-        state = SimpleNamespace(time=50.0 + passed, q_target=joints, q_actual=joints, qd_target=speeds)
+        state = SimpleNamespace(time=50.0 + passed, q_target=joints, q_actual=joints, qd_target=speeds, **PLAYING)
         return self.paced.answer(cast(RealtimeState, state), 1000.0 + (passed if now is None else now))
 
     def led(self, passed: float, *, now: float | None = None) -> tuple[float, float]:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from linkcore.errors import BadValue, ConnectionLost, LinkTimeout
-from tests.urlink.motion.bench import Bench
+from tests.urlink.motion.bench import PLAYING, Bench
 from tests.urlink.motion.rehearsal import HOME, turned
 from urlink.errors import ProgramStopped, ToleranceExceeded
 from urlink.firmware import Firmware
@@ -44,6 +44,7 @@ class Served:
             q_actual=np.array(turned(self.angle)),
             qd_target=speeds,
             qd_actual=speeds,
+            **PLAYING,
         )
         answers = self.server.step(said, state, 1000.0 + self.seconds).decode().splitlines()
         return [[float(each) for each in answer.strip("()").split(",")] for answer in answers]
@@ -97,7 +98,7 @@ def test_the_program_that_asks_leads_the_arm_along(firmware: str) -> None:
         at = bench.motion.setpoint
         q, qd = np.array(at.q), np.array(at.qd)
         state: Any = SimpleNamespace(
-            time=bench.cycle * bench.period, q_target=q, q_actual=q, qd_target=qd, qd_actual=qd
+            time=bench.cycle * bench.period, q_target=q, q_actual=q, qd_target=qd, qd_actual=qd, **PLAYING
         )
         bench.sockets.waiting.extend(server.step(said, state, 1000.0 + state.time))
 
@@ -134,18 +135,22 @@ def test_the_arm_is_watched_from_when_it_sets_out() -> None:
     served = Served()
     served.step(b"0\n1\n")
     served.step(seconds=0.5)
-    assert (served.server.progress, served.server.began) == (0.0, None)
+    assert (served.server.progress, served.server.times(50.5)) == (0.0, None)
     served.step(b"2\n", 0.25)
-    assert (served.server.progress, served.server.began) == (0.0, 50.75)
+    assert (served.server.progress, served.server.times(50.75)) == (0.0, (0.0, 0.0))
     served.angle = 0.3
     served.step(b"2\n", 0.5)
-    assert (served.server.progress, served.server.began) == (0.25, 50.75)
+    assert (served.server.progress, served.server.times(51.25)) == (0.25, (0.5, 0.5))
+    # It has not come to the first point, or it would have asked for the one after the next.
+    served.step(b"-1\n", 1.5)
+    assert (served.server.progress, served.server.times(52.75)) == (0.25, (2.0, 0.5))
     # Where the trajectory is over, the program may be behind it, so the arm is not missed yet.
+    served.step(b"3\n", 0.5)
     served.angle = 0.5
     served.step(b"-1\n", 1.5)
     assert not served.server.is_over
     served.angle = 0.3
-    served.step(b"3\n", 0.5)
+    served.step(seconds=0.5)
     assert served.server.progress == 0.25
     served.step(b"-2\n")
     assert served.server.progress == 1.25
@@ -205,5 +210,5 @@ def test_a_program_that_speaks_no_numbers() -> None:
         served.step(b"0")
     with pytest.raises(ProgramStopped, match="does not speak in numbers: b'one'"):
         Served().step(b"0\none\n")
-    with pytest.raises(ProgramStopped, match="asks for point -3"):
-        Served().step(b"-3\n")
+    with pytest.raises(ProgramStopped, match="asks for point -4"):
+        Served().step(b"-4\n")

@@ -145,8 +145,10 @@ def test_a_movement_ends_at_a_contact(made: Callable[[str], Made], firmware: str
     start = controller.arm.kinematics.forward(controller.arm.setpoint.q)
     assert contact.pose[:3] == pytest.approx(start[:3], abs=2e-3)
     robot.zero_force_sensor()
+    # On CB3 the tool was brought back to where it pressed with 20 N, which are missed once it has left the table.
+    force = 40.0 if firmware == "3.15" else None
     with pytest.raises(NoContact, match=r"nothing was touched within 0\.004 m"):
-        robot.motion.until_contact([0, 0, 1], 0.05, distance=0.004, wait=TIMEOUT)
+        robot.motion.until_contact([0, 0, 1], 0.05, distance=0.004, force=force, wait=TIMEOUT)
 
 
 def test_what_makes_no_sense_is_refused_before_anything_is_sent(made: Callable[[str], Made]) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from urlink.firmware import Firmware
 from urlink.interfaces.realtime.packets import RealtimeState
-from urlink.motion.kept_word import KeptWord
+from urlink.motion.linked_block import KeptWord
 from urlink.motion.setpoints import STOP_WORD, WAIT_WORD, read_word
 from urlink.simulator import Controller, Plane, Still
 from urlink.urscript import links, yielding

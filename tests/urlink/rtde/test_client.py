@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -13,10 +14,9 @@ import pytest
 
 import urlink
 from linkcore.errors import BadValue, Closed, ConnectionLost, LinkTimeout, LocalError
-from linkcore.streaming.backoff import Backoff
-from linkcore.streaming.events import ConnectionState
+from linkcore.streaming.connection_life import Backoff, ConnectionState
 from linkcore.wire.packet import State, Vector
-from tests.urlink.rtde import names_module
+from tests.urlink.rtde import names_stub
 from tests.urlink.rtde.desk import Desk
 from tests.waiting import until
 from urlink import InputInUse, NoSuchVariable
@@ -32,6 +32,8 @@ from urlink.interfaces.rtde.packets import (
 )
 from urlink.rtde import Outputs, Rtde
 from urlink.source import Source
+
+pytestmark = pytest.mark.simulated_time
 
 AT_ONCE = Backoff(first=0, most=0)
 
@@ -299,6 +301,38 @@ def test_what_was_closed_is_let_go() -> None:
         assert rtde._open == [held]
 
 
+@pytest.mark.simulated_time
+def test_closing_ends_a_claim_that_is_not_answered() -> None:
+    desk = Desk()
+    desk.answers[InputsRequest] = lambda request: []
+    ended: list[float] = []
+    with rtde_of(desk) as rtde:
+
+        def claim() -> None:
+            with pytest.raises(Closed):
+                rtde.inputs("input_int_register_24")
+            ended.append(time.monotonic())
+
+        thread = threading.Thread(target=claim)
+        thread.start()
+        until(lambda: any(isinstance(each, InputsRequest) for each in desk.asked))
+        begun = time.monotonic()
+        rtde.close()
+        thread.join()
+        assert ended[0] - begun < 0.1, "it waited for its timeout"
+        assert desk._closed
+
+
+def test_inputs_that_cannot_be_had_are_not_kept() -> None:
+    desk = Desk()
+    desk.held = {"speed_slider_fraction"}
+    with rtde_of(desk, Desk()) as rtde:
+        with pytest.raises(InputInUse):
+            rtde.inputs("speed_slider_fraction")
+        held = rtde.inputs("input_int_register_24")
+        assert rtde._open == [held]
+
+
 def test_set_points_are_written_without_waiting() -> None:
     desk = Desk()
     with rtde_of(desk) as rtde, rtde.inputs("input_int_register_24", "input_double_register_24") as inputs:
@@ -504,4 +538,4 @@ def test_output_registers_are_read() -> None:
 
 
 def test_the_names_for_type_checkers_are_those_of_the_table() -> None:
-    assert names_module.PATH.read_text(encoding="utf-8") == names_module.text(), "run tests/urlink/rtde/names_module.py"
+    assert names_stub.PATH.read_text(encoding="utf-8") == names_stub.text(), "run tests/urlink/rtde/names_stub.py"

@@ -39,7 +39,7 @@ from urlink.interfaces.rtde.packets import (
 from urlink.interfaces.rtde.protocol import (
     InputInUse,
     NoSuchVariable,
-    Plan,
+    Requests,
     RtdeProtocol,
     RtdeRefused,
     check_names,
@@ -48,14 +48,14 @@ from urlink.interfaces.rtde.recipes import Outputs, Recipe
 from urlink.interfaces.rtde.transport import RtdeTransport
 
 
-def opened(desk: Desk, plan: Plan, timeout: float = 2.0) -> tuple[RtdeTransport, RtdeProtocol]:
+def opened(desk: Desk, plan: Requests, timeout: float = 2.0) -> tuple[RtdeTransport, RtdeProtocol]:
     transport = RtdeTransport(desk, plan)
     transport.open(timeout)
     assert transport.dialogue is not None
     return transport, transport.dialogue
 
 
-def received(transport: RtdeTransport, plan: Plan, count: int = 1) -> list[Any]:
+def received(transport: RtdeTransport, plan: Requests, count: int = 1) -> list[Any]:
     """What a stream gets of the next chunks, the bytes of the dialogue included."""
     receiver = Receiver("desk", RtdeProtocol(plan), StreamCounters())
     packets: list[Any] = []
@@ -71,7 +71,7 @@ def asked(desk: Desk) -> list[str]:
 
 def test_what_is_asked_and_in_which_order() -> None:
     desk = Desk()
-    plan = Plan(("timestamp", "actual_q"), 125.0, inputs=[("speed_slider_mask", "speed_slider_fraction")])
+    plan = Requests(("timestamp", "actual_q"), 125.0, inputs=[("speed_slider_mask", "speed_slider_fraction")])
     transport, dialogue = opened(desk, plan)
     names = ["Protocol", "ControllerVersion", "Outputs", "Inputs", "Start"]
     assert asked(desk) == [f"{name}Request" for name in names]
@@ -89,14 +89,14 @@ def test_what_is_asked_and_in_which_order() -> None:
 def test_the_most_that_the_controller_sends(firmware: tuple[int, int, int], frequency: float) -> None:
     desk = Desk()
     desk.firmware = (*firmware, 0)
-    opened(desk, Plan(("timestamp",)))
+    opened(desk, Requests(("timestamp",)))
     assert desk.asked[2].frequency == frequency
 
 
 def test_what_the_controller_lacks_is_left_out_and_asked_again(caplog: pytest.LogCaptureFixture) -> None:
     desk = Desk()
     desk.lacks = {"payload", "payload_cog"}
-    plan = Plan(("timestamp", "payload", "actual_q", "payload_cog"), optional=frozenset(["payload", "payload_cog"]))
+    plan = Requests(("timestamp", "payload", "actual_q", "payload_cog"), optional=frozenset(["payload", "payload_cog"]))
     with caplog.at_level(logging.INFO):
         transport, dialogue = opened(desk, plan)
     assert dialogue.left_out == ("payload", "payload_cog")
@@ -110,24 +110,24 @@ def test_what_the_controller_lacks_is_an_error() -> None:
     desk = Desk()
     desk.lacks = {"payload"}
     with pytest.raises(NoSuchVariable, match=r"does not have actual_Q \(did you mean actual_q\?\), payload") as caught:
-        opened(desk, Plan(("actual_Q", "timestamp", "payload")))
+        opened(desk, Requests(("actual_Q", "timestamp", "payload")))
     assert caught.value.names == ("actual_Q", "payload")
     with pytest.raises(NoSuchVariable, match="none of payload"):
-        opened(desk, Plan(("payload",), optional=frozenset(["payload"])))
+        opened(desk, Requests(("payload",), optional=frozenset(["payload"])))
 
 
 def test_a_type_that_nobody_knows_is_as_good_as_none() -> None:
     desk = Desk()
     desk.answers[OutputsRequest] = lambda request: [OutputsReply("2.0", recipe=1, types="STRING")]
     with pytest.raises(NoSuchVariable, match=r"timestamp .of the type STRING"):
-        opened(desk, Plan(("timestamp",)))
+        opened(desk, Requests(("timestamp",)))
 
 
 def test_an_input_in_use() -> None:
     desk = Desk()
     desk.held = {"speed_slider_mask"}
     with pytest.raises(InputInUse, match="in use by another client or a fieldbus: speed_slider_mask") as caught:
-        opened(desk, Plan(inputs=[("input_int_register_24",), ("speed_slider_mask", "speed_slider_fraction")]))
+        opened(desk, Requests(inputs=[("input_int_register_24",), ("speed_slider_mask", "speed_slider_fraction")]))
     assert caught.value.names == ("speed_slider_mask",)
 
 
@@ -145,7 +145,7 @@ def test_refusals(request_class: type[State], reply: State, error: str) -> None:
     desk = Desk()
     desk.answers[request_class] = lambda request: [reply]
     with pytest.raises(RtdeRefused, match=error):
-        opened(desk, Plan(("timestamp",), inputs=[("input_int_register_24",)]))
+        opened(desk, Requests(("timestamp",), inputs=[("input_int_register_24",)]))
 
 
 @pytest.mark.parametrize(
@@ -160,20 +160,20 @@ def test_what_is_not_answered_is_said(request_class: type[State], awaited: str) 
     desk = Desk()
     desk.answers[request_class] = lambda request: []
     with pytest.raises(LinkTimeout, match=rf"waited 0.05 s for {awaited} in vain"):
-        opened(desk, Plan(("timestamp",)), 0.05)
+        opened(desk, Requests(("timestamp",)), 0.05)
 
 
 def test_a_start_that_yields_no_data_is_noticed() -> None:
     desk = Desk()
     desk.answers[StartRequest] = lambda request: [StartReply(accepted=True)]
     with pytest.raises(LinkTimeout, match=r"waited 0.05 s for data packages in vain"):
-        opened(desk, Plan(("timestamp",)), 0.05)
+        opened(desk, Requests(("timestamp",)), 0.05)
 
 
 def test_text_and_data_in_place_of_any_reply(caplog: pytest.LogCaptureFixture) -> None:
     """PolyScope X says "SafetySetup has not been confirmed yet" on each connect, and data may come before a reply."""
     desk = Desk()
-    plan = Plan(("timestamp",), inputs=[("input_int_register_24",)])
+    plan = Requests(("timestamp",), inputs=[("input_int_register_24",)])
 
     def after_text(request: Any) -> list[State]:
         text = RtdeMessage(f"{desk.protocol}.0", message="not confirmed", level=MessageLevel.WARNING)
@@ -194,7 +194,7 @@ def test_text_and_data_in_place_of_any_reply(caplog: pytest.LogCaptureFixture) -
 def test_protocol_1(caplog: pytest.LogCaptureFixture) -> None:
     desk = Desk()
     desk.protocols = {1}
-    plan = Plan(("timestamp", "actual_q"), 50.0)
+    plan = Requests(("timestamp", "actual_q"), 50.0)
     with caplog.at_level(logging.WARNING):
         transport, dialogue = opened(desk, plan)
     assert dialogue.protocol == 1
@@ -209,7 +209,7 @@ def test_protocol_1(caplog: pytest.LogCaptureFixture) -> None:
 
 def test_data_packages_that_do_not_fit() -> None:
     desk = Desk()
-    plan = Plan(("timestamp",))
+    plan = Requests(("timestamp",))
     opened(desk, plan)
     protocol = RtdeProtocol(plan)
     good = bytes(desk.data())
@@ -233,7 +233,7 @@ def test_data_packages_that_do_not_fit() -> None:
 def test_a_recording_that_begins_late_goes_on_with_another_recipe() -> None:
     """The recipe that held when it began is told beside it; the next connection tells its own."""
     recorded = Recipe(("timestamp", "payload"), ("DOUBLE", "DOUBLE"), 1)
-    protocol = RtdeProtocol(Plan(recorded.names, optional=frozenset(recorded.names), recorded=recorded))
+    protocol = RtdeProtocol(Requests(recorded.names, optional=frozenset(recorded.names), recorded=recorded))
     assert protocol.decode(recorded.encode({"timestamp": 1.0, "payload": 2.0})).payload == 2.0
     for reply in (
         ProtocolReply(accepted=True),
@@ -250,13 +250,13 @@ def test_a_recording_that_begins_late_goes_on_with_another_recipe() -> None:
 def test_the_transport_is_disconnected_when_the_dialogue_fails() -> None:
     desk = Desk()
     desk.lacks = {"timestamp"}
-    transport = RtdeTransport(desk, Plan(("timestamp",)))
+    transport = RtdeTransport(desk, Requests(("timestamp",)))
     with pytest.raises(NoSuchVariable):
         transport.open(1.0)
     assert desk._closed
     refused = Desk(ConnectFailed("refused"))
     with pytest.raises(ConnectFailed):
-        RtdeTransport(refused, Plan(("timestamp",))).open(1.0)
+        RtdeTransport(refused, Requests(("timestamp",))).open(1.0)
 
 
 @pytest.mark.parametrize(
@@ -308,7 +308,7 @@ def test_whatever_is_answered_gives_a_packet_or_a_documented_error(
     answers: list[bytes], optional: bool, frequency: float | None
 ) -> None:
     names = ("timestamp", "actual_q")
-    plan = Plan(names, frequency, frozenset(names if optional else ()), [("input_int_register_24",)])
+    plan = Requests(names, frequency, frozenset(names if optional else ()), [("input_int_register_24",)])
     protocol = RtdeProtocol(plan)
     for answer in answers:
         requests = Framer(RtdeBoundary(REQUEST_SIZES)).feed(protocol.requests())
@@ -328,7 +328,7 @@ def test_whatever_is_answered_gives_a_packet_or_a_documented_error(
 # -- recorded answers ------------------------------------------------------------------------------
 
 
-def answers_in(recording: Recorded) -> tuple[Plan, dict[str, list[bytes]], bool]:
+def answers_in(recording: Recorded) -> tuple[Requests, dict[str, list[bytes]], bool]:
     """What the client of a recording asked for as a plan, the answers to it, and whether all were given."""
     unanswered = [frame for frame in Framer(RtdeBoundary(REQUEST_SIZES)).feed(recording.sent) if frame[2] not in b"MU"]
     protocol: Any = 1
@@ -357,7 +357,7 @@ def answers_in(recording: Recorded) -> tuple[Plan, dict[str, list[bytes]], bool]
         is_granted &= "IN_USE" not in getattr(reply, "types", "") and "NOT_FOUND" not in getattr(reply, "types", "")
         is_granted &= getattr(reply, "accepted", True) or isinstance(reply, ProtocolReply)
         is_granted &= getattr(reply, "recipe", 1) != 0
-    return Plan(outputs, inputs=inputs), answers, is_granted
+    return Requests(outputs, inputs=inputs), answers, is_granted
 
 
 #: What is answered where the client of a recording did not ask, or had left before the answer.
@@ -368,7 +368,7 @@ USUAL = {
 }
 
 
-def replayed(plan: Plan, answers: dict[str, list[bytes]]) -> Iterator[tuple[RtdeProtocol, bytes]]:
+def replayed(plan: Requests, answers: dict[str, list[bytes]]) -> Iterator[tuple[RtdeProtocol, bytes]]:
     """Our client, which is given the recorded answers to what it asks."""
     protocol = RtdeProtocol(plan)
     left = {kind: list(frames) for kind, frames in answers.items()}

@@ -12,8 +12,11 @@ from urlink.dynamics import GRAVITY, Dynamics
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.kinematics import Arm
 from urlink.models import MODELS
+from urlink.motors import motors_of
+from urlink.parameters import number
 from urlink.simulator import Controller
 from urlink.simulator.robot import arm as simulated
+from urlink.simulator.robot.robot_parameters import SensorParameters
 from urlink.simulator.robot.sensors import Sample, Sensors
 from urlink.simulator.robot.sources import HOME, Demonstration, Setpoint, Still
 from urlink.simulator.rtde_variables import robot_current
@@ -64,12 +67,12 @@ def test_speeds_are_the_derivatives_of_positions(name: str, firmware: str) -> No
 
     assert np.abs(central("q_target") - column(states, "qd_target")[1:-1]).max() < 1e-4
     assert np.abs(central("qd_target") - column(states, "qdd_target")[1:-1]).max() < 0.02
-    # The sensors are noisy; over a tenth of a second the noise on the position is a thousandth of this.
+    # The sensors are noisy; over a tenth of a second the noise on both is a fraction of this.
     tenth = controller.firmware.rate // 10
     q, qd = column(states, "q_actual"), column(states, "qd_actual")
     mean = np.array([qd[i : i + tenth].mean(axis=0) for i in range(len(qd) - tenth)])
     moved = (q[tenth:] - q[:-tenth]) / (tenth * dt)
-    assert np.abs(moved - mean).max() < 4e-3
+    assert np.abs(moved - mean).max() < 8e-3
     if not controller.firmware.is_cb2:
         tool = central("tool_vector_target")[:, :3]
         assert np.abs(tool - column(states, "tcp_speed_target")[1:-1, :3]).max() < 1e-4
@@ -197,7 +200,12 @@ def test_an_arm_without_program_stands_still() -> None:
     assert states[-1].program_state.name == "STOPPED"
     assert states[-1].speed_scaling == 0.0
     noise = column(states, "q_actual") - column(states, "q_target")
-    assert 0.0 < np.abs(noise).max() < 1e-4
+    assert 0.0 < np.abs(noise).max() < 2e-4
+    # What is constant within a rest is larger than what changes in it would let a mean be.
+    assert np.abs(noise.mean(axis=0)).max() > 1e-5
+    # The encoders of the first four joints have steps.
+    steps = column(states, "q_actual")[:, :4] / (math.tau / 2**19)
+    np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
 
 
 def test_gravity_shows_in_moments_currents_and_accelerometer() -> None:
@@ -206,9 +214,12 @@ def test_gravity_shows_in_moments_currents_and_accelerometer() -> None:
     assert empty.M_target == pytest.approx(Dynamics(controller.model).gravity_torque(empty.q_target))
     assert empty.M_target[1] < -15.0
     assert (np.sign(empty.I_target[1:3]) == np.sign(empty.M_target[1:3])).all()
-    assert np.abs(empty.I_actual - empty.I_target).max() < 0.1
-    # The tool points down: gravity goes along its z axis.
-    assert empty.tool_accelerometer == pytest.approx([0.0, 0.0, GRAVITY], abs=0.1)
+    assert empty.I_control == pytest.approx(empty.I_target, abs=0.0)
+    # A standing joint is held by stiction too.
+    coulomb = np.array(motors_of("UR5e").coulomb)
+    assert 0.0 < (np.abs(empty.I_actual - empty.I_target) / coulomb).max() < 2.5
+    # The tool points down: what holds it up goes against its z axis.
+    assert empty.tool_accelerometer == pytest.approx([0.0, 0.0, -GRAVITY], abs=0.2)
     controller.arm.payload = 4.0
     loaded = run(controller, 1)[0]
     assert loaded.M_target[1] < empty.M_target[1] - 5.0
@@ -220,9 +231,9 @@ def test_moments_grow_with_acceleration() -> None:
     controller = Controller("UR5e", "5.11", motion=Demonstration())
     states = run(controller, 1000)
     for state in states[::100]:
-        held = Dynamics(controller.model).gravity_torque(state.q_target)
-        extra = state.M_target - held
-        assert (np.sign(extra[[0, 1, 4]]) == np.sign(state.qdd_target[[0, 1, 4]])).all()
+        whole = Dynamics(controller.model, rotors=True).torque(state.q_target, state.qd_target, state.qdd_target)
+        assert state.M_target == pytest.approx(whole)
+        assert state.I_target == pytest.approx(motors_of("UR5e").current(list(whole), list(state.qd_target)))
 
 
 def test_momentum_is_that_of_a_mass_that_moves() -> None:
@@ -287,7 +298,7 @@ def test_the_joints_alone_are_those_of_the_sample() -> None:
 
 
 def test_a_tcp_is_six_finite_numbers() -> None:
-    arm = simulated.Arm(Arm("UR5e"), Still().advance(0.0))
+    arm = simulated.SimulatedArm(Arm("UR5e"), Still().advance(0.0))
     for wrong in itertools.chain([[0.0] * 5], [[0.0] * 5 + [math.nan]]):
         with pytest.raises(BadValue, match="six finite numbers"):
             arm.tcp = wrong
@@ -312,23 +323,25 @@ def test_signals_are_checked() -> None:
 def test_sensors_of_an_arm_that_stands_follow_what_changes() -> None:
     """What was computed in the cycle before is used again only where it is still right."""
     kinematics = Arm("UR5e")
-    sensors = Sensors(kinematics, HOME, seed=3)
+    parts = kinematics, motors_of("UR5e"), SensorParameters(), HOME
+    sensors = Sensors(*parts, seed=3)
+    bare, loaded = Dynamics(kinematics), Dynamics(kinematics, payload=1.5, payload_cog=(0.0, 0.0, 0.05))
     at, elsewhere = Setpoint(list(HOME), [0.0] * 6, [0.0] * 6), Setpoint([q + 0.1 for q in HOME], [0.0] * 6, [0.0] * 6)
-    flange, tool, cog, pushed = [0.0] * 6, [0.0, 0.01, 0.2, 0.3, 0.0, 0.1], (0.0, 0.0, 0.05), (1.0, 2.0, 3.0, 0, 0, 0)
-    for setpoint, tcp, payload, external in (
-        (at, flange, 0.0, [0.0] * 6),
-        (at, flange, 0.0, [0.0] * 6),
-        (at, tool, 0.0, [0.0] * 6),
-        (at, tool, 1.5, [0.0] * 6),
-        (at, tool, 1.5, pushed),
-        (elsewhere, tool, 1.5, pushed),
-        (elsewhere._replace(qdd=[1.0] * 6), tool, 1.5, pushed),
-        (elsewhere._replace(qd=[0.1] * 6), tool, 1.5, pushed),
-        (at, flange, 0.0, [0.0] * 6),
+    flange, tool, pushed = [0.0] * 6, [0.0, 0.01, 0.2, 0.3, 0.0, 0.1], (1.0, 2.0, 3.0, 0, 0, 0)
+    for setpoint, tcp, dynamics, external in (
+        (at, flange, bare, [0.0] * 6),
+        (at, flange, bare, [0.0] * 6),
+        (at, tool, bare, [0.0] * 6),
+        (at, tool, loaded, [0.0] * 6),
+        (at, tool, loaded, pushed),
+        (elsewhere, tool, loaded, pushed),
+        (elsewhere._replace(qdd=[1.0] * 6), tool, loaded, pushed),
+        (elsewhere._replace(qd=[0.1] * 6), tool, loaded, pushed),
+        (at, flange, bare, [0.0] * 6),
     ):
         used, new = (
-            each.sample(setpoint, tcp, payload, cog, external, external, 7, 1.0, True)
-            for each in (sensors, Sensors(kinematics, HOME, seed=3))
+            each.sample(setpoint, tcp, dynamics, external, external, 7, 2, 1.0, True)
+            for each in (sensors, Sensors(*parts, seed=3))
         )
         for name in Sample.__slots__:
             assert getattr(used, name) == getattr(new, name), name
@@ -337,5 +350,5 @@ def test_sensors_of_an_arm_that_stands_follow_what_changes() -> None:
 def test_currents_are_added_in_the_same_way_on_every_python() -> None:
     """From 3.12 on `sum` of floats carries the rounding errors along; the packets would differ in their last bits."""
     state = Controller("UR5e", "5.11")._state
-    state.arm.sample.I_actual = [1e16, 1.0, -1.0, 1.0, 1.0, 1.0]
-    assert robot_current(state) == 0.3 + 0.1 * 1e16
+    state.arm.sample.I_actual = [1e8, 1.0, 1.0, 1.0, 1.0, 1.0]
+    assert robot_current(state) == number("robot_idle_current") + number("robot_current_of_heat") * 1e16

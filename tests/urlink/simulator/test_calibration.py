@@ -41,6 +41,7 @@ def test_a_linear_movement_ends_at_the_pose() -> None:
 
 
 @pytest.mark.parametrize(("model", "firmware"), [("UR5", "1.8"), ("UR5", "3.15"), ("UR5e", "5.11")])
+@pytest.mark.simulated_time
 def test_a_client_computes_with_the_same_arm(model: str, firmware: str) -> None:
     table = calibration(MODELS[model], 1)
     with Controller(model, firmware, calibration=table) as controller, urlink.connect(controller.address) as robot:
@@ -51,6 +52,7 @@ def test_a_client_computes_with_the_same_arm(model: str, firmware: str) -> None:
         np.testing.assert_allclose(mine.forward(state.q_actual), state.tool_vector_actual, rtol=0.0, atol=1e-12)
 
 
+@pytest.mark.simulated_time
 def test_a_recording_holds_the_calibration(tmp_path: Path) -> None:
     path = tmp_path / "run.urlog"
     with Controller("UR5e", calibration=TABLE) as controller, urlink.connect(controller.address) as robot:

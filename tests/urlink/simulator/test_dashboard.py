@@ -10,7 +10,7 @@ from tests.urlink.interfaces.dashboard_desk import FIRMWARES, StandIn
 from urlink.interfaces.dashboard.commands import COMMANDS, NOT_IN_REMOTE_CONTROL
 from urlink.interfaces.enums import SafetyMode
 from urlink.simulator import Demonstration
-from urlink.simulator.robot.modes import Power, Stop
+from urlink.simulator.robot.modes import Power, StopState
 
 ARGUMENTS = {
     "load": "pick.urp",
@@ -201,7 +201,7 @@ def test_a_protective_stop_is_unlocked_after_five_seconds() -> None:
     assert dashboard.reply("safetystatus") == "Safetystatus: PROTECTIVE_STOP"
     host.wait(0.02)
     assert dashboard.reply("unlock protective stop") == "Protective stop releasing"
-    assert host.modes.stop is Stop.NONE
+    assert host.modes.stop is StopState.NONE
     assert host.pendant.popup is None
 
 
@@ -223,7 +223,7 @@ def test_restart_safety_leaves_the_arm_off() -> None:
     host.protective_stop()
     host.dashboard.reply("restart safety")
     host.wait(0.1)
-    assert (host.modes.stop, host.modes.power) == (Stop.NONE, Power.OFF)
+    assert (host.modes.stop, host.modes.power) == (StopState.NONE, Power.OFF)
 
 
 # -- programs --------------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ from urlink.interfaces.primary.robot_message import SafetyModeMessage, VersionMe
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.simulator import Controller, Demonstration, ScheduledFault, parse_fault
 from urlink.simulator.faults import FAULTS
-from urlink.simulator.faults.corruption import Segmenter, with_garbage_inside, with_sub_package, with_tail, with_tails
+from urlink.simulator.faults.link import Segmenter, with_garbage_inside, with_sub_package, with_tail, with_tails
 
 Connect = Callable[[Controller, str], Any]
 Eventually = Callable[[Callable[[], object]], None]
@@ -130,6 +130,7 @@ def test_a_scheduled_fault_that_cannot_happen_is_logged(caplog: pytest.LogCaptur
         controller.schedule(ScheduledFault("call", (), 0.01))
 
 
+@pytest.mark.real_time
 def test_scheduled_faults_are_on_time_for_slow_ports_too(connect: Connect) -> None:
     # The clock wakes ten times a second for these ports, and for what is scheduled between.
     with Controller("UR5e", "5.11", motion=Demonstration()) as controller:
@@ -227,6 +228,7 @@ def controller() -> Any:
         yield controller
 
 
+@pytest.mark.real_time
 def test_garbage_comes_once_and_before_a_packet(controller: Controller, connect: Connect) -> None:
     link = connect(controller, "realtime")
     link.packet()
@@ -238,6 +240,7 @@ def test_garbage_comes_once_and_before_a_packet(controller: Controller, connect:
     assert [len(link.packet()) for _ in range(5)] == [1220] * 5
 
 
+@pytest.mark.real_time
 def test_garbage_inside_shifts_what_follows(controller: Controller, connect: Connect) -> None:
     link = connect(controller, "realtime")
     link.packet()
@@ -248,6 +251,7 @@ def test_garbage_inside_shifts_what_follows(controller: Controller, connect: Con
     assert [len(link.packet()) for _ in range(5)] == [1220] * 5
 
 
+@pytest.mark.real_time
 def test_random_garbage_is_that_of_the_seed(connect: Connect) -> None:
     sent = []
     for _ in range(2):
@@ -262,6 +266,7 @@ def test_random_garbage_is_that_of_the_seed(connect: Connect) -> None:
     assert sent[0] == sent[1] != bytes(64)
 
 
+@pytest.mark.real_time
 def test_appended_bytes_are_told_in_every_size(controller: Controller, connect: Connect) -> None:
     realtime, primary = connect(controller, "realtime"), connect(controller, "primary")
     controller.faults.append(b"appended", None)
@@ -278,6 +283,7 @@ def test_appended_bytes_are_told_in_every_size(controller: Controller, connect: 
     realtime.until(lambda packet: len(packet) == 1220)
 
 
+@pytest.mark.real_time
 def test_unknown_packages_and_sub_packages(controller: Controller, connect: Connect) -> None:
     link = connect(controller, "primary")
     link.until(lambda package: package[4] == 16)
@@ -291,6 +297,7 @@ def test_unknown_packages_and_sub_packages(controller: Controller, connect: Conn
     link.until(lambda package: package[4] == 16 and not package.endswith(b"new"))
 
 
+@pytest.mark.real_time
 def test_split_packets_arrive_in_parts_and_whole_in_the_end(controller: Controller, connect: Connect) -> None:
     link = connect(controller, "realtime")
     controller.faults.split((700, 100), "realtime")
@@ -308,6 +315,7 @@ def test_split_packets_arrive_in_parts_and_whole_in_the_end(controller: Controll
     assert [len(link.packet()) for _ in range(10)] == [1220] * 10
 
 
+@pytest.mark.real_time
 def test_merged_packets_arrive_together(controller: Controller, connect: Connect) -> None:
     controller.faults.merge(4, "realtime")
     link = connect(controller, "realtime")
@@ -316,6 +324,7 @@ def test_merged_packets_arrive_together(controller: Controller, connect: Connect
     assert all(size % (4 * 1220) == 0 for size in segments)
 
 
+@pytest.mark.real_time
 def test_a_stall_is_silent_and_stays_connected(controller: Controller, connect: Connect) -> None:
     link, other = connect(controller, "realtime"), connect(controller, "realtime_readonly")
     times = [time_of(link.packet())]
@@ -330,6 +339,7 @@ def test_a_stall_is_silent_and_stays_connected(controller: Controller, connect: 
     assert max(after - before for before, after in itertools.pairwise(times)) < 0.1
 
 
+@pytest.mark.real_time
 def test_heal_ends_a_stall(controller: Controller, connect: Connect) -> None:
     controller.faults.stall(3600.0)
     late = connect(controller, "primary")
@@ -337,6 +347,7 @@ def test_heal_ends_a_stall(controller: Controller, connect: Connect) -> None:
     assert VersionMessage.LAYOUTS.decode(late.packet()).major == 5
 
 
+@pytest.mark.real_time
 def test_cut_connections_can_be_made_again(controller: Controller, connect: Connect) -> None:
     link, other = connect(controller, "realtime"), connect(controller, "primary")
     link.packet()
@@ -350,6 +361,7 @@ def test_cut_connections_can_be_made_again(controller: Controller, connect: Conn
     assert other.is_ended()
 
 
+@pytest.mark.real_time
 def test_a_reboot_refuses_and_comes_back_with_other_firmware(
     controller: Controller, connect: Connect, eventually: Eventually
 ) -> None:
@@ -369,6 +381,7 @@ def test_a_reboot_refuses_and_comes_back_with_other_firmware(
     assert VersionMessage.LAYOUTS.decode(connect(controller, "primary").packet()).minor == 4
 
 
+@pytest.mark.real_time
 def test_who_waits_for_the_end_of_a_reboot_can_connect(controller: Controller, connect: Connect) -> None:
     for _ in range(30):
         controller.faults.reboot(downtime=0.002)
@@ -399,6 +412,7 @@ def test_a_reboot_leaves_the_arm_where_it_stood() -> None:
     assert controller.cycle == 573
 
 
+@pytest.mark.real_time
 def test_faults_of_the_arm_show_on_the_wire(controller: Controller, connect: Connect) -> None:
     realtime, primary = connect(controller, "realtime"), connect(controller, "primary")
     primary.until(lambda package: package[4] == 16)
@@ -413,6 +427,7 @@ def test_faults_of_the_arm_show_on_the_wire(controller: Controller, connect: Con
     realtime.until(lambda packet: RealtimeState.LAYOUTS.decode(packet).robot_mode == RobotMode.POWER_OFF)
 
 
+@pytest.mark.real_time
 def test_messages_are_for_the_primary_interface_alone(controller: Controller, connect: Connect) -> None:
     primary, secondary = connect(controller, "primary"), connect(controller, "secondary")
     # A head has two messages; the stop makes two more.

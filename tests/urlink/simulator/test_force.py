@@ -17,7 +17,6 @@ from urlink.dynamics import Dynamics
 from urlink.interfaces.enums import ControlMode, SafetyMode
 from urlink.poses import rotvec_to_matrix
 from urlink.simulator import Controller, Plane, Spring, Still
-from urlink.simulator.robot.generator.free_joints import ROTORS
 
 DOWN = "p[0,0,0,0,0,0], [0,0,1,0,0,0], [0,0,{force},0,0,0]"
 
@@ -129,7 +128,7 @@ def test_what_is_placed_is_felt_and_can_be_taken_away() -> None:
     assert sample.force == pytest.approx(list(bench.force), abs=0.5)
     # The motors hold against it.
     across = bench.controller.arm.kinematics.jacobian(bench.controller.arm.setpoint.q).T @ np.array(bench.force)
-    more = (np.array(sample.I_target) - np.array(sample.I_control)) * bench.controller.arm._sensors.torque_constants
+    more = (np.array(sample.I_target) - np.array(sample.I_control)) * bench.controller.arm.motors.torque_constants
     assert more == pytest.approx(across, abs=1e-6)
     bench.world.remove(spring)
     bench.go(0.0)
@@ -371,7 +370,7 @@ def test_direct_torque_moves_the_arm_as_its_dynamics_say() -> None:
     bench = Bench("5.25")
     q = bench.controller.arm.setpoint.q
     torque = [1.0, -2.0, 1.5, 0.3, 0.2, 0.1]
-    expected = np.linalg.solve(Dynamics("UR5e").mass_matrix(q) + np.diag(ROTORS), torque)
+    expected = np.linalg.solve(Dynamics("UR5e", rotors=True).mass_matrix(q), torque)
     bench.run(f"while True:\ndirect_torque({torque})\nend", 0.0)
     for _ in range(3):
         bench.go(0.0)

@@ -20,6 +20,8 @@ from urlink.simulator import Controller, Still
 from urlink.simulator.urscript.builtins.remote_procedures import parse_answer
 from urlink.simulator.urscript.errors import Fault
 
+pytestmark = pytest.mark.real_time
+
 TIMEOUT = 120.0
 Run = Callable[[str], tuple[str, ...]]
 
@@ -79,6 +81,16 @@ rpc.closeXMLRPCClientConnection()
 """
     )
     assert texts == ("[1,2.5]", "True", "text", "5.5", "both", "p[1,2.5,0,0,0,3]", "2.5", "3")
+
+
+@pytest.mark.parametrize(
+    ("kept", "found"), [("struct(h={})", "s.h"), ("struct(t=struct(h={}))", "s.t.h"), ("make_list(1, {})", "s[0]")]
+)
+def test_a_handle_that_is_kept_in_something_has_its_methods(
+    run: Run, server: SimpleXMLRPCServer, kept: str, found: str
+) -> None:
+    handle = f'rpc_factory("xmlrpc", "http://127.0.0.1:{server.server_address[1]}/RPC2")'
+    assert run(f"s = {kept.format(handle)}\ntextmsg({found}.add(1, 2))\n") == ("3",)
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,7 @@ from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.kinematics import Arm
 from urlink.models import MODELS, UnknownModel
 from urlink.simulator import Controller, Demonstration
-from urlink.simulator.ports.form import Form
+from urlink.simulator.ports.port import Form
 from urlink.simulator.ports.primary import _CHANGING, _UNCHANGING
 from urlink.simulator.ports.realtime import _fields
 

@@ -11,7 +11,7 @@ import pytest
 from linkcore.errors import BadValue
 from tests.waiting import until
 from urlink.simulator import Controller
-from urlink.simulator.programs.program_sockets import MOST, MOST_WAITING, ProgramSockets
+from urlink.simulator.programs.program_world import MOST, MOST_WAITING, ProgramSockets
 
 
 def refuse_all(address: str, port: int) -> tuple[str, int] | None:
@@ -50,6 +50,7 @@ def descriptors() -> int:
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "127.1.2.3"])
+@pytest.mark.simulated_time
 def test_this_computer_is_always_reached(host: str) -> None:
     sockets = ProgramSockets(refuse_all)
     with socket.create_server(("0.0.0.0", 0)) as listener:
@@ -58,6 +59,7 @@ def test_this_computer_is_always_reached(host: str) -> None:
         sockets.close_all()
 
 
+@pytest.mark.simulated_time
 def test_nobody_listens(sockets: ProgramSockets, listener: socket.socket) -> None:
     number = port(listener)
     listener.close()
@@ -70,6 +72,7 @@ def test_nobody_listens(sockets: ProgramSockets, listener: socket.socket) -> Non
 @pytest.mark.parametrize(
     "host", ["192.0.2.1", "10.0.0.1", "example.com", "", "0.0.0.0", "2130706433", "::1%nowhere", "fe80::1%9", "1.2.3"]
 )
+@pytest.mark.simulated_time
 def test_other_hosts_are_not_tried(host: str, sockets: ProgramSockets, listener: socket.socket) -> None:
     before = descriptors()
     sockets.open("s", host, port(listener))
@@ -83,6 +86,7 @@ def test_ports_that_are_none(number: int, sockets: ProgramSockets) -> None:
     assert sockets.state("s") == "closed"
 
 
+@pytest.mark.simulated_time
 def test_others_where_they_are_allowed() -> None:
     asked: list[str] = []
 
@@ -98,6 +102,7 @@ def test_others_where_they_are_allowed() -> None:
     sockets.close_all()
 
 
+@pytest.mark.real_time
 def test_a_name_can_be_used_again(sockets: ProgramSockets, listener: socket.socket) -> None:
     before = descriptors()
     with opened(sockets, listener) as first, opened(sockets, listener) as second:
@@ -110,6 +115,7 @@ def test_a_name_can_be_used_again(sockets: ProgramSockets, listener: socket.sock
     assert descriptors() == before
 
 
+@pytest.mark.simulated_time
 def test_not_more_than_so_many(sockets: ProgramSockets, listener: socket.socket) -> None:
     peers = [opened(sockets, listener, f"s{n}") for n in range(MOST)]
     sockets.open("more", "127.0.0.1", port(listener))
@@ -120,6 +126,7 @@ def test_not_more_than_so_many(sockets: ProgramSockets, listener: socket.socket)
         peer.close()
 
 
+@pytest.mark.real_time
 def test_a_program_that_never_reads_makes_its_peer_wait(sockets: ProgramSockets, listener: socket.socket) -> None:
     with opened(sockets, listener) as peer:
         peer.setblocking(False)
@@ -136,6 +143,7 @@ def test_a_program_that_never_reads_makes_its_peer_wait(sockets: ProgramSockets,
         assert len(sockets.received("s")) == MOST_WAITING
 
 
+@pytest.mark.real_time
 def test_nothing_stays_open(listener: socket.socket) -> None:
     before = descriptors()
     sockets = ProgramSockets(refuse_all)
@@ -147,6 +155,7 @@ def test_nothing_stays_open(listener: socket.socket) -> None:
     assert descriptors() == before
 
 
+@pytest.mark.simulated_time
 def test_reachable_addresses_are_allowed() -> None:
     with Controller("UR5e", "5.11", reachable=["192.0.2.7", "2001:DB8::1"]) as controller:
 
@@ -160,6 +169,7 @@ def test_reachable_addresses_are_allowed() -> None:
         assert not allows("192.0.2.8")
 
 
+@pytest.mark.simulated_time
 def test_who_is_connected_to_the_controller_is_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
     with Controller("UR5e", "5.11") as controller:
         assert controller._server is not None

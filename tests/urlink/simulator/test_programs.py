@@ -411,6 +411,16 @@ def test_what_ends_a_program(watched: Watched, end: str) -> None:
     assert watched.story[-2:] == ["started turn", "stopped turn"]
 
 
+def test_another_source_of_set_points_ends_the_program(watched: Watched) -> None:
+    watched.take(SPIN).step(1)
+    watched.controller.follow(Still())
+    watched.step(2)
+    assert watched.story == ["started spin", "stopped spin"]
+    assert not watched.moves()
+    assert watched.steadiest < 25
+    assert not watched.controller.is_running_program
+
+
 @pytest.mark.parametrize("end", ["emergency_stop", "power_off"])
 @pytest.mark.parametrize("hold", ["pause", "protective_stop"])
 def test_what_ends_a_program_that_waits(watched: Watched, hold: str, end: str) -> None:
@@ -484,6 +494,7 @@ def test_a_new_program_takes_over_at_the_speed_of_the_arm(watched: Watched) -> N
     assert min(watched.speeds) == max(watched.speeds) == 0.5
 
 
+@pytest.mark.simulated_time
 def test_closing_a_controller_ends_its_program() -> None:
     with Controller("UR5e", "5.11", motion=Still()) as controller:
         controller.take(SPIN)

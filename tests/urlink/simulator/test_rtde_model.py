@@ -13,7 +13,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 from tests.urlink.simulator.rtde_peer import Peer, package, packages, step
 from urlink.interfaces.rtde.variables import INPUTS
 from urlink.simulator import Controller, Still
-from urlink.simulator.claims import FIELDBUSES
+from urlink.simulator.registers import FIELDBUSES
 
 NUMBERS = {f"input_int_register_{number}": st.integers(-(2**31), 2**31 - 1) for number in (0, 23, 24)}
 FLOATS = {f"input_double_register_{number}": st.floats(allow_nan=False) for number in (0, 47)}

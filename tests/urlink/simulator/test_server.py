@@ -22,6 +22,9 @@ from urlink.interfaces.primary.robot_message import RobotCommMessage, SafetyMode
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.simulator import PORTS, Controller, Still
 from urlink.simulator.ports.port import LONGEST_LINE
+from urlink.simulator.robot.signals import ToolCommunication
+
+pytestmark = pytest.mark.simulated_time
 
 Connect = Callable[[Controller, str], Any]
 Eventually = Callable[[Callable[[], object]], None]
@@ -218,10 +221,13 @@ def test_what_clients_send_is_bounded(connect: Connect, eventually: Eventually) 
 def test_closing_leaves_neither_thread_nor_socket(connect: Connect) -> None:
     before = threading.active_count()
     controller = Controller("UR5e", "5.11").start()
+    controller.signals.tool_communication = ToolCommunication(is_enabled=True)
+    controller.tool_serial.device = bytes.upper
     links = [connect(controller, port) for port in SERVED]
+    # What says nothing before it is asked.
+    asked = {"rtde": b"\0\3v", "gripper": b"GET POS\n", "interpreter": b"x = 1\n", "tool_serial": b"a"}
     for port, link in zip(SERVED, links, strict=True):
-        # These two say nothing before they are asked.
-        link.send({"rtde": b"\0\3v", "gripper": b"GET POS\n", "interpreter": b"x = 1\n"}.get(port, b""))
+        link.send(asked.get(port, b""))
         link.segment()
     assert threading.active_count() == before + 1
     host, ports = controller.host, controller.ports
@@ -353,12 +359,14 @@ def test_nothing_is_computed_while_nobody_looks(monkeypatch: pytest.MonkeyPatch,
         assert set(looks) == {"package"}
 
 
+@pytest.mark.real_time
 def test_the_simulator_is_not_imported_with_the_package() -> None:
     code = "import sys, urlink; print(sorted(name for name in sys.modules if 'urlink.simulator' in name))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 
 
+@pytest.mark.real_time
 def test_stepping_needs_no_server() -> None:
     code = (
         "import sys, threading; from urlink.simulator import Controller\n"
@@ -398,6 +406,7 @@ def starved() -> Iterator[tuple[Controller, Clock]]:
         yield controller, clock
 
 
+@pytest.mark.real_time
 def test_the_clock_does_not_drift(starved: tuple[Controller, Clock]) -> None:
     """However irregularly its thread runs: cycle k is due k periods after the start."""
     controller, clock = starved

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import pytest
+
 from linkcore.errors import LinkTimeout
 from tests.waiting import until
-from urlink.simulator.stepped_clock import passing
+from urlink.simulator.control_loop import passing
 
 
+@pytest.mark.simulated_time
 def test_a_step_that_gets_no_processor_time_does_not_end_time() -> None:
     steps: list[int] = []
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from urlink.firmware import Firmware
-from urlink.simulator.urscript import ScriptError, compile_script
+from urlink.simulator.urscript import ProgramError, compile_script
 from urlink.urscript import commands
 from urlink.urscript.wrapping import Permission, StartPlace, wrap
 
@@ -55,7 +55,7 @@ def test_commands(firmware: str) -> None:
 
 def test_errors_are_at_the_users_lines() -> None:
     wrapped = wrap("a = 1\nb =\nc = 2", "t")
-    with pytest.raises(ScriptError) as caught:
+    with pytest.raises(ProgramError) as caught:
         compile_script(wrapped.text, Firmware(5, 11))
     assert wrapped.place(caught.value.line, caught.value.column)[0] in (2, 3)
     assert wrapped.words(caught.value.text).startswith(("syntax_error_on_line:2", "syntax_error_on_line:3"))

@@ -17,10 +17,19 @@ from ..arithmetic import NAN, normalize_angle, sign
 from ..odometry import Pose
 from ..profile import Profile
 
-__all__ = ["Drive", "Motion", "MotionControl", "MotionParameters", "Standing", "limited", "ramped", "root"]
+__all__ = [
+    "ControlledMotion",
+    "DriveKind",
+    "MotionControl",
+    "MotionParameters",
+    "Standing",
+    "limited",
+    "ramped",
+    "root",
+]
 
 
-class Drive(enum.Enum):
+class DriveKind(enum.Enum):
     """How a robot is driven."""
 
     DIFFERENTIAL = "differential"
@@ -69,7 +78,7 @@ class MotionParameters:
     evaluation: float = 0.0
 
 
-class Motion:
+class ControlledMotion:
     """One motion. `begin` is called in the cycle in which its line is executed, `update` from that cycle on."""
 
     def begin(self, control: MotionControl) -> None:
@@ -87,7 +96,7 @@ class Motion:
         return 0.0
 
 
-class Standing(Motion):
+class Standing(ControlledMotion):
     """The motors at zero: `idle`, and what a robot does before its first command."""
 
     def update(self, control: MotionControl) -> None:
@@ -131,7 +140,7 @@ class MotionControl:
     """
 
     parameters: MotionParameters
-    drive: Drive
+    drive: DriveKind
     profile: Profile
     speed: float = 0.3
     acceleration: float = 0.6
@@ -162,19 +171,19 @@ class MotionControl:
     say: Callable[[str], object] = str
 
     def __post_init__(self) -> None:
-        self._motion: Motion = Standing()
-        self._next: Motion | None = None
+        self._motion: ControlledMotion = Standing()
+        self._next: ControlledMotion | None = None
         self._ignores_next = self._ignores = False
         self._finishing: int | None = None
         #: The speed that the present motion has reached, m/s.
         self.reached = 0.0
 
     @property
-    def motion(self) -> Motion:
+    def motion(self) -> ControlledMotion:
         """The motion that is under way."""
         return self._motion
 
-    def start(self, motion: Motion) -> None:
+    def start(self, motion: ControlledMotion) -> None:
         """Begin `motion` in this cycle; of several the last counts."""
         self._next = motion
 
@@ -220,7 +229,7 @@ class MotionControl:
 
     def set_velocity(self, velocity: float, steering: float) -> None:
         """A speed, m/s, and what a heading controller adds: m/s for each wheel, or rad/s of turn rate."""
-        if self.drive is Drive.VELOMEGA:
+        if self.drive is DriveKind.VELOMEGA:
             self.left = self.right = velocity
             self.omega = steering
         else:
@@ -230,7 +239,7 @@ class MotionControl:
     def set_wheels(self, left: float, right: float) -> None:
         """The speeds of the wheels, m/s, by a motion that knows of nothing else."""
         self.left, self.right = left, right
-        if self.drive is Drive.VELOMEGA and self.profile.velomega_steers:
+        if self.drive is DriveKind.VELOMEGA and self.profile.velomega_steers:
             self.left = self.right = (left + right) / 2
             self.omega = (right - left) / self.parameters.width
 

@@ -6,12 +6,12 @@ import math
 
 from ..arithmetic import cosine, divide, normalize_angle, sine
 from ..odometry import Pose
-from .control import Motion, MotionControl, limited
+from .control import ControlledMotion, MotionControl, limited
 
 __all__ = ["FollowLine", "FollowWall", "FollowWallTable"]
 
 
-class FollowLine(Motion):
+class FollowLine(ControlledMotion):
     """`followline`: steer towards the line; without one go on as before, and stand after `no_line_distance`."""
 
     #: m/s that a wheel gets at most beyond the speed.
@@ -43,7 +43,7 @@ class FollowLine(Motion):
         control.set_wheels(control.reached - steering, control.reached + steering)
 
 
-class FollowWall(Motion):
+class FollowWall(ControlledMotion):
     """`followwall`: keep a distance to the wall on one side, by a PD controller that turns the target heading.
 
     Args:
@@ -94,7 +94,7 @@ class FollowWall(Motion):
         control.set_wheels(control.reached - steering / 2, control.reached + steering / 2)
 
 
-class FollowWallTable(Motion):
+class FollowWallTable(ControlledMotion):
     """`followwall2`: keep a distance to a wall along the x axis, by state feedback whose gains stand in a table.
 
     Args:

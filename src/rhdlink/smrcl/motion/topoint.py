@@ -1,26 +1,184 @@
-"""`drivetopoint`: to a pose, along an arc, a straight line and an arc."""
+"""`drivetopoint`: to a pose, along an arc, a straight line and an arc, each forward or backward.
+
+Both arcs have the same radius. The first circle touches the start pose on its left or right, the last one the goal;
+a common tangent joins them, and each arc goes either way round. Of all these paths the shortest is taken; one that
+comes later has to be 1 mm shorter, so the order of the enumeration is part of the result and that of MRC
+(drivetopoint_generate.c and drivetopoint_evaluate.c by J. M. Bruun and O. Corradi).
+"""
 
 from __future__ import annotations
 
-from ..odometry import Pose
-from .control import Motion, MotionControl
-from .path import Path, choose_path, relative
-from .straight import FollowDirection, Forward
-from .turning import Arc
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
-__all__ = ["DriveToPoint", "NoWay"]
+from ..arithmetic import cosine, sine
+from ..odometry import Pose
+from .basic import FollowDirection, Forward
+from .control import ControlledMotion, MotionControl
+from .turning import ArcTurn
+
+__all__ = ["ArcPath", "DriveToPoint", "NoWay"]
+
+#: m, or rad, below which something is nothing while ways are made, and while they are compared.
+_EXACT, _NEGLIGIBLE = 1e-6, 1e-3
+
+
+@dataclass(frozen=True)
+class ArcPath:
+    """A way to a pose.
+
+    Attributes:
+        first, last: angle of the arcs, rad; positive where the centre is on the left.
+        first_direction, last_direction: 1 forward, -1 backward.
+        straight: m between them.
+        straight_direction: 1, -1, or 0 where there is no straight piece.
+    """
+
+    first: float
+    first_direction: int
+    straight: float
+    straight_direction: int
+    last: float
+    last_direction: int
+
+    def length(self, radius: float) -> float:
+        """m, with arcs of `radius`."""
+        return radius * (abs(self.first) + abs(self.last)) + self.straight
+
+    @property
+    def goes_backward(self) -> bool:
+        """Whether any piece does."""
+        return min(self.first_direction, self.straight_direction, self.last_direction) < 0
+
+
+def choose_path(goal: Pose, radius: float, *, forward_only: bool = False) -> ArcPath | None:
+    """The shortest way from the origin to `goal`; None if there is none: `forward_only`, or the goal is no number."""
+    best: ArcPath | None = None
+    for path in ways(goal, radius):
+        if forward_only and path.goes_backward:
+            continue
+        path = replace(path, first=_cleared(path.first), straight=_cleared(path.straight), last=_cleared(path.last))
+        if best is None or path.length(radius) + _NEGLIGIBLE < best.length(radius):
+            best = path
+    return best
+
+
+def _cleared(value: float) -> float:
+    return 0.0 if abs(value) < _NEGLIGIBLE else value
+
+
+def relative(goal: Pose, start: Pose) -> Pose:
+    """`goal` as it is seen from `start`; the heading is not normalised."""
+    x, y = goal.x - start.x, goal.y - start.y
+    c, s = cosine(start.th), sine(start.th)
+    return Pose(x * c + y * s, y * c - x * s, goal.th - start.th)
+
+
+def ways(goal: Pose, radius: float) -> Iterator[ArcPath]:
+    """Every way from the origin to `goal`."""
+    if radius < _EXACT:
+        # Turn on the spot, drive, turn on the spot.
+        heading = math.atan2(goal.y, goal.x)
+        yield ArcPath(heading, 1, math.sqrt(goal.x**2 + goal.y**2), 1, goal.th - heading, 1)
+        return
+    for side in (1, -1):
+        start = (0.0, radius * side)
+        for end_side in (1, -1):
+            end = (goal.x - end_side * radius * sine(goal.th), goal.y + end_side * radius * cosine(goal.th))
+            for leave, arrive in _tangents(start, end, radius, is_same_side=side == end_side):
+                yield from _around(start, end, leave, arrive, goal, radius, side)
+
+
+_Point = tuple[float, float]
+
+
+def _distance(a: _Point, b: _Point) -> float:
+    return math.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2)
+
+
+def _direction(a: _Point, b: _Point) -> float:
+    return math.atan2(b[1] - a[1], b[0] - a[0])
+
+
+def _tangents(start: _Point, end: _Point, radius: float, *, is_same_side: bool) -> Iterator[tuple[_Point, _Point]]:
+    """Where the tangents leave one circle and arrive at the other: outer ones on the same side, else inner ones."""
+    apart, between = _distance(start, end), _direction(start, end)
+    if is_same_side:
+        if apart > _EXACT:
+            for sign in (1, -1):
+                dx, dy = -sign * radius * sine(between), sign * radius * cosine(between)
+                yield (start[0] + dx, start[1] + dy), (end[0] + dx, end[1] + dy)
+        else:  # the same circle
+            yield (0.0, 0.0), (0.0, 0.0)
+    elif apart >= 2 * radius + _EXACT:
+        for sign in (1, -1):
+            angle = between + sign * math.acos(2 * radius / apart)
+            dx, dy = radius * cosine(angle), radius * sine(angle)
+            yield (start[0] + dx, start[1] + dy), (end[0] - dx, end[1] - dy)
+    elif abs(apart - 2 * radius) < _EXACT:  # they touch
+        touch = ((start[0] + end[0]) / 2, (start[1] + end[1]) / 2)
+        yield touch, touch
+
+
+def _around(
+    start: _Point, end: _Point, leave: _Point, arrive: _Point, goal: Pose, radius: float, side: int
+) -> Iterator[ArcPath]:
+    """The ways along one tangent: either way round each circle."""
+    straight = _distance(leave, arrive)
+    if straight < _EXACT:
+        straight, direction = 0.0, 0
+        end_side = -side if abs(_distance(start, end) - 2 * radius) < _EXACT else side
+    else:
+        psi = _direction(leave, arrive)
+        if abs(leave[0]) > _EXACT and abs(psi) > _EXACT:
+            direction = side * _sign(psi) * _sign(leave[0])
+        else:
+            direction = side * _sign(cosine(psi)) * _sign(start[1] - leave[1])
+        end_side = direction * _sign(_wrapped(_direction(leave, end) - psi))
+    first = _direction(start, leave) - _direction(start, (0.0, 0.0))
+    last = _direction(end, (goal.x, goal.y)) - _direction(end, arrive)
+    for turn_first in _both_ways(first):
+        for turn_last in _both_ways(last):
+            yield ArcPath(
+                side * abs(turn_first),
+                _sign(turn_first) * side,
+                straight,
+                direction,
+                end_side * abs(turn_last),
+                _sign(turn_last) * end_side,
+            )
+
+
+def _both_ways(angle: float) -> Iterator[float]:
+    """An angle round a circle: the shorter way, and the longer one unless that is a full turn."""
+    short = _wrapped(0.0 if abs(angle) < _EXACT else angle)
+    yield short
+    if abs(short) >= _EXACT:
+        yield short + math.tau if short <= 0.0 else short - math.tau
+
+
+def _wrapped(angle: float) -> float:
+    if angle > math.pi:
+        return angle - math.tau
+    return angle + math.tau if angle <= -math.pi else angle
+
+
+def _sign(value: float) -> int:
+    return (value > 0.0) - (value < 0.0)
+
 
 #: m before the end at which the straight piece ends; that of an arc is when the angle is exceeded.
 _TOLERANCE = 0.0005
 
-_NOTHING = Path(0.0, 0, 0.0, 0, 0.0, 0)
+_NOTHING = ArcPath(0.0, 0, 0.0, 0, 0.0, 0)
 
 
 class NoWay(ValueError):
     """There is no way to the goal, or none that does not go backward."""
 
 
-class DriveToPoint(Motion):
+class DriveToPoint(ControlledMotion):
     """Three motions in a row, planned when the motion begins and driven without looking at the goal again.
 
     It ends at full speed unless the last piece changes the direction, a few centimetres and degrees off.
@@ -36,7 +194,7 @@ class DriveToPoint(Motion):
         self._radius = radius
         self._is_absolute = is_absolute
         self._path = _NOTHING
-        self._pieces: list[tuple[Motion | None, float]] = []
+        self._pieces: list[tuple[ControlledMotion | None, float]] = []
         self._is_begun = False
 
     def begin(self, control: MotionControl) -> None:
@@ -57,13 +215,15 @@ class DriveToPoint(Motion):
         control.target = control.pose.copy()
         self._path = path
         turns_back = path.straight_direction * path.last_direction == -1
-        straight: Motion = Forward(path.straight_direction * path.straight) if turns_back else FollowDirection()
+        straight: ControlledMotion = (
+            Forward(path.straight_direction * path.straight) if turns_back else FollowDirection()
+        )
         # A piece and the direction of the speed in it. Slowing down before the way turns back is left to `fwd`, which
         # has its direction in its distance.
         self._pieces = [
-            (Arc(self._radius, path.first, is_piece=True) if path.first else None, path.first_direction),
+            (ArcTurn(self._radius, path.first, is_piece=True) if path.first else None, path.first_direction),
             (straight if path.straight else None, 1 if turns_back else path.straight_direction),
-            (Arc(self._radius, path.last, is_piece=True) if path.last else None, path.last_direction),
+            (ArcTurn(self._radius, path.last, is_piece=True) if path.last else None, path.last_direction),
         ]
         self._is_begun = False
 
@@ -96,7 +256,7 @@ class DriveToPoint(Motion):
             self._is_begun = False
             self._check_end(control)
 
-    def _is_over(self, piece: Motion, control: MotionControl) -> bool:
+    def _is_over(self, piece: ControlledMotion, control: MotionControl) -> bool:
         if isinstance(piece, FollowDirection):
             return self._path.straight - abs(control.remaining) < _TOLERANCE
         if isinstance(piece, Forward):

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 from ..arithmetic import NAN, cosine, divide, normalize_angle, power, sign, sine
-from .control import Drive, Motion, MotionControl, limited, ramped, root
+from .control import ControlledMotion, DriveKind, MotionControl, limited, ramped, root
 
-__all__ = ["Arc", "Clothoid", "Turn"]
+__all__ = ["ArcTurn", "Clothoid", "Turn"]
 
 #: m of radius below which the turn rate of a velocity-omega robot no longer grows.
 _LEAST_RADIUS = 0.1
@@ -20,7 +20,7 @@ _SHARPEST = 1.0
 _CLOTHOID_GAIN = 3.0
 
 
-class Turn(Motion):
+class Turn(ControlledMotion):
     """`turn`: on the spot, relative to the target heading, so that errors do not add up.
 
     Args:
@@ -65,7 +65,7 @@ class Turn(Motion):
                 wheel = bound
             if wheel < -bound:
                 wheel = -bound
-        if control.drive is Drive.VELOMEGA:
+        if control.drive is DriveKind.VELOMEGA:
             control.left = control.right = 0.0
             control.omega = 2.0 * wheel / parameters.width
         else:
@@ -99,7 +99,7 @@ class Turn(Motion):
         return 1.0 - abs(control.heading_error / self._angle) if self._angle else 1.0
 
 
-class Arc(Motion):
+class ArcTurn(ControlledMotion):
     """`turnr`: along a circle round a centre beside the target pose, until the robot has turned by the angle.
 
     Args:
@@ -143,7 +143,7 @@ class Arc(Motion):
         steering = control.heading_control(tangent - pose.th)
         # Also of a velocity-omega robot the wheels' speeds are ramped, for the next motion.
         left, right = self._wheels(control, side)
-        if control.drive is Drive.VELOMEGA:
+        if control.drive is DriveKind.VELOMEGA:
             control.left = control.right = control.reached
             radius = _LEAST_RADIUS if self._radius < _LEAST_RADIUS else self._radius
             control.omega = steering + side * control.reached / radius
@@ -185,7 +185,7 @@ class Arc(Motion):
         return abs(self._turned / self._angle) if self._angle else 1.0
 
 
-class Clothoid(Motion):
+class Clothoid(ControlledMotion):
     """`turnc`: an arc whose curvature grows up to its middle and shrinks again; ends by the way driven.
 
     Between two tangents that a circle of the radius would touch a pair of clothoids of the same angle is laid.

@@ -20,14 +20,12 @@ from linkcore.net.dialogue import Dialogue
 from linkcore.net.http_client import HttpClient
 from linkcore.net.recall import Recall, TakeBack
 from linkcore.net.transport import TcpTransport
-from linkcore.wire.version import version_text
+from linkcore.wire.fields import version_text
 
 from ...firmware import Firmware
-from ...ports import PORTS
-from ...services import refusal_hint
+from ...ports import PORTS, refusal_hint, service_of
 from ..enums import RobotMode, RobotModeCB2, SafetyMode
-from .commands import COMMANDS, NOT_IN_REMOTE_CONTROL, FlightReport, OperationalMode, UserRole
-from .errors import DashboardRefused
+from .commands import COMMANDS, NOT_IN_REMOTE_CONTROL, DashboardRefused, FlightReport, OperationalMode, UserRole
 from .protocol import (
     DashboardProtocol,
     ProgramStatus,
@@ -74,7 +72,9 @@ class Dashboard:
 
     **A command that failed so may still be carried out**, when a controller that hung goes on; the error says so. Of
     these, `play` is taken back, by `stop`, at the first contact and before another command is sent, unless another
-    program has been sent since. Nothing else is: power, brakes and what was loaded are as the controller leaves them.
+    program has been sent since. That is owed for the life of the process: after `close` the next `Dashboard` or robot
+    of `connect` at this controller takes it back. Nothing else is: power, brakes and what was loaded are as the
+    controller leaves them.
 
     All methods that talk to the controller raise
 
@@ -94,7 +94,7 @@ class Dashboard:
         api_port: of the Robot API, 80 on a real controller; None where it is not served.
         timeout: seconds to connect, and for the reply to a command. Those that take longer have more: `COMMANDS` says
             how much.
-        recall: of the commands to this controller; None for one of its own.
+        recall: of the commands to this controller; None to share that of everything in this process that commands it.
 
     Raises:
         BadValue: the timeout is not positive.
@@ -124,8 +124,9 @@ class Dashboard:
         self._transport = TcpTransport(host, port or 0, silence=timeout, refused=refused)
         self._name = f"the dashboard server at {self._transport.name}"
         self._dialogue = Dialogue(self._transport, DashboardProtocol, self._name, timeout)
-        self._owns_recall = recall is None
-        self._recall = Recall(self._name) if recall is None else recall
+        self._shares_recall = recall is None
+        service = service_of(host, (api_port or 0) if port is None else port)
+        self._recall = Recall.of(service, self._name, self) if recall is None else recall
         self._switched_off = -math.inf
 
     # -- power ---------------------------------------------------------------------------------------
@@ -387,8 +388,8 @@ class Dashboard:
 
     def close(self) -> None:
         """Disconnect for good; a command of another thread that waits for its reply ends with `Closed`. Idempotent."""
-        if self._owns_recall:
-            self._recall.close()
+        if self._shares_recall:
+            self._recall.close(self)
         self._http.close()
         self._dialogue.close()
 
@@ -463,7 +464,13 @@ class Dashboard:
         take_back = None
         if name == "play":
             another = partial(
-                Dashboard, self._host, self._port, self._firmware, api_port=self._api_port, timeout=self._timeout
+                Dashboard,
+                self._host,
+                self._port,
+                self._firmware,
+                api_port=self._api_port,
+                timeout=self._timeout,
+                recall=Recall(self._name),  # its `stop` waits for nothing that is to be taken back
             )
             take_back = TakeBack(another, _stop_what_plays)
         return self._recall.command(name, self._timeout, take_back)

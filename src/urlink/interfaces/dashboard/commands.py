@@ -1,4 +1,4 @@
-"""The dashboard server (port 29999): the one table of its commands.
+"""The dashboard server (port 29999): the one table of its commands, and the error of one that is refused.
 
 Lines of text, one reply to each command. Source: docs/protocols/dashboard.md, section Releases, where the versions are
 those that the vendor's own client enforces. Punctuation and case of the replies changed between generations, so they
@@ -22,7 +22,8 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Literal, get_args
 
-from linkcore.wire.version import Version
+from linkcore.errors import RemoteError
+from linkcore.wire.fields import Version
 
 from ..headers import DASHBOARD_GREETING
 
@@ -31,12 +32,32 @@ __all__ = [
     "COULD_NOT_UNDERSTAND",
     "GREETING",
     "NOT_IN_REMOTE_CONTROL",
-    "POLYSCOPE_X",
-    "Command",
+    "DashboardCommand",
+    "DashboardRefused",
     "FlightReport",
     "OperationalMode",
     "UserRole",
 ]
+
+
+class DashboardRefused(RemoteError):
+    """The controller did not carry out a command, or its answer is not one that confirms it.
+
+    Attributes:
+        command: the line that was sent.
+        reply: what the controller answered, in its own words.
+    """
+
+    __module__ = "urlink"  # where users import it from, and what a traceback shows
+
+    def __init__(self, command: str, reply: str) -> None:
+        super().__init__(command, reply)
+        self.command = command
+        self.reply = reply
+
+    def __str__(self) -> str:
+        return f"{self.command!r}: the controller answered {self.reply!r}"
+
 
 #: The server's greeting.
 GREETING = DASHBOARD_GREETING.decode("ascii") + " Robots Dashboard Server"
@@ -59,7 +80,7 @@ FlightReport = Literal["controller", "software", "system"]
 
 
 @dataclass(frozen=True)
-class Command:
+class DashboardCommand:
     """One command.
 
     Attributes:
@@ -111,7 +132,7 @@ def _failed(name: str) -> tuple[str]:
 
 
 _TABLE = (
-    Command(
+    DashboardCommand(
         "load",
         (1, 4),
         (5, 0),
@@ -121,28 +142,32 @@ _TABLE = (
         needs_remote_control=True,
         slow=60.0,
     ),
-    Command("play", (1, 4), (5, 0), "Starting program", _failed("play"), needs_remote_control=True, slow=15.0),
-    Command("stop", (1, 4), (5, 0), "Stopped", _failed("stop"), needs_remote_control=True, slow=15.0),
-    Command("pause", (1, 4), (5, 0), "Pausing program", _failed("pause"), needs_remote_control=True, slow=15.0),
-    Command("quit", (1, 4), (5, 0), "Disconnected", only_asks=True),
-    Command("shutdown", (1, 4), (5, 0), "Shutting down", needs_remote_control=True),
-    Command("running", (1, 6), (5, 0), r"(?:Program|Robot) running: *(true|false)$", only_asks=True),
-    Command("robotmode", (1, 6), (5, 0), r"(?:Robot ?mode: *)?(-?\d{1,9}|[A-Z]+(?:_[A-Z]+)*)$", only_asks=True),
-    Command(
+    DashboardCommand("play", (1, 4), (5, 0), "Starting program", _failed("play"), needs_remote_control=True, slow=15.0),
+    DashboardCommand("stop", (1, 4), (5, 0), "Stopped", _failed("stop"), needs_remote_control=True, slow=15.0),
+    DashboardCommand(
+        "pause", (1, 4), (5, 0), "Pausing program", _failed("pause"), needs_remote_control=True, slow=15.0
+    ),
+    DashboardCommand("quit", (1, 4), (5, 0), "Disconnected", only_asks=True),
+    DashboardCommand("shutdown", (1, 4), (5, 0), "Shutting down", needs_remote_control=True),
+    DashboardCommand("running", (1, 6), (5, 0), r"(?:Program|Robot) running: *(true|false)$", only_asks=True),
+    DashboardCommand(
+        "robotmode", (1, 6), (5, 0), r"(?:Robot ?mode: *)?(-?\d{1,9}|[A-Z]+(?:_[A-Z]+)*)$", only_asks=True
+    ),
+    DashboardCommand(
         "get loaded program",
         (1, 6),
         (5, 0),
         r"(?:Loaded program|Program loaded): *(\S.*)|No program loaded",
         only_asks=True,
     ),
-    Command("popup", (1, 6), (5, 0), "showing popup", argument="text"),
-    Command("close popup", (1, 6), (5, 0), "closing popup"),
-    Command("addToLog", (1, 8), (5, 0), "Added log message", ("No log message to add",), argument="text"),
-    Command("isProgramSaved", (1, 8), (5, 0), r"(true|false)(?: +(\S.*)|$)", only_asks=True),
-    Command("programState", (1, 8), (5, 0), r"(STOPPED|PLAYING|PAUSED)(?: +(\S.*)|$)", only_asks=True),
-    Command("PolyscopeVersion", (1, 8), (5, 0), r"(?:URSoftware *)?(\d+(?:\.\d+)+.*)", only_asks=True),
-    Command("version", None, (5, 0), r"(\d+(?:\.\d+)+)$", only_asks=True),
-    Command(
+    DashboardCommand("popup", (1, 6), (5, 0), "showing popup", argument="text"),
+    DashboardCommand("close popup", (1, 6), (5, 0), "closing popup"),
+    DashboardCommand("addToLog", (1, 8), (5, 0), "Added log message", ("No log message to add",), argument="text"),
+    DashboardCommand("isProgramSaved", (1, 8), (5, 0), r"(true|false)(?: +(\S.*)|$)", only_asks=True),
+    DashboardCommand("programState", (1, 8), (5, 0), r"(STOPPED|PLAYING|PAUSED)(?: +(\S.*)|$)", only_asks=True),
+    DashboardCommand("PolyscopeVersion", (1, 8), (5, 0), r"(?:URSoftware *)?(\d+(?:\.\d+)+.*)", only_asks=True),
+    DashboardCommand("version", None, (5, 0), r"(\d+(?:\.\d+)+)$", only_asks=True),
+    DashboardCommand(
         "setUserRole",
         (3, 1),
         None,
@@ -151,8 +176,8 @@ _TABLE = (
         argument="role",
         choices=get_args(UserRole),
     ),
-    Command("getUserRole", (3, 1), None, r"(PROGRAMMER|OPERATOR|NONE|LOCKED|RESTRICTED)$", only_asks=True),
-    Command(
+    DashboardCommand("getUserRole", (3, 1), None, r"(PROGRAMMER|OPERATOR|NONE|LOCKED|RESTRICTED)$", only_asks=True),
+    DashboardCommand(
         "set operational mode",
         None,
         (5, 0),
@@ -160,20 +185,20 @@ _TABLE = (
         argument="mode",
         choices=("manual", "automatic"),
     ),
-    Command("get operational mode", None, (5, 6), r"(NONE|MANUAL|AUTOMATIC)$", only_asks=True),
-    Command(
+    DashboardCommand("get operational mode", None, (5, 6), r"(NONE|MANUAL|AUTOMATIC)$", only_asks=True),
+    DashboardCommand(
         "clear operational mode",
         None,
         (5, 0),
         r"No longer controlling the operational mode|Operational mode is no longer controlled",
     ),
-    Command("power on", (3, 0), (5, 0), "Powering on", needs_remote_control=True),
-    Command("power off", (3, 0), (5, 0), "Powering off", needs_remote_control=True),
-    Command("brake release", (3, 0), (5, 0), "Brake releasing", needs_remote_control=True),
-    Command("safetymode", (3, 0), (5, 0), r"Safety ?mode: *([A-Z]+(?:_[A-Z]+)*)$", only_asks=True),
+    DashboardCommand("power on", (3, 0), (5, 0), "Powering on", needs_remote_control=True),
+    DashboardCommand("power off", (3, 0), (5, 0), "Powering off", needs_remote_control=True),
+    DashboardCommand("brake release", (3, 0), (5, 0), "Brake releasing", needs_remote_control=True),
+    DashboardCommand("safetymode", (3, 0), (5, 0), r"Safety ?mode: *([A-Z]+(?:_[A-Z]+)*)$", only_asks=True),
     # One list has it from 3.11 on, which is not verified.
-    Command("safetystatus", None, (5, 4), r"Safety ?status: *([A-Z]+(?:_[A-Z]+)*)$", only_asks=True),
-    Command(
+    DashboardCommand("safetystatus", None, (5, 4), r"Safety ?status: *([A-Z]+(?:_[A-Z]+)*)$", only_asks=True),
+    DashboardCommand(
         "unlock protective stop",
         (3, 1),
         (5, 0),
@@ -181,8 +206,8 @@ _TABLE = (
         ("Cannot unlock protective stop",),
         needs_remote_control=True,
     ),
-    Command("close safety popup", (3, 1), (5, 0), "closing safety popup"),
-    Command(
+    DashboardCommand("close safety popup", (3, 1), (5, 0), "closing safety popup"),
+    DashboardCommand(
         "load installation",
         (3, 2),
         (5, 0),
@@ -192,11 +217,11 @@ _TABLE = (
         needs_remote_control=True,
         slow=60.0,
     ),
-    Command("restart safety", (3, 7), (5, 1), "Restarting safety", needs_remote_control=True, slow=15.0),
-    Command("is in remote control", None, (5, 6), r"(true|false)$", only_asks=True),
-    Command("get serial number", (3, 12), (5, 6), r"(\d\S*)$", only_asks=True),
-    Command("get robot model", (3, 12), (5, 6), r"(UR\d\S*)$", only_asks=True),
-    Command(
+    DashboardCommand("restart safety", (3, 7), (5, 1), "Restarting safety", needs_remote_control=True, slow=15.0),
+    DashboardCommand("is in remote control", None, (5, 6), r"(true|false)$", only_asks=True),
+    DashboardCommand("get serial number", (3, 12), (5, 6), r"(\d\S*)$", only_asks=True),
+    DashboardCommand("get robot model", (3, 12), (5, 6), r"(UR\d\S*)$", only_asks=True),
+    DashboardCommand(
         "generate flight report",
         (3, 13),
         (5, 8),
@@ -205,7 +230,7 @@ _TABLE = (
         choices=get_args(FlightReport),
         slow=180.0,
     ),
-    Command(
+    DashboardCommand(
         "generate support file",
         (3, 13),
         (5, 8),
@@ -213,8 +238,8 @@ _TABLE = (
         argument="directory",
         slow=600.0,
     ),
-    Command("saveLog", (3, 13), (5, 8), "Log saved to disk", slow=30.0),
+    DashboardCommand("saveLog", (3, 13), (5, 8), "Log saved to disk", slow=30.0),
 )
 
 #: name -> command
-COMMANDS: Mapping[str, Command] = MappingProxyType({command.name: command for command in _TABLE})
+COMMANDS: Mapping[str, DashboardCommand] = MappingProxyType({command.name: command for command in _TABLE})

@@ -14,7 +14,7 @@ from linkcore.errors import BadValue, LocalError, PacketError, WrongPeer
 
 from ..enums import ProgramState, RobotMode, RobotModeCB2, SafetyMode
 from ..headers import DASHBOARD_GREETING
-from .commands import COMMANDS, Command, OperationalMode, UserRole
+from .commands import COMMANDS, DashboardCommand, OperationalMode, UserRole
 
 __all__ = [
     "LONGEST_COMMAND",
@@ -91,7 +91,7 @@ def encode_line(text: str) -> bytes:
     return line + b"\n"
 
 
-def command_line(command: Command, argument: str | None = None) -> str:
+def command_line(command: DashboardCommand, argument: str | None = None) -> str:
     """The text that is sent for a command.
 
     Raises:

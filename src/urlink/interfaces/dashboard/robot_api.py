@@ -23,11 +23,11 @@ from urllib.parse import quote
 
 from linkcore.errors import BadValue, LocalError, PacketError
 from linkcore.net.http_client import HttpClient
+from linkcore.wire.fields import Version, version_text
 from linkcore.wire.http import HttpRequest, HttpResponse
-from linkcore.wire.version import Version, version_text
 
 from ...firmware import Firmware
-from .errors import DashboardRefused
+from .commands import DashboardRefused
 from .stored_programs import PROGRAMS, StoredProgram, encode_form, parse_programs, parse_uploaded
 
 __all__ = ["BASE", "REQUESTS", "ROBOT_API", "STORED_PROGRAMS", "ApiRequest", "RobotApi", "find"]

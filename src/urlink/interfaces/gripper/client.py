@@ -12,8 +12,9 @@ from linkcore.errors import BadValue, LinkTimeout, RemoteError
 from linkcore.net.dialogue import Dialogue
 from linkcore.net.recall import Recall, TakeBack
 from linkcore.net.transport import TcpTransport
-from linkcore.wire.shapes import OpenInt
+from linkcore.wire.fields import OpenInt
 
+from ...ports import service_of
 from .protocol import GripperProtocol, get_line, set_line, value_of
 
 __all__ = ["FAULTS", "Gripper", "GripperFault", "GripperStatus", "ObjectStatus"]
@@ -107,7 +108,8 @@ class Gripper:
     Threads may share it; they take turns. Nothing of it is interlocked: it moves fingers, not the arm, also in a stop.
 
     **A command whose answer does not come may still be carried out**, when a controller that hung goes on; the error
-    says so. Fingers that it moves are stopped at the first contact, and before another command is sent.
+    says so. Fingers that it moves are stopped at the first contact, and before another command is sent, for the life of
+    the process: also by the next `Gripper` or robot of `connect` there.
 
     All methods that talk to the gripper raise
 
@@ -122,7 +124,7 @@ class Gripper:
         port: 63352 on a real one.
         timeout: seconds to connect, and for each reply.
         refused: returns a hint for the error where the connection is refused.
-        recall: of the commands to this controller; None for one of its own.
+        recall: of the commands to this controller; None to share that of everything in this process that commands it.
     """
 
     def __init__(
@@ -143,8 +145,9 @@ class Gripper:
         self._connect = dialogue
         self._dialogue = dialogue()
         self._name = f"{host}:{port}"
-        self._owns_recall = recall is None
-        self._recall = Recall(f"the gripper at {self._name}") if recall is None else recall
+        self._shares_recall = recall is None
+        name = f"the gripper at {self._name}"
+        self._recall = Recall.of(service_of(host, port), name, self) if recall is None else recall
 
     # -- activation ------------------------------------------------------------------------------------
 
@@ -294,8 +297,8 @@ class Gripper:
 
     def _disconnect(self) -> None:
         """Disconnect for good."""
-        if self._owns_recall:
-            self._recall.close()
+        if self._shares_recall:
+            self._recall.close(self)
         self._dialogue.close()
 
     def __repr__(self) -> str:

@@ -11,14 +11,13 @@ import struct
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+from linkcore.clock import Stamp
 from linkcore.errors import PacketError
-from linkcore.stamp import Stamp
+from linkcore.wire.fields import Version
 from linkcore.wire.packet import State
-from linkcore.wire.version import Version
 
 from ..enums import PackageType
-from .framing import MESSAGE_HEAD
-from .robot_message import MESSAGES, PACKAGES, OtherPackage, UnknownMessage, VersionMessage
+from .robot_message import MESSAGE_HEAD, MESSAGES, PACKAGES, OtherPackage, UnknownMessage, VersionMessage
 from .robot_state import SUB_PACKAGES, RobotState, SubPackage, UnknownSubPackage
 
 __all__ = ["PackageDecoder"]

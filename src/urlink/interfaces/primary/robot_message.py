@@ -8,14 +8,15 @@ from __future__ import annotations
 
 from typing import Any
 
+from linkcore.wire.fields import Coded, Float64b, Int8sb, Int8ub, Int16ub, Int32sb, Int32ub, Int64ub, Raw, Text
 from linkcore.wire.packet import State, Vector, packet, wire
-from linkcore.wire.shapes import Coded, Float64b, Int8sb, Int8ub, Int16ub, Int32sb, Int32ub, Int64ub, Raw, Text
 
 from ..enums import MessageSource, MessageType, PackageType, ReportDataType, ReportLevel, RequestedType, SafetyMode
 from ..headers import PACKAGE
 
 __all__ = [
     "MESSAGES",
+    "MESSAGE_HEAD",
     "PACKAGES",
     "KeyMessage",
     "OtherPackage",
@@ -35,6 +36,9 @@ __all__ = [
 ]
 
 _Bool = Coded(Int8ub, bool)
+
+#: Bytes of the common header of robot messages: size, type, timestamp, source, message type.
+MESSAGE_HEAD = 15
 
 #: Timestamp of a message that has none, as all those sent on connecting.
 NO_TIMESTAMP = 0xFFFFFFFFFFFFFFFF

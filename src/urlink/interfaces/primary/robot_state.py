@@ -8,13 +8,11 @@ Source: docs/protocols/primary.md, section Robot state, which has the evidence f
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, Generic, NoReturn, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Generic, NoReturn, TypeVar, overload
 
+from linkcore.clock import Stamp
 from linkcore.errors import BadValue
-from linkcore.stamp import Stamp
-from linkcore.wire.dissection import Row, header_rows
-from linkcore.wire.packet import IntVector, State, Vector, packet, wire
-from linkcore.wire.shapes import (
+from linkcore.wire.fields import (
     Coded,
     Float32b,
     Float64b,
@@ -27,6 +25,7 @@ from linkcore.wire.shapes import (
     Int64ub,
     Raw,
 )
+from linkcore.wire.packet import IntVector, State, Vector, packet, wire
 
 from ..enums import (
     AnalogDomain,
@@ -42,6 +41,9 @@ from ..enums import (
     ToolOutputMode,
 )
 from ..headers import PACKAGE
+
+if TYPE_CHECKING:
+    from linkcore.wire.schema import Row
 
 __all__ = [
     "SUB_PACKAGES",
@@ -441,6 +443,8 @@ class RobotState(State):
 
     def dissect(self) -> Iterator[Row]:
         """Every stretch of the package's bytes; the fields carry the names of their sub-packages."""
+        from linkcore.wire.schema import header_rows  # which imports construct
+
         yield from header_rows(PACKAGE, self._data)
         at = PACKAGE.width
         for package in self.packages:

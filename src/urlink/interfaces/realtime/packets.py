@@ -6,8 +6,8 @@ Sources: docs/protocols/realtime.md, sections Length by firmware, Two orders of 
 
 from __future__ import annotations
 
+from linkcore.wire.fields import Coded, Float64b, Mask64
 from linkcore.wire.packet import State, Vector, packet, wire
-from linkcore.wire.shapes import Coded, Float64b, Mask64
 
 from ..enums import JointMode, ProgramState, RobotMode, RobotModeCB2, SafetyMode
 from ..headers import REALTIME

@@ -13,11 +13,10 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Literal
 
+from linkcore.clock import Stamp
 from linkcore.errors import PacketError
-from linkcore.stamp import Stamp
-from linkcore.wire.fields import Header
+from linkcore.wire.fields import Coded, Float64b, Header, Int8ub, Int16ub, Int32ub, OpenInt, Raw, Text
 from linkcore.wire.packet import State, packet, wire
-from linkcore.wire.shapes import Coded, Float64b, Int8ub, Int16ub, Int32ub, OpenInt, Raw, Text
 
 from .variables import IN_USE, NOT_FOUND
 

@@ -17,8 +17,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from linkcore.clock import Stamp
 from linkcore.errors import BadValue, PacketError, RemoteError
-from linkcore.stamp import Stamp
 from linkcore.wire.cycles import MissedCycles
 from linkcore.wire.framing import Framer
 from linkcore.wire.packet import State
@@ -50,7 +50,7 @@ __all__ = [
     "CLOCK",
     "InputInUse",
     "NoSuchVariable",
-    "Plan",
+    "Requests",
     "RtdeProtocol",
     "RtdeRefused",
     "check_names",
@@ -125,7 +125,7 @@ def check_names(names: Sequence[str]) -> tuple[str, ...]:
 
 
 @dataclass
-class Plan:
+class Requests:
     """What is asked for on each connection anew.
 
     Attributes:
@@ -160,7 +160,7 @@ class RtdeProtocol:
         is_ready: everything was asked and answered.
     """
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: Requests) -> None:
         self.framer = Framer(RtdeBoundary(REPLY_SIZES))
         self.unknown = 0
         self.tails = 0

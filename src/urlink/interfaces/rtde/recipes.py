@@ -11,16 +11,15 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from linkcore.errors import BadValue, PacketError
-from linkcore.wire.fields import Field, Header
+from linkcore.wire.fields import Field, Header, Int8ub
 from linkcore.wire.layout import Layout
 from linkcore.wire.packet import State, packet, wire
-from linkcore.wire.shapes import Int8ub
 
 from .packets import HEADER
 from .variables import OUTPUTS, TYPES, Variable, shape_of
 
 if TYPE_CHECKING:
-    from linkcore.stamp import Stamp
+    from linkcore.clock import Stamp
 
 __all__ = ["DATA_HEADER", "DATA_TYPE", "MOST_RECIPES", "Outputs", "Recipe"]
 

@@ -8,17 +8,17 @@ from __future__ import annotations
 import time
 from collections import deque
 
+from linkcore.clock import Stamp
 from linkcore.errors import LinkTimeout, PacketError
 from linkcore.net.transport import Transport
-from linkcore.stamp import Stamp
 
 from .packets import DataPackage
-from .protocol import Plan, RtdeProtocol
+from .protocol import Requests, RtdeProtocol
 
-__all__ = ["Dialogue", "RtdeTransport"]
+__all__ = ["RtdeDialogue", "RtdeTransport"]
 
 
-class Dialogue:
+class RtdeDialogue:
     """What is said as a connection begins, until the first data package, sans-IO.
 
     Args:
@@ -29,7 +29,7 @@ class Dialogue:
         received: what has come.
     """
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: Requests) -> None:
         self.protocol = RtdeProtocol(plan)
         self.received: deque[tuple[bytes, Stamp]] = deque()
         self._has_data = not plan.outputs
@@ -80,7 +80,7 @@ class RtdeTransport:
         dialogue: the protocol of the present connection as it was when everything was answered.
     """
 
-    def __init__(self, transport: Transport, plan: Plan) -> None:
+    def __init__(self, transport: Transport, plan: Requests) -> None:
         self.name = transport.name
         self.dialogue: RtdeProtocol | None = None
         self._transport = transport
@@ -91,6 +91,11 @@ class RtdeTransport:
         self.wait_for_room = transport.wait_for_room
         self.abort = transport.abort
         self.close = transport.close
+
+    @property
+    def round_trip(self) -> float:
+        """See `Transport.round_trip`."""
+        return self._transport.round_trip
 
     def open(self, timeout: float) -> None:
         """Connect, ask for what the plan says, and wait for the first data package, within `timeout` seconds.
@@ -109,7 +114,7 @@ class RtdeTransport:
             raise
 
     def _ask(self, until: float, timeout: float) -> None:
-        dialogue = Dialogue(self._plan)
+        dialogue = RtdeDialogue(self._plan)
         while not dialogue.is_over:
             if requests := dialogue.requests():
                 self._transport.send(requests, max(until - time.monotonic(), 0.0))
@@ -121,7 +126,7 @@ class RtdeTransport:
                 raise dialogue.unanswered(self.name, timeout)
         self._begin(dialogue)
 
-    def _begin(self, dialogue: Dialogue) -> None:
+    def _begin(self, dialogue: RtdeDialogue) -> None:
         """All is answered: give what has come, and then what comes."""
         self._first = dialogue.received
         self.dialogue = dialogue.protocol

@@ -11,8 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
-from linkcore.wire.shapes import Coded, Float64b, Int8ub, Int32sb, Int32ub, Int64ub, Shape
-from linkcore.wire.version import Since
+from linkcore.wire.fields import Coded, Float64b, Int8ub, Int32sb, Int32ub, Int64ub, Shape, Since
 
 from ...firmware import Firmware
 from ..enums import (

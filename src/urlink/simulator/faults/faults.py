@@ -1,4 +1,4 @@
-"""The faults, as methods.
+"""The faults, as methods, and the checks of their arguments, which a command line shares.
 
 Faults of the arm change its modes, as on a real controller. Faults of the link change bytes or connections, while the
 controller itself runs on. All methods may be called from any thread; the fault has happened when they return.
@@ -12,17 +12,85 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
+from linkcore.errors import BadValue
 from urlink.firmware import Firmware
 from urlink.interfaces.rtde.packets import MessageLevel
+from urlink.ports import PORTS, interface
 
-from ..ports.form import package
+from ..ports.port import package
 from ..ports.rtde import Disturbance, RtdePort, RtdeSession
 from ..programs.runner import ProgramRunner
 from ..state import ControllerState, firmware_for
-from .arguments import checked_seconds, checked_sizes, package_ports, port_names, request_byte, type_byte
 from .link import LinkFaults
 
-__all__ = ["Faults"]
+
+def port_names(port: str | None) -> tuple[str, ...]:
+    """The one port of that name, or all of them.
+
+    Raises:
+        BadValue: there is no such port.
+    """
+    if port is None:
+        return tuple(PORTS)
+    if port not in PORTS:
+        raise BadValue(f"no port is called {port!r}; there are {', '.join(PORTS)}")
+    return (port,)
+
+
+def package_ports(port: str | None) -> tuple[str, ...]:
+    """Those of `port_names` whose packages have a type.
+
+    Raises:
+        BadValue: none of them.
+    """
+    names = tuple(name for name in port_names(port) if interface(name) in ("primary", "secondary"))
+    if not names:
+        raise BadValue(f"{port} has no packages with types")
+    return names
+
+
+def type_byte(kind: int) -> int:
+    """The type of a package.
+
+    Raises:
+        BadValue: it is not 0 to 255.
+    """
+    if kind not in range(256):
+        raise BadValue(f"a type is a byte, not {kind!r}")
+    return kind
+
+
+def request_byte(letter: str) -> int:
+    """The type of a request of an RTDE client, by its letter.
+
+    Raises:
+        BadValue: none of those that are answered.
+    """
+    if len(letter) != 1 or letter not in "VvOISP":
+        raise BadValue(f"a request is V, v, O, I, S or P, not {letter!r}")
+    return ord(letter)
+
+
+def checked_seconds(seconds: float) -> float:
+    """A time.
+
+    Raises:
+        BadValue: it is negative or not finite.
+    """
+    if not 0.0 <= seconds < math.inf:
+        raise BadValue(f"a time is zero or more seconds, not {seconds!r}")
+    return float(seconds)
+
+
+def checked_sizes(sizes: Sequence[int]) -> tuple[int, ...]:
+    """Segment sizes that can be cut.
+
+    Raises:
+        BadValue: none, or not all of them whole numbers of at least one byte.
+    """
+    if not sizes or any(not isinstance(size, int) or size < 1 for size in sizes):
+        raise BadValue(f"segment sizes are whole numbers of bytes, at least 1, not {sizes!r}")
+    return tuple(sizes)
 
 
 class Faults:
@@ -63,13 +131,27 @@ class Faults:
         """The arm brakes and stands still with its motors on; its program pauses. Ends with `clear`."""
         self._do(lambda: self._state.modes.protective_stop())
 
+    def safeguard_stop(self, resumes: bool = True) -> None:
+        """The arm brakes and stands still with its motors on; its program pauses. Ends with `clear`.
+
+        Args:
+            resumes: whether the program then goes on by itself; else it has to be played. Both are settings of the
+                safety inputs on a real controller.
+        """
+
+        def stop() -> None:
+            self._state.resumes = resumes and not self._state.is_paused
+            self._state.modes.safeguard_stop()
+
+        self._do(stop)
+
     def emergency_stop(self) -> None:
         """The arm brakes, stands still and loses its power; its program stops. Ends with `clear`, then `power_on`."""
         self._do(lambda: self._state.modes.emergency_stop())
 
     def clear(self) -> None:
-        """Unlock a protective stop, after which the motion goes on from rest; or release the emergency stop button,
-        after which the power is still off."""
+        """Unlock a protective stop, or end a safeguard stop, after which the motion goes on from rest; or release the
+        emergency stop button, after which the power is still off."""
         self._do(lambda: self._state.modes.clear())
 
     def power_off(self) -> None:

@@ -1,17 +1,86 @@
 """The present faults of the connections: silence, cut connections, segments, and bytes that should not be there.
 
-The server gets from it what a port sends instead of each packet. The controller itself runs on.
+The server gets from it what a port sends instead of each packet; the bytes look like those of a newer controller, of a
+broken one, or of a bad network. The controller itself runs on.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from itertools import cycle
 
-from urlink.ports import PORTS, interface
+from ...ports import PORTS, interface
+from ..ports.port import package
 
-from . import corruption
+__all__ = ["LinkFaults", "Segmenter", "with_garbage_inside", "with_sub_package", "with_tail", "with_tails"]
 
-__all__ = ["LinkFaults"]
+
+def with_tail(packet: bytes, tail: bytes) -> bytes:
+    """A real-time packet as of a newer release that appends `tail` to it."""
+    return (len(packet) + len(tail)).to_bytes(4, "big") + packet[4:] + tail
+
+
+def with_tails(state: bytes, tail: bytes) -> bytes:
+    """A robot state in which every sub-package has grown by `tail`."""
+    parts = []
+    offset = 5
+    while offset < len(state):
+        size = int.from_bytes(state[offset : offset + 4], "big")
+        parts.append(package(state[offset + 4], state[offset + 5 : offset + size] + tail))
+        offset += size
+    return package(state[4], b"".join(parts))
+
+
+def with_sub_package(state: bytes, kind: int, payload: bytes) -> bytes:
+    """A robot state with one more sub-package at its end."""
+    return package(state[4], state[5:] + package(kind, payload))
+
+
+def with_garbage_inside(packet: bytes, garbage: bytes) -> bytes:
+    """A packet with bytes in its middle that its size does not count: the fields after them are shifted."""
+    half = len(packet) // 2
+    return packet[:half] + garbage + packet[half:]
+
+
+class Segmenter:
+    """Cuts the stream of one connection into segments that are independent of its packets.
+
+    >>> cut = Segmenter(sizes=[4, 2])
+    >>> cut.put(b"abcde"), cut.put(b"fghij"), cut.rest()
+    ([b'abcd'], [b'ef', b'ghij'], b'')
+
+    Args:
+        sizes: the stream is cut into segments of these sizes, in turn. The rest of a packet that does not fill one
+            waits, so the cuts move through the packets.
+        count: this many packets make one segment. Not together with `sizes`.
+    """
+
+    def __init__(self, sizes: Sequence[int] = (), count: int = 1) -> None:
+        self._sizes = cycle(sizes) if sizes else None
+        self._size = next(self._sizes) if self._sizes is not None else 0
+        self._count = count
+        self._waiting = 0
+        self._held = b""
+
+    def put(self, packet: bytes) -> list[bytes]:
+        """Add a packet; returns the segments that can be sent."""
+        self._held += packet
+        if self._sizes is None:
+            self._waiting += 1
+            if self._waiting < self._count:
+                return []
+            return [self.rest()]
+        ready = []
+        while len(self._held) >= self._size:
+            ready.append(self._held[: self._size])
+            self._held = self._held[self._size :]
+            self._size = next(self._sizes)
+        return ready
+
+    def rest(self) -> bytes:
+        """The bytes that were kept back, to be sent unchanged."""
+        held, self._held, self._waiting = self._held, b"", 0
+        return held
 
 
 class LinkFaults:
@@ -45,7 +114,7 @@ class LinkFaults:
         self._any_stalled_until = max(self._stalled_until.values())
 
     def segment(self, ports: Iterable[str], sizes: tuple[int, ...], count: int) -> None:
-        """Cut or join what these ports send; see `corruption.Segmenter`."""
+        """Cut or join what these ports send; see `Segmenter`."""
         self._segments.update(dict.fromkeys(ports, (sizes, count)))
         self._generation += 1
 
@@ -95,29 +164,29 @@ class LinkFaults:
         """A number that changes when the segments of any port do."""
         return self._generation
 
-    def segmenter(self, port: str) -> corruption.Segmenter | None:
+    def segmenter(self, port: str) -> Segmenter | None:
         """A new segmenter for a connection to this port; None if packets are sent as they are."""
         rule = self._segments.get(port)
-        return None if rule is None else corruption.Segmenter(*rule)
+        return None if rule is None else Segmenter(*rule)
 
     def lasting(self, port: str, packet: bytes) -> bytes:
         """A packet with the faults that last: tails and unknown sub-packages."""
         tail = self._tails.get(port)
         if interface(port) == "realtime":
-            return packet if tail is None else corruption.with_tail(packet, tail)
+            return packet if tail is None else with_tail(packet, tail)
         if interface(port) not in ("primary", "secondary") or packet[4] != 16:
             return packet
         if tail is not None:
-            packet = corruption.with_tails(packet, tail)
+            packet = with_tails(packet, tail)
         added = self._sub_packages.get(port)
-        return packet if added is None else corruption.with_sub_package(packet, *added)
+        return packet if added is None else with_sub_package(packet, *added)
 
     def on_the_wire(self, port: str, packet: bytes) -> bytes:
         """The bytes that this port sends instead of a packet. Faults that happen once are used up."""
         packet = self.lasting(port, packet)
         inside, before = self._inside[port], self._before[port]
         if inside:
-            packet = corruption.with_garbage_inside(packet, b"".join(inside))
+            packet = with_garbage_inside(packet, b"".join(inside))
             inside.clear()
         if before:
             packet = b"".join(before) + packet

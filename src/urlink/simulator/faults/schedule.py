@@ -13,8 +13,7 @@ from urlink.firmware import Firmware
 from urlink.models import Model
 
 from ..state import firmware_for
-from .arguments import checked_seconds, checked_sizes, port_names, request_byte, type_byte
-from .faults import Faults
+from .faults import Faults, checked_seconds, checked_sizes, port_names, request_byte, type_byte
 
 __all__ = ["FAULTS", "FaultSchedule", "ScheduledFault", "checked", "parse_fault"]
 
@@ -60,6 +59,7 @@ def _request(text: str) -> str:
 #: name -> how its argument is read and what it is, or None where it has none, and whether it can be left out
 FAULTS: dict[str, tuple[Callable[[str], Any], str, bool] | None] = {
     "protective_stop": None,
+    "safeguard_stop": None,
     "emergency_stop": None,
     "clear": None,
     "power_off": None,

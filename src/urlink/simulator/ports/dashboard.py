@@ -24,14 +24,14 @@ from urlink.interfaces.dashboard.commands import (
     COULD_NOT_UNDERSTAND,
     GREETING,
     NOT_IN_REMOTE_CONTROL,
-    Command,
+    DashboardCommand,
 )
 from urlink.interfaces.enums import ProgramState
 
 from ..programs.pendant import Pendant
-from ..robot.modes import Stop
+from ..robot.modes import StopState
 from ..state import ControllerState
-from .port import AnsweringPort, Client, LineReceiver
+from .port import AnsweringPort, LineReceiver, PortClient
 
 __all__ = ["DashboardPort"]
 
@@ -85,7 +85,7 @@ class DashboardPort(AnsweringPort):
     def greeting(self) -> list[bytes]:
         return [f"{GREETING}\n".encode()]
 
-    def receiver(self, client: Client) -> LineReceiver:
+    def receiver(self, client: PortClient) -> LineReceiver:
         def answer(line: str) -> None:
             reply = self.reply(line)
             client.send(b"Disconnected\n" if reply is None else f"{reply}\n".encode())
@@ -197,7 +197,7 @@ class DashboardPort(AnsweringPort):
 
     def _unlock_protective_stop(self, _: str) -> str:
         state = self._state
-        if state.modes.stop is Stop.PROTECTIVE:
+        if state.modes.stop is StopState.PROTECTIVE:
             since = state.stopped_since
             # One that no cycle has seen yet has just begun. PolyScope X does not make its client wait.
             is_early = since is None or state.time - since < UNLOCK_AFTER
@@ -209,7 +209,7 @@ class DashboardPort(AnsweringPort):
 
     def _restart_safety(self, _: str) -> str:
         modes = self._state.modes
-        if modes.stop is Stop.PROTECTIVE:
+        if modes.stop is StopState.PROTECTIVE:
             modes.clear()
         modes.power_off()
         return "Restarting safety"
@@ -290,7 +290,7 @@ class DashboardPort(AnsweringPort):
         return "Log saved to disk"
 
 
-def _find(text: str) -> tuple[Command, str] | None:
+def _find(text: str) -> tuple[DashboardCommand, str] | None:
     """The command at the beginning of a line, and its argument; None if there is none, or if it takes no argument."""
     for command in _BY_LENGTH:
         name, rest = text[: len(command.name)], text[len(command.name) :]

@@ -1,24 +1,72 @@
-"""An interface of the controller, as the server uses it; and the receivers that several interfaces share.
+"""An interface of the controller, as the server uses it, and what several interfaces share: receivers and packets.
 
 A `Port` is sans-IO. The server reads from it in which cycle it has something to send, and the packets; and passes what
-a client sends to the `Receiver` that the port has made for this client.
+a client sends to the `PortReceiver` that the port has made for this client. A `Form` is a packet laid out once, by its
+schema in `urlink.interfaces`, and filled in many times: a controller packs hundreds of them a second.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Protocol
+import struct
+from collections.abc import Callable, Mapping
+from itertools import groupby
+from typing import Any, Protocol
+
+from linkcore.wire.layout import Layout
+from urlink.interfaces.headers import PACKAGE
 
 from ..programs.loader import LineAssembler
 from ..state import Counters
 
-__all__ = ["AnsweringPort", "Client", "LineReceiver", "Port", "ReadOnlyReceiver", "Receiver", "ScriptReceiver"]
+#: Names of fields -> plain numbers, or lists of them.
+Fields = Mapping[str, Any]
+
+
+class Form:
+    """A packet of one layout and of fixed size, filled in and packed many times.
+
+    Gives the bytes of `Layout.encode` in a tenth of the time: values stay where they were put, and one `struct` packs
+    them. Values are plain numbers and lists of them, checked only by `struct`.
+    """
+
+    def __init__(self, layout: Layout) -> None:
+        codes: list[str] = [""] * sum(place.count or 1 for place in layout.places.values())
+        self._values: list[Any] = [0] * len(codes)
+        self._at: dict[str, int | slice] = {}
+        for name, place in layout.places.items():
+            assert place.number is not None, f"{layout.name} is of no fixed size"
+            code = place.number.code
+            at = self._at[name] = place.at
+            if isinstance(at, slice):
+                codes[at] = [code] * len(codes[at])
+            else:
+                codes[at] = code
+        packed = "".join(f"{len(list(run))}{code}" for code, run in groupby(codes))
+        header = layout.header.pack(**{**layout.constants, "size": layout.size})
+        self._struct = struct.Struct(f">{len(header)}s{packed}")
+        self._header = header
+        self.size = layout.size
+
+    def pack(self, fields: Fields) -> bytes:
+        """The packet with these fields, others unchanged; fields that are not in the layout are skipped."""
+        values, places = self._values, self._at
+        for name, value in fields.items():
+            at = places.get(name)
+            if at is not None:
+                values[at] = value
+        return self._struct.pack(self._header, *values)
+
+
+def package(kind: int, body: bytes) -> bytes:
+    """A package or sub-package of the primary and secondary interface."""
+    return PACKAGE.pack(size=PACKAGE.width + len(body), type=kind) + body
+
 
 #: Bytes of a line from a client; longer ones are discarded.
 LONGEST_LINE = 1 << 16
 
 
-class Client(Protocol):
+class PortClient(Protocol):
     """One connection, as a port sees it."""
 
     @property
@@ -39,7 +87,7 @@ class Client(Protocol):
         """Close it now, by a reset."""
 
 
-class Receiver(Protocol):
+class PortReceiver(Protocol):
     """Receives the bytes of one client."""
 
     def feed(self, data: bytes) -> None:
@@ -70,7 +118,7 @@ class Port(Protocol):
     def skip(self) -> None:
         """No client is connected in this cycle: discard what would have been sent in it."""
 
-    def receiver(self, client: Client) -> Receiver:
+    def receiver(self, client: PortClient) -> PortReceiver:
         """Make the receiver for a new client."""
 
 
@@ -115,7 +163,7 @@ class LineReceiver:
         on_line: called with each line, without its end.
     """
 
-    def __init__(self, client: Client, counters: Counters, on_line: Callable[[str], object]) -> None:
+    def __init__(self, client: PortClient, counters: Counters, on_line: Callable[[str], object]) -> None:
         self._client = client
         self._counters = counters
         self._on_line = on_line
@@ -159,7 +207,7 @@ class ScriptReceiver(LineReceiver):
 
     def __init__(
         self,
-        client: Client,
+        client: PortClient,
         counters: Counters,
         on_line: Callable[[str], object],
         on_program: Callable[[str], bool],

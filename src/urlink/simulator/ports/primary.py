@@ -17,18 +17,17 @@ from urlink.interfaces.enums import SafetyMode
 from urlink.interfaces.primary.robot_state import SUB_PACKAGES
 
 from ..messages import greeting
-from ..rtde_variables import robot_current
+from ..rtde_variables import ROBOT_VOLTAGE, robot_current
 from ..state import ControllerState
-from .form import Fields, Form, package
-from .port import Client, ScriptReceiver
+from .port import Fields, Form, PortClient, ScriptReceiver, package
 
-__all__ = ["PrimaryPort", "RobotStates", "SecondaryPort"]
+__all__ = ["PrimaryPort", "SecondaryPort", "StatePackages"]
 
 #: Robot states a second.
 STATE_RATE = 10
 
 
-class RobotStates:
+class StatePackages:
     """The robot states of one controller, which both interfaces send.
 
     Args:
@@ -109,7 +108,7 @@ class SecondaryPort:
     _NAME = "secondary"
 
     def __init__(
-        self, state: ControllerState, states: RobotStates, receiver: Callable[[Client], ScriptReceiver]
+        self, state: ControllerState, states: StatePackages, receiver: Callable[[PortClient], ScriptReceiver]
     ) -> None:
         self.receiver = receiver
         self._state = state
@@ -221,7 +220,7 @@ def _masterboard(state: ControllerState) -> Fields:
         "analog_output_0": signals.analog_outputs[0],
         "analog_output_1": signals.analog_outputs[1],
         "masterboard_temperature": 30.0,
-        "robot_voltage_48V": 48.0 if modes.is_powered else 0.0,
+        "robot_voltage_48V": ROBOT_VOLTAGE if modes.is_powered else 0.0,
         "robot_current": robot_current(state),
         "master_io_current": 0.0,
         "master_safety_state": modes.master_safety_state,

@@ -7,10 +7,9 @@ from collections.abc import Callable
 from urlink.firmware import Firmware
 from urlink.interfaces.realtime.packets import RealtimeState
 
-from ..rtde_variables import robot_current
+from ..rtde_variables import MAIN_VOLTAGE, ROBOT_VOLTAGE, execution_time, robot_current
 from ..state import ControllerState
-from .form import Fields, Form
-from .port import Client, ScriptReceiver
+from .port import Fields, Form, PortClient, ScriptReceiver
 
 __all__ = ["RealtimePort"]
 
@@ -23,7 +22,7 @@ class RealtimePort:
         receiver: makes the receiver of a client.
     """
 
-    def __init__(self, state: ControllerState, receiver: Callable[[Client], ScriptReceiver]) -> None:
+    def __init__(self, state: ControllerState, receiver: Callable[[PortClient], ScriptReceiver]) -> None:
         self.receiver = receiver
         self._state = state
         self._form: Form | None = None
@@ -74,16 +73,15 @@ def _fields(state: ControllerState) -> Fields:
         "tcp_speed_target": s.speed_target,
         "digital_input_bits": signals.digital_inputs,
         "motor_temperatures": s.T_motor,
-        # The real CB2 packet holds 0.0635.
-        "controller_timer": 0.06,
+        "controller_timer": execution_time(state),
         "robot_mode": modes.robot_mode,
         "joint_modes": [modes.joint_mode] * 6,
         "safety_mode": modes.safety_mode,
         "tool_accelerometer": s.accelerometer,
         "speed_scaling": state.speed_scaling,
         "linear_momentum_norm": s.momentum,
-        "V_main": 48.0,
-        "V_robot": 48.0 if powered else 0.0,
+        "V_main": MAIN_VOLTAGE,
+        "V_robot": ROBOT_VOLTAGE if powered else 0.0,
         "I_robot": robot_current(state),
         "V_actual": s.V_actual,
         "digital_output_bits": signals.digital_outputs,

@@ -25,7 +25,7 @@ from urlink.interfaces.dashboard.stored_programs import PROGRAMS, parse_form, pr
 from ..programs.pendant import Pendant
 from ..state import ControllerState
 from .dashboard import DashboardPort
-from .port import AnsweringPort, Client, Receiver
+from .port import AnsweringPort, PortClient, PortReceiver
 
 __all__ = ["RobotApiPort"]
 
@@ -65,7 +65,7 @@ class RobotApiPort(AnsweringPort):
     def is_offered(self) -> bool:
         return self._state.firmware >= ROBOT_API
 
-    def receiver(self, client: Client) -> Receiver:
+    def receiver(self, client: PortClient) -> PortReceiver:
         return _Exchange(self, client)
 
     def respond(self, request: HttpRequest) -> HttpResponse:
@@ -185,7 +185,7 @@ class RobotApiPort(AnsweringPort):
 class _Exchange:
     """The one request of a connection."""
 
-    def __init__(self, port: RobotApiPort, client: Client) -> None:
+    def __init__(self, port: RobotApiPort, client: PortClient) -> None:
         self._port = port
         self._client = client
         self._parser = HttpParser("request")

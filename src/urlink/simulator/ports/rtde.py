@@ -25,8 +25,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from linkcore.errors import PacketError
+from linkcore.wire.fields import Since
 from linkcore.wire.packet import State
-from linkcore.wire.version import Since
 from urlink.interfaces.rtde.packets import (
     HEADER,
     ControllerVersionReply,
@@ -52,11 +52,10 @@ from urlink.interfaces.rtde.packets import (
 from urlink.interfaces.rtde.recipes import MOST_RECIPES, Recipe
 from urlink.interfaces.rtde.variables import IN_USE, INPUTS, NOT_FOUND, OUTPUTS, Variable
 
-from ..claims import FIELDBUSES
+from ..registers import FIELDBUSES
 from ..rtde_variables import OUTPUT_VALUES, write_inputs
 from ..state import ControllerState
-from .form import Form
-from .port import Client
+from .port import Form, PortClient
 
 __all__ = ["Disturbance", "RtdePort", "RtdeSession"]
 
@@ -141,7 +140,7 @@ class RtdePort:
     def skip(self) -> None:
         return None
 
-    def receiver(self, client: Client) -> RtdeSession:
+    def receiver(self, client: PortClient) -> RtdeSession:
         session = RtdeSession(self, client)
         self.sessions.append(session)
         return session
@@ -180,7 +179,7 @@ class RtdeSession:
         ignored: number of packages from the client that do not fit.
     """
 
-    def __init__(self, port: RtdePort, client: Client) -> None:
+    def __init__(self, port: RtdePort, client: PortClient) -> None:
         self.protocol: Protocol = 1
         self.is_started = False
         self.unread = 0

@@ -22,9 +22,9 @@ from collections.abc import Callable
 from urlink.firmware import Firmware
 
 from .. import messages
-from ..robot.modes import Stop
+from ..robot.modes import StopState
 from ..state import ControllerState
-from ..urscript import Script, ScriptError, compile_script
+from ..urscript import ProgramError, Script, compile_script
 from .runner import ProgramRunner
 
 __all__ = ["LineAssembler", "ProgramLoader", "ProgramQueue", "obey"]
@@ -100,7 +100,7 @@ def obey(state: ControllerState, runner: ProgramRunner, line: str) -> bool:
     elif words == "set robotmode run":
         state.modes.power_on()
     elif words == "set unlock protective stop":
-        if state.modes.stop is Stop.PROTECTIVE:
+        if state.modes.stop is StopState.PROTECTIVE:
             state.modes.clear()
     else:
         return words == "set robotmode freedrive"
@@ -117,7 +117,7 @@ class _Compilation(threading.Thread):
     def __init__(self, text: str, firmware: Firmware, on_end: Callable[[], object]) -> None:
         super().__init__(name="urlink sim compiling", daemon=True)
         self.text = text
-        self.result: Script | ScriptError | None = None
+        self.result: Script | ProgramError | None = None
         self._firmware = firmware
         self._on_end = on_end
 
@@ -255,9 +255,9 @@ class ProgramLoader:
             return self._refuse("in local control", text)
         return not obey(state, self._runner, text)
 
-    def _begin(self, text: str, compiled: Script | ScriptError) -> None:
+    def _begin(self, text: str, compiled: Script | ProgramError) -> None:
         state = self._state
-        if isinstance(compiled, ScriptError):
+        if isinstance(compiled, ProgramError):
             error = compiled
             state.outbox.put(messages.runtime_exception(state, error.line, error.column, error.text, False))
         elif compiled.kind == "sec":
@@ -274,8 +274,8 @@ class ProgramLoader:
         return False
 
 
-def _compiled(text: str, firmware: Firmware) -> Script | ScriptError:
+def _compiled(text: str, firmware: Firmware) -> Script | ProgramError:
     try:
         return compile_script(text, firmware)
-    except ScriptError as error:
+    except ProgramError as error:
         return error

@@ -6,11 +6,14 @@ The dashboard presses the same buttons.
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+
+from linkcore.errors import BadValue
 
 from ...interfaces.enums import ProgramState
+from ..robot.generator import Drive, Unreachable
 from ..state import ControllerState
-from ..urscript import ScriptError, compile_script
+from ..urscript import ProgramError, compile_script
 from .runner import ProgramRunner
 
 __all__ = ["Pendant"]
@@ -68,14 +71,14 @@ class Pendant:
         if not state.is_up or not state.modes.may_move:
             return False
         if state.is_paused:
-            state.is_paused = False
+            state.is_paused, state.by_hand = False, None
             state.update_modes(0.0)
             return True
         if state.loaded is None or (main is not None and main.is_program):
             return False
         try:
             self._runner.start(compile_script(self.files[state.loaded], state.firmware))
-        except ScriptError as error:
+        except ProgramError as error:
             _log.info("%s does not compile: %s", state.loaded, error)
             return False
         return True
@@ -88,6 +91,49 @@ class Pendant:
         state.is_paused = True
         state.update_modes(0.0)
         return True
+
+    def jog(self, q: Sequence[float], speed: float = 0.3) -> bool:
+        """Move the arm to six joint positions, rad, while no program plays, and leave it there.
+
+        Args:
+            speed: rad/s of the joint that moves furthest.
+
+        Returns:
+            False if a program plays, or the arm has not come to rest.
+
+        Raises:
+            BadValue: not six finite numbers, out of range, or no speed.
+        """
+        drive = self._drive()
+        if drive is None:
+            return False
+        try:
+            drive.generator.movej(q, 1.4, speed)
+        except Unreachable as error:
+            raise BadValue(str(error)) from None
+        self._state.by_hand = drive
+        return True
+
+    def freedrive(self, is_on: bool = True) -> bool:
+        """Let the arm yield to what pushes it while no program plays, or hold it again; False as for `jog`."""
+        if not is_on:
+            self._state.by_hand = None
+            return True
+        drive = self._drive()
+        if drive is None:
+            return False
+        drive.freedrive((True,) * 6, (0.0,) * 6)
+        self._state.by_hand = drive
+        return True
+
+    def _drive(self) -> Drive | None:
+        """What moves the arm by hand; None if it may not."""
+        state = self._state
+        plays = state.source.is_program and not state.is_paused
+        if not (state.is_up and state.modes.may_move) or plays or state.arm.is_moving:
+            return None
+        arm = state.arm
+        return Drive(state.kinematics, lambda: arm.dynamics, arm.setpoint, 1.0, state.scaling_parameters)
 
     def stop(self) -> bool:
         """End what runs; False if nothing does. See `ProgramRunner.stop_all`."""

@@ -1,26 +1,89 @@
-"""The controller for one of its programs: the `World` of `urlink.simulator.urscript`, over the state."""
+"""The controller for one of its programs: the `World` of `urlink.simulator.urscript`, over the state, and its sockets.
+
+Programs reach this computer and the computers that are connected to the controller; others only if the controller
+allows them. For a program, 127.0.0.1 is the controller, with the port numbers of a real one, whichever numbers they are
+served at. Names are not looked up, since that could take seconds. Nothing here waits, see
+`linkcore.net.polled`.
+"""
 
 from __future__ import annotations
 
+import ipaddress
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from linkcore.errors import BadValue
+from linkcore.net.polled import PolledConnection, State
+from urlink.dynamics import Dynamics
 from urlink.firmware import Firmware
 from urlink.interfaces.rtde.variables import INPUTS, OUTPUTS
 from urlink.kinematics import Arm
+from urlink.motors import Motors
 
 from ..messages import popup_message, text_message
-from ..registers import Action, Registers
+from ..registers import Action, RegisterBanks
 from ..robot.generator import Drive, ForceTask, MotionGenerator
-from ..robot.modbus import ModbusSignals
-from ..robot.signals import Signals
+from ..robot.signals import ModbusSignals, Signals
 from ..rtde_variables import OUTPUT_VALUES
 from ..state import ControllerState
-from .program_sockets import ProgramSockets, Route
 
-__all__ = ["ProgramWorld"]
+#: Where a connection to a numeric address and a port goes; None if a program may not connect to it.
+Route = Callable[[str, int], tuple[str, int] | None]
+
+#: Sockets that a program may have at once; those count that only their peer has closed.
+MOST = 16
+#: Bytes that wait for a program; beyond them the peer has to wait.
+MOST_WAITING = 1 << 16
+
+
+class ProgramSockets:
+    """The named sockets of one program.
+
+    Args:
+        route: where connections go.
+    """
+
+    def __init__(self, route: Route) -> None:
+        self._route = route
+        self._connections: dict[str, PolledConnection] = {}
+
+    def open(self, name: str, host: str, port: int) -> None:
+        """Begin to connect; a socket with the same name is closed."""
+        self.close(name)
+        try:
+            address = str(ipaddress.ip_address("127.0.0.1" if host == "localhost" else host))
+        except ValueError:
+            return
+        target = self._route(address, port)
+        if target is not None and 0 < target[1] < 65536 and len(self._connections) < MOST:
+            self._connections[name] = PolledConnection(*target, most_waiting=MOST_WAITING)
+
+    def state(self, name: str) -> State:
+        """The state of a socket; "closed" also if it was refused, or if the program has too many."""
+        connection = self._connections.get(name)
+        return "closed" if connection is None else connection.state
+
+    def send(self, name: str, data: bytes) -> bool:
+        """Send all of it at once. False if it is not open, or if the peer does not take all; then it is closed."""
+        connection = self._connections.get(name)
+        return connection is not None and connection.send(data)
+
+    def received(self, name: str) -> bytearray:
+        """Bytes that were received and not yet removed; the caller deletes those that it uses."""
+        connection = self._connections.get(name)
+        return bytearray() if connection is None else connection.receive()
+
+    def close(self, name: str) -> None:
+        """Close a socket, if it exists, and discard its bytes."""
+        connection = self._connections.pop(name, None)
+        if connection is not None:
+            connection.close()
+
+    def close_all(self) -> None:
+        """Close every one."""
+        for name in list(self._connections):
+            self.close(name)
 
 
 class ProgramWorld:
@@ -53,6 +116,14 @@ class ProgramWorld:
         return self._state.kinematics
 
     @property
+    def dynamics(self) -> Dynamics:
+        return self._state.arm.dynamics
+
+    @property
+    def motors(self) -> Motors:
+        return self._state.arm.motors
+
+    @property
     def cycle(self) -> int:
         return self._state.cycle
 
@@ -65,7 +136,7 @@ class ProgramWorld:
         return self._state.flags
 
     @property
-    def registers(self) -> Registers:
+    def registers(self) -> RegisterBanks:
         return self._state.registers
 
     @property
@@ -138,16 +209,15 @@ class ProgramWorld:
     def payload_inertia(self) -> Sequence[float]:
         return self._state.arm.payload_inertia
 
-    def set_payload(self, mass: float, cog: Sequence[float] | None, inertia: Sequence[float] | None) -> None:
+    def set_payload(
+        self, mass: float, cog: Sequence[float] | None, inertia: Sequence[float] | None, seconds: float = 0.0
+    ) -> None:
         arm = self._state.arm
-        arm.payload = mass
-        if cog is not None:
-            arm.payload_cog = tuple(cog)
-        if inertia is not None:
-            arm.payload_inertia = tuple(inertia)
+        cog, inertia = arm.payload_cog if cog is None else cog, arm.payload_inertia if inertia is None else inertia
+        arm.carry((mass, *cog, *inertia), seconds)
 
     def set_gravity(self, vector: Sequence[float]) -> None:
-        """No effect: the simulated arm stands upright."""
+        self._state.arm.gravity = tuple(vector)
 
     def rtde_value(self, name: str) -> Any:
         known = OUTPUTS.get(name)

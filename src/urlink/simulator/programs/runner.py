@@ -20,11 +20,10 @@ from .. import messages
 from ..robot.generator import Drive, LimitViolation
 from ..robot.sources import Setpoint, SetpointSource, Still
 from ..state import ControllerState
-from ..urscript import Execution, Script, ScriptError
+from ..urscript import Execution, ProgramError, Script
 from ..urscript.machine import StatementCode
 from ..urscript.statements import StatementQueue
-from .program_sockets import Route
-from .program_world import ProgramWorld
+from .program_world import ProgramWorld, Route
 
 __all__ = ["ProgramRunner", "RunningProgram"]
 
@@ -55,7 +54,9 @@ class RunningProgram:
         self._state = state
         self._on_end = on_end
         # It continues from what moved the arm before, at its speed.
-        self._drive = Drive(state.kinematics, state.arm.setpoint, state.scaling, state.scaling_parameters)
+        self._drive = Drive(
+            state.kinematics, lambda: state.arm.dynamics, state.arm.setpoint, state.scaling, state.scaling_parameters
+        )
         self._world = ProgramWorld(state, route, self._drive)
         self._execution = Execution(script, self._world)
 
@@ -65,7 +66,7 @@ class RunningProgram:
         return self._execution.statements
 
     @property
-    def error(self) -> ScriptError | None:
+    def error(self) -> ProgramError | None:
         return self._execution.error
 
     def start(self, q: Sequence[float]) -> None:
@@ -175,7 +176,8 @@ class ProgramRunner:
         return True
 
     def follow(self, source: SetpointSource) -> None:
-        """Brake if necessary, then follow another source from where the arm stands."""
+        """End the program that runs, brake if necessary, then follow another source from where the arm stands."""
+        self.stop()
         self._state.source = source
         self._begins_anew = True
 
@@ -196,7 +198,7 @@ class ProgramRunner:
         state.watchdogs.clear()
         state.outbox.put(messages.program_stopped(state, program.name))
 
-    def _report(self, error: ScriptError) -> None:
+    def _report(self, error: ProgramError) -> None:
         state = self._state
         state.outbox.put(messages.runtime_exception(state, error.line, error.column, error.text, True))
 
@@ -212,6 +214,8 @@ class ProgramRunner:
         state.control_mode = ControlMode.POSITION
         state.move_slider(seconds)
         self._watch()
+        if state.resumes and modes.may_move:
+            state.is_paused = state.resumes = False
         if modes.holds_program:
             if self.main is not None and self.main.is_program:
                 state.is_paused = True
@@ -221,10 +225,12 @@ class ProgramRunner:
             state.is_paused = False
         if self._secondary or self._waiting:
             self._advance_secondary()
-        if not modes.may_move or state.is_paused:
+        is_idle = state.by_hand is not None and not state.source.is_program
+        if not modes.may_move or state.is_paused or is_idle:
             self._begins_anew = True
             state.scaling = 0.0
-            return None
+            return self._by_hand(seconds) if modes.may_move else None
+        state.by_hand = None
         if self._begins_anew:
             if state.arm.is_moving:
                 return None
@@ -233,6 +239,18 @@ class ProgramRunner:
         if state.source is not self.main:
             state.scaling = state.slider if state.source.is_program else 0.0
         return state.source.advance(seconds)
+
+    def _by_hand(self, seconds: float) -> Setpoint | None:
+        """The set-point of who moves the arm from the pendant; None if nobody does."""
+        state, hand = self._state, self._state.by_hand
+        if hand is None:
+            return None
+        try:
+            return hand.advance(seconds, state.arm.wrench, state.arm.pushed_joints)
+        except LimitViolation as violation:
+            state.by_hand = None
+            state.stop_protectively(violation.reason)
+            return None
 
     def _watch(self) -> None:
         """Pause or stop the program if an RTDE input with a watchdog is late. While it is paused, none is late."""

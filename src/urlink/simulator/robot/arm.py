@@ -8,22 +8,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from linkcore.errors import BadValue
+from urlink.dynamics import GRAVITY, Dynamics
 from urlink.kinematics import Arm as Kinematics
 from urlink.models import Model
+from urlink.motors import Motors, motors_of
 
-from .force_sensor import ForceSensor
+from .robot_parameters import SensorParameters
 from .sensors import Sample, Sensors
 from .sources import BRAKING, Setpoint
-from .surroundings import Surroundings
+from .surroundings import ForceSensor, Surroundings
 
-__all__ = ["Arm", "braking_time"]
+if TYPE_CHECKING:
+    from urlink.arm_file import ArmFile
+
+__all__ = ["SimulatedArm", "braking_time"]
 
 _ZERO = [0.0] * 6
 
 
-class Arm:
+class SimulatedArm:
     """Six joints of a model.
 
     Args:
@@ -31,9 +37,11 @@ class Arm:
         setpoint: initial targets.
         seed: of the noise on its sensors; None for none.
         surroundings: what acts on its tool; None for nothing.
+        motors: in its joints; None for those of the model.
+        measuring: of its sensors; None for those of the model.
 
     Attributes:
-        kinematics: as given.
+        kinematics, motors: as given.
         model: geometry as published, masses and limits.
         payload: kg at the flange.
         payload_cog: (3,) its centre of mass in the flange frame, m.
@@ -49,24 +57,35 @@ class Arm:
         setpoint: Setpoint,
         seed: int | None = 0,
         surroundings: Surroundings | None = None,
+        motors: Motors | None = None,
+        measuring: SensorParameters | None = None,
     ) -> None:
         self.kinematics = kinematics
+        self.motors = motors or motors_of(kinematics.model)
         self.model = kinematics.model
         self.payload = 0.0
         self.payload_cog: Sequence[float] = (0.0, 0.0, 0.0)
         self.payload_inertia: Sequence[float] = (0.0,) * 6
+        #: from one payload (mass, centre, inertia) to another, over how many s, and how many of them are over
+        self._transition: tuple[Sequence[float], Sequence[float], float, float] | None = None
+        #: (3,) m/s² in the base frame, upwards: what the controller has been told
+        self.gravity: Sequence[float] = (0.0, 0.0, GRAVITY)
         self.is_powered = True
         self.external_force: Sequence[float] = _ZERO
         self.uses_external_force = False
         self._tcp: list[float] = list(_ZERO)
+        self._dynamics: Dynamics | None = None
+        self._carried: tuple[tuple[float, ...], ...] | None = None
         self._setpoint = setpoint
-        self._sensors = Sensors(kinematics, setpoint.q, seed)
+        self._sensors = Sensors(
+            kinematics, self.motors, measuring or SensorParameters.of(kinematics.model), setpoint.q, seed
+        )
         self._surroundings = surroundings or Surroundings()
         self._force_sensor = ForceSensor(kinematics, self._surroundings)
         self._is_following = True
         # Where braking began, the seconds that it takes, and those that are over.
         self._brake: tuple[Setpoint, float, float] | None = None
-        self._cycle = 0
+        self._cycle = self._rests = 0
         self._time = 0.0
         self._sample: Sample | None = None
 
@@ -91,6 +110,9 @@ class Arm:
         """Advance by one cycle: to this set-point; or, if it is None, slow down, and then stand still."""
         self._cycle += 1
         self._time += seconds
+        if self._transition is not None:
+            self._go_over(*self._transition, seconds)
+        was_moving = any(self._setpoint.qd)
         if setpoint is not None:
             self._setpoint, self._brake = setpoint, None
         else:
@@ -99,8 +121,26 @@ class Arm:
             if self._brake is not None:
                 self._go_on_braking(*self._brake, seconds)
         self._is_following = setpoint is not None
+        self._rests += was_moving and not any(self._setpoint.qd)
         self._sample = None
         self._force_sensor.advance(self._setpoint, self._tcp, self.payload, self.payload_cog)
+
+    def carry(self, payload: Sequence[float], seconds: float) -> None:
+        """Tell mass, centre and inertia of the payload, kg, m and kg m²; it goes over to that in so many s.
+
+        That this is linear, and shown in the states while it goes on, is a guess (`payload_transition_is_linear`).
+        """
+        before = (self.payload, *self.payload_cog, *self.payload_inertia)
+        self._go_over(before, payload, seconds, 0.0, 0.0)
+
+    def _go_over(
+        self, before: Sequence[float], after: Sequence[float], duration: float, past: float, seconds: float
+    ) -> None:
+        past += seconds
+        share = past / duration if past < duration else 1.0
+        self._transition = (before, after, duration, past) if share < 1.0 else None
+        now = [a + share * (b - a) for a, b in zip(before, after, strict=True)] if share < 1.0 else after
+        self.payload, self.payload_cog, self.payload_inertia = now[0], tuple(now[1:4]), tuple(now[4:])
 
     def _begin_to_brake(self) -> None:
         if any(self._setpoint.qd):
@@ -141,7 +181,16 @@ class Arm:
         self._tcp = values
         self._sample = None
 
-    def take_tool_of(self, other: Arm) -> None:
+    def take_tool(self, like: ArmFile) -> None:
+        """Take over TCP and payload of an arm that was identified, as far as they are known."""
+        if like.tcp is not None:
+            self.tcp = like.tcp
+        mass = like.known("payload")
+        if mass is not None:
+            self.payload = max(mass, 0.0)
+            self.payload_cog = [each.value if each.is_known else 0.0 for each in like.estimates["payload_cog"]]
+
+    def take_tool_of(self, other: SimulatedArm) -> None:
         """Take over TCP and payload of another arm: they are in the installation, which a reboot does not change."""
         self.tcp = other.tcp
         self.payload = other.payload
@@ -162,10 +211,10 @@ class Arm:
 
     @property
     def external_torques(self) -> list[float]:
-        """All torques from outside on the joints, Nm."""
+        """All torques from outside on the joints, Nm: zeroing the force sensor does not change them."""
         torques = list(self.pushed_joints)
-        if any(self.wrench):
-            across = self.kinematics.jacobian(self._setpoint.q, self._tcp).T @ self.wrench
+        if any(self._force_sensor.external):
+            across = self.kinematics.jacobian(self._setpoint.q, self._tcp).T @ self._force_sensor.external
             torques = [a + b for a, b in zip(torques, across.tolist(), strict=True)]
         return torques
 
@@ -198,11 +247,11 @@ class Arm:
             self._sample = self._sensors.sample(
                 self._setpoint,
                 self._tcp,
-                self.payload,
-                self.payload_cog,
+                self.dynamics,
                 self._force_sensor.external,
                 self._force_sensor.wrench,
                 self._cycle,
+                self._rests,
                 self._time,
                 self.is_powered,
             )
@@ -215,12 +264,31 @@ class Arm:
         """The joint positions of `sample`, rad, without computing the rest: programs read them in every cycle."""
         if self._sample is not None:
             return self._sample.q_actual
-        return self._sensors.positions(self._setpoint, self._cycle, self.is_powered)
+        return self._sensors.positions(self._setpoint, self._cycle, self._rests, self.is_powered)
+
+    @property
+    def dynamics(self) -> Dynamics:
+        """The masses of the published arm, its rotors and its payload, from which the controller computes moments.
+
+        Calibration has no part in it: the moments of a UR3e are 27 mNm off at rest with its calibration, 1 without.
+        """
+        carried = (self.payload,), tuple(self.payload_cog), tuple(self.payload_inertia), tuple(self.gravity)
+        if self._dynamics is None or carried != self._carried:
+            self._carried = carried
+            self._dynamics = Dynamics(
+                self.model,
+                payload=self.payload,
+                payload_cog=self.payload_cog,
+                payload_inertia=self.payload_inertia,
+                gravity=[-each for each in self.gravity],
+                rotors=self.motors.rotor_inertias,
+            )
+        return self._dynamics
 
     @property
     def current_as_torque(self) -> list[float]:
         """The actual currents of the joints, as the torques that they make, Nm."""
-        return [i * k for i, k in zip(self.sample.I_actual, self._sensors.torque_constants, strict=True)]
+        return [i * k for i, k in zip(self.sample.I_actual, self.motors.torque_constants, strict=True)]
 
     @property
     def tool_acceleration(self) -> list[float]:

@@ -9,7 +9,7 @@ stopped is "at the requested position". The gripper is not in the arm's payload.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from linkcore.errors import BadValue
 from urlink.interfaces.gripper.protocol import READABLE, WRITABLE
@@ -112,6 +112,14 @@ class SimulatedGripper:
         with self._lock:
             self._advance()
             return self._answer(line.split())
+
+    def exchange(self, values: dict[str, int], names: Sequence[str]) -> list[int]:
+        """Set registers, and read others in the same moment."""
+        with self._lock:
+            self._advance()
+            if values:
+                self._write(values)
+            return [self._read(name) for name in names]
 
     def _answer(self, words: list[str]) -> str | None:
         if words[:1] == ["GET"] and len(words) == 2:

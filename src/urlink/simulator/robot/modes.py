@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import enum
 
-from linkcore.wire.version import Since
+from linkcore.wire.fields import Since
 from urlink.firmware import Firmware
 from urlink.interfaces.enums import (
     JointMode,
@@ -28,7 +28,7 @@ from urlink.interfaces.enums import (
     ToolMode,
 )
 
-__all__ = ["Modes", "Power", "Stop"]
+__all__ = ["Modes", "Power", "StopState"]
 
 
 class Power(enum.Enum):
@@ -40,11 +40,12 @@ class Power(enum.Enum):
     RUNNING = "running"
 
 
-class Stop(enum.Enum):
+class StopState(enum.Enum):
     """The causes of a stop of the arm."""
 
     NONE = "none"
     PROTECTIVE = "protective"
+    SAFEGUARD = "safeguard"
     EMERGENCY = "emergency"
 
 
@@ -73,9 +74,10 @@ _TOOL_MODE = {
     Power.RUNNING: ToolMode.RUNNING,
 }
 _SAFETY_MODE = {
-    Stop.NONE: SafetyMode.NORMAL,
-    Stop.PROTECTIVE: SafetyMode.PROTECTIVE_STOP,
-    Stop.EMERGENCY: SafetyMode.ROBOT_EMERGENCY_STOP,
+    StopState.NONE: SafetyMode.NORMAL,
+    StopState.PROTECTIVE: SafetyMode.PROTECTIVE_STOP,
+    StopState.SAFEGUARD: SafetyMode.SAFEGUARD_STOP,
+    StopState.EMERGENCY: SafetyMode.ROBOT_EMERGENCY_STOP,
 }
 
 #: On CB2 this number means that the joint is emergency stopped; later it got another meaning.
@@ -100,7 +102,7 @@ class Modes:
     def __init__(self, firmware: Firmware) -> None:
         self._firmware = firmware
         self.power = Power.RUNNING
-        self.stop = Stop.NONE
+        self.stop = StopState.NONE
         self._has_program = False
         self._is_paused = False
         self._is_standing = True
@@ -114,17 +116,23 @@ class Modes:
 
     def protective_stop(self) -> None:
         """The arm brakes and stands still, motors on. No effect while an emergency stop holds or the power is off."""
-        if self.stop is Stop.NONE and self.power is Power.RUNNING:
-            self.stop = Stop.PROTECTIVE
+        if self.stop is StopState.NONE and self.power is Power.RUNNING:
+            self.stop = StopState.PROTECTIVE
+
+    def safeguard_stop(self) -> None:
+        """As a protective stop, by a gate or a light curtain; it ends with its cause."""
+        if self.stop is StopState.NONE and self.power is Power.RUNNING:
+            self.stop = StopState.SAFEGUARD
 
     def emergency_stop(self) -> None:
         """The arm brakes and stands still, then loses its power."""
-        self.stop = Stop.EMERGENCY
+        self.stop = StopState.EMERGENCY
         self.power_off()
 
     def clear(self) -> None:
-        """Unlock a protective stop, or release the emergency stop button, which leaves the power off."""
-        self.stop = Stop.NONE
+        """Unlock a protective stop, end a safeguard stop, or release the emergency stop button, which leaves the power
+        off."""
+        self.stop = StopState.NONE
 
     def power_off(self) -> None:
         """The arm brakes and stands still, then loses its power."""
@@ -136,7 +144,7 @@ class Modes:
 
         Without effect while an emergency stop holds, as on a real controller.
         """
-        if self.stop is Stop.EMERGENCY:
+        if self.stop is StopState.EMERGENCY:
             return
         releases_now = release_brakes and not self._releases_brakes
         self._releases_brakes |= release_brakes
@@ -176,12 +184,16 @@ class Modes:
     @property
     def may_move(self) -> bool:
         """Whether the arm may follow its motion."""
-        return self.power is Power.RUNNING and self.stop is Stop.NONE and not self._is_switching_off
+        return self.power is Power.RUNNING and self.stop is StopState.NONE and not self._is_switching_off
 
     @property
     def holds_program(self) -> bool:
-        """Whether the arm may not move while its program is kept: in a protective stop."""
-        return self.stop is Stop.PROTECTIVE and self.power is Power.RUNNING and not self._is_switching_off
+        """Whether the arm may not move while its program is kept: in a protective or safeguard stop."""
+        return (
+            self.stop in (StopState.PROTECTIVE, StopState.SAFEGUARD)
+            and self.power is Power.RUNNING
+            and not self._is_switching_off
+        )
 
     @property
     def is_powered(self) -> bool:
@@ -193,16 +205,18 @@ class Modes:
         """The robot mode, in the numbers of the generation."""
         if not self._firmware.is_cb2:
             return _ROBOT_MODE[self.power]
-        if self.stop is Stop.EMERGENCY:
+        if self.stop is StopState.EMERGENCY:
             return RobotModeCB2.EMERGENCY_STOPPED
-        if self.stop is Stop.PROTECTIVE:
+        if self.stop is StopState.PROTECTIVE:
             return RobotModeCB2.SECURITY_STOPPED
+        if self.stop is StopState.SAFEGUARD:
+            return RobotModeCB2.SAFEGUARD_STOP
         return _ROBOT_MODE_CB2[self.power]
 
     @property
     def joint_mode(self) -> JointMode:
         """The mode that all six joints are in."""
-        if self._firmware.is_cb2 and self.stop is Stop.EMERGENCY:
+        if self._firmware.is_cb2 and self.stop is StopState.EMERGENCY:
             return _JOINT_EMERGENCY_STOPPED_CB2
         return _JOINT_MODE[self.power]
 
@@ -219,7 +233,9 @@ class Modes:
     @property
     def master_safety_state(self) -> MasterSafetyState:
         """The safety state of a CB2 masterboard."""
-        return MasterSafetyState.ROBOT_EMERGENCY_STOP if self.stop is Stop.EMERGENCY else MasterSafetyState.OK
+        if self.stop is StopState.SAFEGUARD:
+            return MasterSafetyState.SAFEGUARD_STOP
+        return MasterSafetyState.ROBOT_EMERGENCY_STOP if self.stop is StopState.EMERGENCY else MasterSafetyState.OK
 
     @property
     def master_on_off_state(self) -> MasterOnOffState:

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 from linkcore.errors import BadValue
+from urlink.parameters import number
 
 __all__ = ["BRAKING", "HOME", "Demonstration", "Setpoint", "SetpointSource", "Still"]
 
@@ -20,7 +21,7 @@ HOME = (0.0, -1.5, 2.0, -0.5 - math.pi / 2, -math.pi / 2, 0.0)
 
 #: Fraction of the largest joint acceleration with which an arm brakes if no program commands it. How hard a controller
 #: brakes is not published; this is a cautious guess.
-BRAKING = 0.25
+BRAKING = number("braking_share")
 
 _REST = [0.0] * 6
 

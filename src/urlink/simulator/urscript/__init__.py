@@ -8,8 +8,17 @@ same world gives the same result in every cycle.
 from __future__ import annotations
 
 from .compiler import compile_script
-from .errors import ScriptError
+from .errors import ProgramError
 from .machine import Execution, Script
-from .world import MotionCommands, Move, Sockets, World
+from .world import BegunMove, MotionCommands, ScriptSockets, ScriptWorld
 
-__all__ = ["Execution", "MotionCommands", "Move", "Script", "ScriptError", "Sockets", "World", "compile_script"]
+__all__ = [
+    "BegunMove",
+    "Execution",
+    "MotionCommands",
+    "ProgramError",
+    "Script",
+    "ScriptSockets",
+    "ScriptWorld",
+    "compile_script",
+]

@@ -20,7 +20,7 @@ from . import operations
 from .builtins import find
 from .builtins.declaration import REQUIRED, Builtin
 from .builtins.remote_procedures import call_method
-from .errors import ScriptError
+from .errors import ProgramError
 from .instructions import (
     Label,
     await_builtin,
@@ -41,11 +41,10 @@ from .instructions import (
     store,
     store_element,
 )
-from .leaf_functions import leaf_size
 from .machine import FIRST, Code, Instruction, Script, ScriptThread, StatementCode, Waiting
 from .operations import Function
 from .parser import parse
-from .scopes import Functions, Names, global_names
+from .scopes import Functions, Names, global_names, leaf_size
 from .syntax import (
     Assign,
     Binary,
@@ -76,7 +75,7 @@ from .syntax import (
     While,
     parts_of,
 )
-from .tokens import Source
+from .tokens import SourceText
 from .values import NUMBERS, UNSET, MemberName
 
 __all__ = ["compile_script"]
@@ -100,7 +99,7 @@ def compile_script(text: str, firmware: Firmware) -> Script:
         ScriptError: it does not compile; has the place and the controller's text.
     """
     with _collection_paused():
-        source = Source(text)
+        source = SourceText(text)
         return _Program(source, parse(source), firmware).script
 
 
@@ -125,7 +124,7 @@ def _collection_paused() -> Iterator[None]:
 class _Program:
     """State that all functions of a program share."""
 
-    def __init__(self, source: Source, statements: Block, firmware: Firmware) -> None:
+    def __init__(self, source: SourceText, statements: Block, firmware: Firmware) -> None:
         self.source = source
         self.firmware = firmware
         last = statements[-1] if statements else None
@@ -161,11 +160,11 @@ class _Program:
         _, function, size = self._leaves[id(definition)]
         return function, size
 
-    def error(self, node: Node, text: str) -> ScriptError:
+    def error(self, node: Node, text: str) -> ProgramError:
         """A compile error at a node."""
         return self.source.failure(node.place, text)
 
-    def not_found(self, node: Node, name: str) -> ScriptError:
+    def not_found(self, node: Node, name: str) -> ProgramError:
         """The error of an undefined name."""
         return self.error(node, f"compile_error_name_not_found:{name}:")
 
@@ -237,7 +236,7 @@ class _Compiler:
         Raises:
             ScriptError: it does not compile.
         """
-        source = Source(text)
+        source = SourceText(text)
         body = parse(source)
         known = self._program.globals
         names = Names.of(body)

@@ -28,13 +28,22 @@ from linkcore.errors import BadValue
 from urlink.firmware import Firmware
 
 from ..robot.generator import Unreachable
-from .errors import ANOTHER_THREAD, Fault, ScriptError, endless
-from .limits import MAX_CALL_DEPTH, MAX_INSTRUCTIONS, MAX_MEMORY, MAX_THREADS, MAX_WORK
+from .errors import (
+    ANOTHER_THREAD,
+    MAX_CALL_DEPTH,
+    MAX_INSTRUCTIONS,
+    MAX_MEMORY,
+    MAX_THREADS,
+    MAX_WORK,
+    Fault,
+    ProgramError,
+    endless,
+)
 from .matrices import HAS_MATRICES
 from .statements import StatementQueue
-from .tokens import Source
+from .tokens import SourceText
 from .values import UNSET, weight
-from .world import Move, World
+from .world import BegunMove, ScriptWorld
 
 __all__ = [
     "ENDED",
@@ -76,7 +85,7 @@ class Code:
     """
 
     name: str
-    source: Source
+    source: SourceText
     size: int = FIRST
     instructions: list[Instruction] = field(default_factory=list)
     places: list[int] = field(default_factory=list)
@@ -107,7 +116,7 @@ class Script:
         n_globals: how many global variables it has.
     """
 
-    source: Source
+    source: SourceText
     name: str
     kind: Literal["def", "sec"]
     firmware: Firmware
@@ -256,11 +265,11 @@ class ScriptThread:
             raise endless(self.world.firmware)
         return _SPINNING
 
-    def endless(self) -> ScriptError:
+    def endless(self) -> ProgramError:
         """The error of a program of which no thread waits for anything."""
         return self._error(self._next, str(endless(self.machine.world.firmware)), None)
 
-    def _error(self, at: int, text: str, place: int | None) -> ScriptError:
+    def _error(self, at: int, text: str, place: int | None) -> ProgramError:
         places = self._code.places
         where = places[min(max(at, 0), len(places) - 1)] if place is None else place
         return self._code.source.failure(where, text)
@@ -289,7 +298,7 @@ class Machine:
         has_moved: whether a motion was begun.
     """
 
-    def __init__(self, script: Script, world: World) -> None:
+    def __init__(self, script: Script, world: ScriptWorld) -> None:
         self.world = world
         self.statements: StatementQueue[StatementCode] = StatementQueue()
         self.statements.aborts = self.abort_motion
@@ -299,7 +308,7 @@ class Machine:
         self.history: deque[tuple[float, ...]] = deque(maxlen=500)
         self.has_moved = False
         self._owner: ScriptThread | None = None
-        self._move: Move | None = None
+        self._move: BegunMove | None = None
         self._is_aborted = False
         self._firmware = script.firmware
         self.has_matrices = script.firmware in HAS_MATRICES
@@ -353,7 +362,7 @@ class Machine:
             self._owner = None
             self.world.motion.release()
 
-    def moving(self, thread: ScriptThread, begin: Callable[[], Move]) -> Waiting:
+    def moving(self, thread: ScriptThread, begin: Callable[[], BegunMove]) -> Waiting:
         """Command the arm, and wait until that is over.
 
         Raises:
@@ -410,10 +419,10 @@ class Execution:
         error: the run-time error that ended it.
     """
 
-    def __init__(self, script: Script, world: World) -> None:
+    def __init__(self, script: Script, world: ScriptWorld) -> None:
         self.script = script
         self.is_over = False
-        self.error: ScriptError | None = None
+        self.error: ProgramError | None = None
         self._world = world
         self._machine = Machine(script, world)
 
@@ -428,7 +437,7 @@ class Execution:
             return
         try:
             self._machine.advance()
-        except ScriptError as error:
+        except ProgramError as error:
             self.error = error
             self.stop()
         if self._machine.main.is_over:

@@ -12,10 +12,9 @@ from collections.abc import Callable
 from functools import reduce
 from typing import Any
 
-from linkcore.wire.version import Since
+from linkcore.wire.fields import Since
 
-from .errors import Fault, type_error
-from .limits import MAX_ELEMENTS
+from .errors import MAX_ELEMENTS, Fault, type_error
 from .values import NUMBERS, Charge, add, checked, divide, modulo, multiply, subtract, type_name
 
 __all__ = ["HAS_MATRICES", "Matrix", "is_matrix", "on_matrices", "rows_of", "transposed"]

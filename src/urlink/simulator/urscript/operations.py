@@ -13,11 +13,10 @@ from operator import itemgetter
 from typing import Any
 
 from . import values
-from .errors import Fault, type_error
-from .limits import MAX_INTEGER, MIN_INTEGER
+from .errors import MAX_INTEGER, MIN_INTEGER, Fault, type_error
 from .machine import GLOBALS, THREAD, Frame
 from .matrices import is_matrix, on_matrices
-from .values import NUMBERS, UNSET, Pose
+from .values import NUMBERS, UNSET, PoseValue
 
 __all__ = [
     "Function",
@@ -131,7 +130,7 @@ def pose_display(items: Sequence[Function], place: int) -> Function:
         for number in made:
             if number.__class__ not in NUMBERS:
                 raise type_error(f"{values.type_name(number)} in a pose")
-        return Pose(made)
+        return PoseValue(made)
 
     return placed(run, place)
 
@@ -154,7 +153,7 @@ def element(base: Function, index: Function, place: int) -> Function:
 
     def run(f: Frame, base: Function = base, index: Function = index, place: int = place) -> Any:
         value, at = base(f), index(f)
-        if at.__class__ is int and at >= 0 and (value.__class__ is tuple or value.__class__ is Pose):
+        if at.__class__ is int and at >= 0 and (value.__class__ is tuple or value.__class__ is PoseValue):
             try:
                 return value[at]
             except IndexError:

@@ -44,8 +44,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Literal
 
-from .errors import ScriptError
-from .limits import MAX_INTEGER, MAX_NESTING, MAX_PARAMETERS
+from .errors import MAX_INTEGER, MAX_NESTING, MAX_PARAMETERS, ProgramError
 from .syntax import (
     Assign,
     Binary,
@@ -58,6 +57,7 @@ from .syntax import (
     Definition,
     Evaluate,
     Expression,
+    FunctionParameter,
     Halt,
     If,
     Index,
@@ -68,7 +68,6 @@ from .syntax import (
     MethodCall,
     Name,
     NodeLabel,
-    Parameter,
     PoseDisplay,
     Return,
     Scope,
@@ -76,7 +75,7 @@ from .syntax import (
     Unary,
     While,
 )
-from .tokens import END, NAME, NUMBER, STRING, Source, tokens_of
+from .tokens import END, NAME, NUMBER, STRING, SourceText, tokens_of
 from .values import MemberName
 
 __all__ = ["parse"]
@@ -99,7 +98,7 @@ _LEAVES = frozenset({NAME, NUMBER, STRING, "True", "False", "true", "false"})
 _CONTINUATIONS = frozenset({*_BINDING, *_POSTFIX, "("})
 
 
-def parse(source: Source) -> Block:
+def parse(source: SourceText) -> Block:
     """The statements of a program.
 
     Raises:
@@ -109,7 +108,7 @@ def parse(source: Source) -> Block:
 
 
 class _Parser:
-    def __init__(self, source: Source) -> None:
+    def __init__(self, source: SourceText) -> None:
         self._source = source
         self._kinds, self._texts, self._places = tokens_of(source)
         self._at = 0
@@ -143,7 +142,7 @@ class _Parser:
         """Whether the current token is the first on its line."""
         return "\n" in self._source.text[self._places[self._at - 1] : self._places[self._at]]
 
-    def _unexpected(self) -> ScriptError:
+    def _unexpected(self) -> ProgramError:
         return self._source.syntax_error(self._places[self._at])
 
     def _deeper(self) -> None:
@@ -151,7 +150,7 @@ class _Parser:
         if self._nesting > MAX_NESTING:
             raise self._too_deep(self._places[self._at])
 
-    def _too_deep(self, place: int) -> ScriptError:
+    def _too_deep(self, place: int) -> ProgramError:
         line, _ = self._source.line_and_column(place)
         return self._source.failure(place, f"nesting_too_deep_on_line:{line}:")
 
@@ -193,7 +192,7 @@ class _Parser:
         self._at += 1
         place, name = self._name()
         self._expect("(")
-        parameters: dict[str, Parameter] = {}
+        parameters: dict[str, FunctionParameter] = {}
         while self._kinds[self._at] != ")":
             if parameters:
                 self._expect(",")
@@ -203,7 +202,7 @@ class _Parser:
             if len(parameters) == MAX_PARAMETERS:
                 raise self._source.failure(at, f"too_many_parameters:{name}:")
             default = self._expression() if self._accept("=") else None
-            parameters[parameter] = Parameter(at, parameter, default)
+            parameters[parameter] = FunctionParameter(at, parameter, default)
         self._expect(")")
         self._expect(":")
         body = self._block("end")

@@ -1,4 +1,4 @@
-"""Scopes: which variable or function a name refers to.
+"""What the names of a program refer to, and which of its functions are leaves.
 
 By the manuals, as far as they are remembered: `global` and `local` decide; a name with neither is the global of that
 name if there is one, and otherwise local to its function. Assumed beyond that:
@@ -7,17 +7,41 @@ name if there is one, and otherwise local to its function. Assumed beyond that:
 - the scope of a name holds for the whole text, whatever the order of execution;
 - a function does not see the local variables of the enclosing function;
 - a function is known in the enclosing function and in all functions nested there, also before its definition.
+
+A leaf function only computes a value, such as a number limited to a range. It consists of conditions and return values,
+without calls, assignments or loops. So a call of one cannot delay other threads and always terminates. It is a part of
+its expression rather than an instruction with a frame to return to.
 """
 
 from __future__ import annotations
 
+from collections.abc import Container
 from dataclasses import dataclass, field
 
 from .machine import Code
-from .syntax import Assign, Block, Declare, Definition, Evaluate, If, While
-from .tokens import Source
+from .syntax import (
+    Assign,
+    Binary,
+    Block,
+    Constant,
+    Declare,
+    Definition,
+    Evaluate,
+    If,
+    Index,
+    ListDisplay,
+    Name,
+    Node,
+    NodeLabel,
+    PoseDisplay,
+    Return,
+    Unary,
+    While,
+    parts_of,
+)
+from .tokens import SourceText
 
-__all__ = ["Functions", "Names", "global_names"]
+__all__ = ["Functions", "Names", "global_names", "leaf_size"]
 
 
 @dataclass
@@ -71,7 +95,7 @@ class Functions:
         outer: the enclosing scope.
     """
 
-    def __init__(self, names: Names, source: Source, outer: Functions | None) -> None:
+    def __init__(self, names: Names, source: SourceText, outer: Functions | None) -> None:
         self._outer = outer
         self._known: dict[str, tuple[Definition, Code]] = {}
         for definition in names.definitions:
@@ -103,3 +127,44 @@ def global_names(body: Block) -> list[str]:
         found |= inner.global_
         waiting += inner.definitions
     return list(found)
+
+
+#: Most parts of a leaf function: a call is as cheap as a long expression.
+_LARGEST = 64
+
+
+def leaf_size(definition: Definition, names: Container[str]) -> int:
+    """Number of parts of a leaf function; 0 for any other function.
+
+    Args:
+        definition: of the function.
+        names: of the program's global variables.
+    """
+    parameters = {parameter.name for parameter in definition.parameters}
+    has_defaults = any(parameter.default is not None for parameter in definition.parameters)
+    if definition.kind != "def" or has_defaults or len(parameters) < len(definition.parameters):
+        return 0
+    size = 1
+    waiting: list[Node] = [*definition.body]
+    while waiting:
+        node = waiting.pop()
+        size += 1
+        if size > _LARGEST:
+            return 0
+        match node:
+            case If():
+                for condition, block in node.branches:
+                    waiting += [condition, *block]
+                waiting += node.otherwise
+            case Return():
+                waiting += [] if node.value is None else [node.value]
+            case Name():
+                if node.name not in parameters and node.name not in names:
+                    return 0
+            case Constant() | NodeLabel():
+                pass
+            case Index() | Unary() | Binary() | ListDisplay() | PoseDisplay():
+                waiting += parts_of(node)
+            case _:
+                return 0
+    return size

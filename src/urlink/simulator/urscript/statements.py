@@ -16,9 +16,9 @@ from collections import deque
 from collections.abc import Callable
 from typing import Generic, NamedTuple, TypeVar
 
-from .errors import ScriptError
+from .errors import ProgramError
 
-__all__ = ["LONGEST", "MOST", "Reply", "StatementQueue"]
+__all__ = ["LONGEST", "MOST", "StatementQueue", "StatementReply"]
 
 #: Statements that are kept, executed or not, until they are cleared.
 MOST = 1000
@@ -26,7 +26,7 @@ MOST = 1000
 LONGEST = 1 << 13
 
 
-class Reply(NamedTuple):
+class StatementReply(NamedTuple):
     """The reply to a client.
 
     Attributes:
@@ -64,7 +64,7 @@ class StatementQueue(Generic[S]):
     # -- for the program -------------------------------------------------------------------------------
 
     def enter(self, compile_: Callable[[str], S], clear_on_enter: bool, clear_on_end: bool) -> None:
-        """Begin the mode; `compile_` compiles a statement, or raises `ScriptError`."""
+        """Begin the mode; `compile_` compiles a statement, or raises `ProgramError`."""
         self._compile = compile_
         if clear_on_enter:
             self._forget_waiting()
@@ -96,34 +96,34 @@ class StatementQueue(Generic[S]):
 
     # -- for clients -----------------------------------------------------------------------------------
 
-    def put(self, text: str) -> Reply:
+    def put(self, text: str) -> StatementReply:
         """Compile and queue a statement."""
         if not self.is_on or self._compile is None:
-            return Reply("discard", 0)
+            return StatementReply("discard", 0)
         self._numbers += 1
         if self._kept >= MOST or len(text) > LONGEST:
-            return Reply("discard", self._numbers)
+            return StatementReply("discard", self._numbers)
         try:
             statement = self._compile(text)
-        except ScriptError:
-            return Reply("discard", self._numbers)
+        except ProgramError:
+            return StatementReply("discard", self._numbers)
         self.last_interpreted = self._numbers
         self._kept += 1
         self._waiting.append((self._numbers, statement))
-        return Reply("ack", self._numbers)
+        return StatementReply("ack", self._numbers)
 
-    def obey(self, word: str) -> Reply | None:
+    def obey(self, word: str) -> StatementReply | None:
         """Execute a command that is not a statement; None if `word` is none."""
         if word == "skipbuffer":
             self._forget_waiting()
         elif word == "abort":
             self.aborts()
         elif word == "stateunexecuted":
-            return Reply("state", len(self._waiting))
+            return StatementReply("state", len(self._waiting))
         elif word == "statelastinterpreted":
-            return Reply("state", self.last_interpreted)
+            return StatementReply("state", self.last_interpreted)
         elif word == "statelastcleared":
-            return Reply("state", self.last_cleared)
+            return StatementReply("state", self.last_cleared)
         elif word != "statelastexecuted":
             return None
-        return Reply("state", self.last_executed)
+        return StatementReply("state", self.last_executed)

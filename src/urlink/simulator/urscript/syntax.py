@@ -18,6 +18,7 @@ __all__ = [
     "Definition",
     "Evaluate",
     "Expression",
+    "FunctionParameter",
     "Halt",
     "If",
     "Index",
@@ -29,7 +30,6 @@ __all__ = [
     "Name",
     "Node",
     "NodeLabel",
-    "Parameter",
     "PoseDisplay",
     "Return",
     "Scope",
@@ -240,7 +240,7 @@ class NodeLabel(Statement):
 
 
 @dataclass(slots=True)
-class Parameter(Node):
+class FunctionParameter(Node):
     """A parameter of a function; `default` is None without a default."""
 
     name: str
@@ -253,7 +253,7 @@ class Definition(Statement):
 
     kind: Literal["def", "sec", "thread"]
     name: str
-    parameters: list[Parameter]
+    parameters: list[FunctionParameter]
     body: Block
 
 

@@ -13,10 +13,9 @@ import re
 from bisect import bisect_right
 from typing import NamedTuple
 
-from .errors import ScriptError
-from .limits import MAX_TEXT, MAX_TOKENS
+from .errors import MAX_TEXT, MAX_TOKENS, ProgramError
 
-__all__ = ["END", "KEYWORDS", "NAME", "NUMBER", "STRING", "Source", "Tokens", "tokens_of"]
+__all__ = ["END", "KEYWORDS", "NAME", "NUMBER", "STRING", "SourceText", "Tokens", "tokens_of"]
 
 #: Kinds of tokens; a keyword or mark is its own kind.
 NUMBER, NAME, STRING, END = "number", "name", "string", "end of text"
@@ -58,7 +57,7 @@ _TOKEN = re.compile(
 _NUMBER, _STRING, _NAME, _MARK, _END, _UNKNOWN = range(1, 7)
 
 
-class Source:
+class SourceText:
     """A program's text, which gives errors their line and column.
 
     Attributes:
@@ -72,7 +71,7 @@ class Source:
         self.text = text
         self._line_starts: list[int] | None = None
         if len(text) > MAX_TEXT:
-            raise ScriptError(1, 1, f"program_too_long:{len(text)}:")
+            raise ProgramError(1, 1, f"program_too_long:{len(text)}:")
 
     def line_and_column(self, place: int) -> tuple[int, int]:
         """Line and column of a place, counted from 1."""
@@ -81,11 +80,11 @@ class Source:
         line = bisect_right(self._line_starts, place)
         return line, place - self._line_starts[line - 1] + 1
 
-    def failure(self, place: int, text: str) -> ScriptError:
+    def failure(self, place: int, text: str) -> ProgramError:
         """An error at a place, with this text."""
-        return ScriptError(*self.line_and_column(place), text)
+        return ProgramError(*self.line_and_column(place), text)
 
-    def syntax_error(self, place: int) -> ScriptError:
+    def syntax_error(self, place: int) -> ProgramError:
         """A syntax error at a place; it quotes the line."""
         line, _ = self.line_and_column(place)
         begin = self.text.rfind("\n", 0, place) + 1
@@ -108,7 +107,7 @@ class Tokens(NamedTuple):
     places: list[int]
 
 
-def tokens_of(source: Source) -> Tokens:
+def tokens_of(source: SourceText) -> Tokens:
     """The tokens of a text.
 
     Raises:

@@ -1,6 +1,6 @@
 """The values of variables, and the operators on them.
 
-A value is a Python number, truth value or string, a tuple for a list, a `Pose`, a `Struct`, or a handle. All are
+A value is a Python number, truth value or string, a tuple for a list, a `PoseValue`, a `Struct`, or a handle. All are
 immutable, so that passing one needs no copy and shares no list; assigning an element makes a new value.
 
 Known: a number is also a condition (a driver's program has `if has_qnear:` of a quotient), true unless it is zero;
@@ -25,15 +25,14 @@ import operator
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from .errors import Fault, type_error
-from .limits import MAX_ELEMENTS, MAX_INTEGER, MAX_STRUCTS, MIN_INTEGER
+from .errors import MAX_ELEMENTS, MAX_INTEGER, MAX_STRUCTS, MIN_INTEGER, Fault, type_error
 
 __all__ = [
     "NUMBERS",
     "UNSET",
     "Charge",
     "MemberName",
-    "Pose",
+    "PoseValue",
     "RpcHandle",
     "Struct",
     "Unset",
@@ -62,7 +61,7 @@ NUMBERS: frozenset[Any] = frozenset({int, float})
 Charge = Callable[[int], None]
 
 
-class Pose(tuple[float, ...]):
+class PoseValue(tuple[float, ...]):
     """Six numbers: x, y, z in m and a rotation vector in rad."""
 
     __slots__ = ()
@@ -110,7 +109,7 @@ class Unset:
 UNSET = Unset()
 
 #: Values that hold elements or characters. A list or pose is a tuple of its own class.
-_HEAVY: frozenset[Any] = frozenset({tuple, Pose, str, Struct})
+_HEAVY: frozenset[Any] = frozenset({tuple, PoseValue, str, Struct})
 
 _NAMES = {
     bool: "bool",
@@ -118,7 +117,7 @@ _NAMES = {
     float: "float",
     str: "string",
     tuple: "list",
-    Pose: "pose",
+    PoseValue: "pose",
     Struct: "struct",
     RpcHandle: "handle of a server",
     type(None): "none",
@@ -136,9 +135,9 @@ def to_str(value: object) -> str:
         return str(value)
     if value.__class__ is float:
         return f"{value:g}"
-    if value.__class__ is Pose or value.__class__ is tuple:
+    if value.__class__ is PoseValue or value.__class__ is tuple:
         assert isinstance(value, tuple)
-        return f"{'p' if isinstance(value, Pose) else ''}[{','.join(map(to_str, value))}]"
+        return f"{'p' if isinstance(value, PoseValue) else ''}[{','.join(map(to_str, value))}]"
     if value.__class__ is int or value.__class__ is bool:
         return str(value)
     if isinstance(value, Struct):
@@ -158,7 +157,7 @@ def weight(value: Any) -> int:
         return total
     if isinstance(value, Struct):
         return value.weight
-    return 6 if value.__class__ is Pose else 0
+    return 6 if value.__class__ is PoseValue else 0
 
 
 def list_of(items: Sequence[Any], charge: Charge) -> tuple[Any, ...]:
@@ -277,7 +276,7 @@ def equal(a: Any, b: Any, charge: Charge) -> bool:
         return bool(a == b)
     if a.__class__ is not b.__class__:
         return False
-    if a.__class__ is tuple or a.__class__ is Pose:
+    if a.__class__ is tuple or a.__class__ is PoseValue:
         if len(a) != len(b):
             return False
         charge(len(a))
@@ -310,7 +309,7 @@ def truth(value: Any) -> bool:
 
 
 def _place(value: Any, index: Any) -> int:
-    if value.__class__ is not tuple and value.__class__ is not Pose:
+    if value.__class__ is not tuple and value.__class__ is not PoseValue:
         raise type_error(f"{type_name(value)} has no elements")
     if index.__class__ is float and index.is_integer():
         index = int(index)
@@ -342,12 +341,12 @@ def replaced(value: Any, indices: Sequence[Any], new: Any, charge: Charge) -> An
     index = _place(value, indices[0])
     if len(indices) > 1:
         new = replaced(value[index], indices[1:], new, charge)
-    elif value.__class__ is Pose and new.__class__ not in NUMBERS:
+    elif value.__class__ is PoseValue and new.__class__ not in NUMBERS:
         raise type_error(f"{type_name(new)} in a pose")
     items = list(value)
     items[index] = new
-    if value.__class__ is Pose:
-        return Pose(items)
+    if value.__class__ is PoseValue:
+        return PoseValue(items)
     if new.__class__ in NUMBERS or new.__class__ is bool:
         # Its length is unchanged.
         if len(items) > 32:

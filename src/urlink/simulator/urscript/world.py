@@ -11,17 +11,17 @@ from typing import Any, Literal, Protocol
 from urlink.dynamics import Dynamics
 from urlink.firmware import Firmware
 from urlink.kinematics import Arm
+from urlink.motors import Motors
 from urlink.vectors import FloatArray
 
-from ..registers import Action, Registers
+from ..registers import Action, RegisterBanks
 from ..robot.generator import ForceTask
-from ..robot.modbus import ModbusSignals
-from ..robot.signals import Signals
+from ..robot.signals import ModbusSignals, Signals
 
-__all__ = ["MotionCommands", "Move", "Sockets", "World"]
+__all__ = ["BegunMove", "MotionCommands", "ScriptSockets", "ScriptWorld"]
 
 
-class Move(Protocol):
+class BegunMove(Protocol):
     """A movement that was begun."""
 
     @property
@@ -40,44 +40,46 @@ class MotionCommands(Protocol):
     def waypoint(self) -> Sequence[float] | None:
         """The pose of the TCP at the end of the present path move, m and rad; None if there is none."""
 
-    def movej(self, q: Sequence[float], a: float, v: float, t: float, r: float) -> Move:
+    def movej(self, q: Sequence[float], a: float, v: float, t: float, r: float) -> BegunMove:
         """To joint positions, along a straight line in joint space."""
 
-    def movel(self, pose: Sequence[float], a: float, v: float, t: float, r: float) -> Move:
+    def movel(self, pose: Sequence[float], a: float, v: float, t: float, r: float) -> BegunMove:
         """To a pose, along a straight line."""
 
-    def movep(self, pose: Sequence[float], a: float, v: float, r: float) -> Move:
+    def movep(self, pose: Sequence[float], a: float, v: float, r: float) -> BegunMove:
         """To a pose at constant speed."""
 
-    def movec(self, via: Sequence[float], to: Sequence[float], a: float, v: float, r: float, mode: int) -> Move:
+    def movec(self, via: Sequence[float], to: Sequence[float], a: float, v: float, r: float, mode: int) -> BegunMove:
         """To a pose along a circle."""
 
-    def servoj(self, q: Sequence[float], t: float, lookahead_time: float, gain: float) -> Move:
+    def servoj(self, q: Sequence[float], t: float, lookahead_time: float, gain: float) -> BegunMove:
         """Follow a set-point of the joints."""
 
-    def servoc(self, pose: Sequence[float], a: float, v: float, r: float) -> Move:
+    def servoc(self, pose: Sequence[float], a: float, v: float, r: float) -> BegunMove:
         """Follow a pose."""
 
-    def speedj(self, qd: Sequence[float], a: float, t: float | None) -> Move:
+    def speedj(self, qd: Sequence[float], a: float, t: float | None) -> BegunMove:
         """Turn the joints at a speed."""
 
-    def speedl(self, xd: Sequence[float], a: float, t: float | None, a_rot: float) -> Move:
+    def speedl(self, xd: Sequence[float], a: float, t: float | None, a_rot: float) -> BegunMove:
         """Move the tool at a speed."""
 
-    def stopj(self, a: float) -> Move:
+    def stopj(self, a: float) -> BegunMove:
         """Brake the joints."""
 
-    def stopl(self, a: float, a_rot: float) -> Move:
+    def stopl(self, a: float, a_rot: float) -> BegunMove:
         """Brake the tool."""
 
-    def direct_torque(self, dynamics: Dynamics, torque: FloatArray, friction: Sequence[float]) -> Move:
+    def direct_torque(
+        self, dynamics: Dynamics, motors: Motors, torque: FloatArray, friction: Sequence[float]
+    ) -> BegunMove:
         """Move the joints by torques for one cycle."""
 
     def release(self) -> None:
         """End the commands: the arm brakes."""
 
 
-class Sockets(Protocol):
+class ScriptSockets(Protocol):
     """The named sockets of a program. Nothing here waits."""
 
     def open(self, name: str, host: str, port: int) -> None:
@@ -99,7 +101,7 @@ class Sockets(Protocol):
         """Close every one."""
 
 
-class World(Protocol):
+class ScriptWorld(Protocol):
     """The controller, as its programs use it.
 
     Attributes:
@@ -110,6 +112,8 @@ class World(Protocol):
         pose_actual, pose_target: the TCP in the base frame, m and rad.
         speed_actual, speed_target: of the TCP, m/s and rad/s.
         force: at the TCP, N and Nm.
+        dynamics: of the arm with its rotors and its payload.
+        motors: of the arm.
         torques: of the joints, Nm.
         tcp: the TCP in the flange frame.
         payload: kg.
@@ -132,7 +136,7 @@ class World(Protocol):
     @property
     def signals(self) -> Signals: ...
     @property
-    def sockets(self) -> Sockets: ...
+    def sockets(self) -> ScriptSockets: ...
     @property
     def q_actual(self) -> Sequence[float]: ...
     @property
@@ -154,6 +158,10 @@ class World(Protocol):
     @property
     def force(self) -> Sequence[float]: ...
     @property
+    def dynamics(self) -> Dynamics: ...
+    @property
+    def motors(self) -> Motors: ...
+    @property
     def torques(self) -> Sequence[float]: ...
     @property
     def tcp(self) -> Sequence[float]: ...
@@ -166,7 +174,7 @@ class World(Protocol):
     @property
     def flags(self) -> list[bool]: ...
     @property
-    def registers(self) -> Registers: ...
+    def registers(self) -> RegisterBanks: ...
     @property
     def modbus(self) -> ModbusSignals: ...
 
@@ -216,8 +224,10 @@ class World(Protocol):
     def set_tcp(self, pose: Sequence[float]) -> None:
         """Set the TCP in the flange frame, m and rad."""
 
-    def set_payload(self, mass: float, cog: Sequence[float] | None, inertia: Sequence[float] | None) -> None:
-        """Set the payload in kg, m and kg m²; None leaves a value to the controller."""
+    def set_payload(
+        self, mass: float, cog: Sequence[float] | None, inertia: Sequence[float] | None, seconds: float = 0.0
+    ) -> None:
+        """Set the payload in kg, m and kg m², over so many s; None leaves a value to the controller."""
 
     def set_gravity(self, vector: Sequence[float]) -> None:
         """Set the acceleration of an arm at rest, in the base frame, m/s²."""

@@ -23,7 +23,7 @@ from tests.urlink.simulator.generator.stepping import (
     to_rest,
 )
 from urlink.simulator.robot.generator import LimitViolation, MotionGenerator
-from urlink.simulator.robot.generator.servo_motion import lag_of
+from urlink.simulator.robot.generator.streamed_motion import lag_of
 from urlink.simulator.robot.sources import HOME, Setpoint
 
 #: lookahead_time and gain; the last is firmware that has neither

@@ -10,10 +10,10 @@ from linkcore.errors import BadValue
 from urlink.dynamics import Dynamics
 from urlink.firmware import Firmware
 from urlink.kinematics import Arm
-from urlink.simulator.registers import Action, Registers
+from urlink.motors import Motors, motors_of
+from urlink.simulator.registers import Action, RegisterBanks
 from urlink.simulator.robot.generator import ForceTask, Unreachable
-from urlink.simulator.robot.modbus import ModbusSignals
-from urlink.simulator.robot.signals import Signals
+from urlink.simulator.robot.signals import ModbusSignals, Signals
 from urlink.simulator.robot.sources import HOME
 from urlink.simulator.urscript import Execution, compile_script
 from urlink.vectors import FloatArray
@@ -86,7 +86,9 @@ class StandInMotion:
     def stopl(self, a: float, a_rot: float) -> StandInMove:
         return self._begin(2, f"stopl a={a:g} aRot={a_rot:g}")
 
-    def direct_torque(self, dynamics: Dynamics, torque: FloatArray, friction: Sequence[float]) -> StandInMove:
+    def direct_torque(
+        self, dynamics: Dynamics, motors: Motors, torque: FloatArray, friction: Sequence[float]
+    ) -> StandInMove:
         return self._begin(1, f"direct torque {short(torque.tolist())} friction={short(friction)}")
 
     def release(self) -> None:
@@ -170,8 +172,9 @@ class StandIn:
         self.payload = 1.5
         self.payload_cog: Sequence[float] = [0.0, 0.0, 0.05]
         self.payload_inertia: Sequence[float] = [0.1, 0.2, 0.3, 0.0, 0.0, 0.0]
+        self.dynamics, self.motors = Dynamics("UR5e", rotors=True), motors_of("UR5e")
         self.flags = [False] * 32
-        self.registers = Registers()
+        self.registers = RegisterBanks()
         self.modbus = ModbusSignals(lambda: self.cycle * self.period)
         self.has_popup = False
         self.signals = Signals()
@@ -196,7 +199,9 @@ class StandIn:
         self.tcp = pose
         self.note(f"tcp {short(pose)}")
 
-    def set_payload(self, mass: float, cog: Sequence[float] | None, inertia: Sequence[float] | None) -> None:
+    def set_payload(
+        self, mass: float, cog: Sequence[float] | None, inertia: Sequence[float] | None, seconds: float = 0.0
+    ) -> None:
         self.payload = mass
         self.payload_cog = cog or self.payload_cog
         self.note(f"payload {mass:g} {short(cog)} {short(inertia)}")

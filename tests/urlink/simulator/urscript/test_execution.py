@@ -6,7 +6,7 @@ import pytest
 
 from tests.urlink.simulator.urscript.standin import StandIn, run
 from urlink.firmware import NEWEST, Firmware
-from urlink.simulator.urscript import Execution, ScriptError, compile_script
+from urlink.simulator.urscript import Execution, ProgramError, compile_script
 from urlink.simulator.urscript.builtins import find
 
 FIRMWARE = Firmware(5, 11)
@@ -70,7 +70,7 @@ def test_a_script_says_what_it_is() -> None:
     ],
 )
 def test_what_does_not_compile_says_where(text: str, line: int, column: int, message: str) -> None:
-    with pytest.raises(ScriptError) as caught:
+    with pytest.raises(ProgramError) as caught:
         compile_script(text, FIRMWARE)
     assert (caught.value.line, caught.value.column, caught.value.text) == (line, column, message)
 

@@ -15,8 +15,8 @@ import pytest
 
 from tests.urlink.simulator.urscript.standin import StandIn, run
 from urlink.firmware import Firmware
-from urlink.simulator.urscript import Execution, ScriptError, compile_script
-from urlink.simulator.urscript.limits import (
+from urlink.simulator.urscript import Execution, ProgramError, compile_script
+from urlink.simulator.urscript.errors import (
     MAX_CALL_DEPTH,
     MAX_ELEMENTS,
     MAX_INSTRUCTIONS,
@@ -118,7 +118,7 @@ def work_of(text: str) -> int:
 
     sys.setprofile(count)
     try:
-        with contextlib.suppress(ScriptError):
+        with contextlib.suppress(ProgramError):
             compile_script(text, FIRMWARE)
     finally:
         sys.setprofile(None)
@@ -135,7 +135,7 @@ def test_compiling_is_linear(name: str) -> None:
 def test_the_longest_programs_compile_at_once(name: str) -> None:
     """What calls do not count, such as a search in a list, shows in the time: 130 s here once, and now some 0.5 s."""
     begun = time.process_time()
-    with contextlib.suppress(ScriptError):
+    with contextlib.suppress(ProgramError):
         compile_script(GROWING[name](250_000), FIRMWARE)
     assert time.process_time() - begun < 15.0
 
@@ -147,7 +147,7 @@ def test_garbage_is_collected_as_before_once_a_program_is_compiled(is_on: bool) 
     try:
         compile_script("x = 1\n", FIRMWARE)
         assert gc.isenabled() is is_on
-        with pytest.raises(ScriptError):
+        with pytest.raises(ProgramError):
             compile_script("x = nothing()\n", FIRMWARE)
         assert gc.isenabled() is is_on
     finally:
@@ -155,7 +155,7 @@ def test_garbage_is_collected_as_before_once_a_program_is_compiled(is_on: bool) 
 
 
 def test_more_tokens_than_a_program_may_have() -> None:
-    with pytest.raises(ScriptError, match=f"program_too_long:{MAX_TOKENS + 1}:"):
+    with pytest.raises(ProgramError, match=f"program_too_long:{MAX_TOKENS + 1}:"):
         compile_script("x=1" + "+1" * (MAX_TOKENS // 2), FIRMWARE)
 
 
@@ -164,7 +164,7 @@ def test_more_parameters_than_a_function_may_have() -> None:
         return f"def f():\n def g({','.join(itertools.islice(names(), count))}):\n end\nend\n"
 
     compile_script(text(MAX_PARAMETERS), FIRMWARE)
-    with pytest.raises(ScriptError, match=r"2:\d+: too_many_parameters:g:"):
+    with pytest.raises(ProgramError, match=r"2:\d+: too_many_parameters:g:"):
         compile_script(text(MAX_PARAMETERS + 1), FIRMWARE)
 
 
@@ -192,7 +192,7 @@ NESTED = {
 
 @pytest.mark.parametrize("name", NESTED)
 def test_deep_nesting_does_not_compile(name: str) -> None:
-    with pytest.raises(ScriptError, match="nesting_too_deep"):
+    with pytest.raises(ProgramError, match="nesting_too_deep"):
         compile_script(NESTED[name], FIRMWARE)
 
 
@@ -210,7 +210,7 @@ def test_nesting_up_to_the_limit_compiles_and_runs(text: str) -> None:
 
 
 def test_a_text_that_is_too_long_does_not_compile() -> None:
-    with pytest.raises(ScriptError, match="program_too_long"):
+    with pytest.raises(ProgramError, match="program_too_long"):
         compile_script("#" * (MAX_TEXT + 1), FIRMWARE)
 
 

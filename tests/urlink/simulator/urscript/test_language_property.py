@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from tests.urlink.simulator.urscript.standin import StandIn, run
 from urlink.firmware import Firmware
-from urlink.simulator.urscript import Script, ScriptError, compile_script
+from urlink.simulator.urscript import ProgramError, Script, compile_script
 from urlink.simulator.urscript.builtins import FAMILIES
 
 FIRMWARE = Firmware(5, 11)
@@ -133,16 +133,16 @@ False x y f ( ) ( ) [ ] : , = == < + - * / % 1 2.5 'text' "text" # p[ movej text
 WORD = st.sampled_from([*WORDS.split(), "\n", "\n", "\n"])
 
 
-def compiled(text: str) -> Script | ScriptError:
+def compiled(text: str) -> Script | ProgramError:
     try:
         return compile_script(text, FIRMWARE)
-    except ScriptError as error:
+    except ProgramError as error:
         return error
 
 
 def is_script_or_error(text: str) -> None:
     found = compiled(text)
-    if isinstance(found, ScriptError):
+    if isinstance(found, ProgramError):
         assert 1 <= found.line <= text.count("\n") + 1
         assert found.column >= 1
         assert found.text
@@ -254,7 +254,7 @@ def test_any_call_of_a_built_in_function_works_or_is_an_error(name: str, values:
     world.sockets.peers[1] = [b"(x)", b"rest\n"]
     try:
         run(f"{BEGINNING}\ntextmsg({name}({', '.join(values)}))", world, cycles=20)
-    except ScriptError as error:
+    except ProgramError as error:
         assert error.text == f"compile_error_name_not_found:{name}:"  # noqa: PT017
     else:
         assert world.notes[-1].split()[1] in ("over", "error", "stopped")

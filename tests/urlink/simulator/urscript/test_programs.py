@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.urlink.simulator.urscript.standin import StandIn, run
-from urlink.simulator.urscript import ScriptError
+from urlink.simulator.urscript import ProgramError
 
 FOLDER = Path(__file__).parent / "programs"
 PROGRAMS = sorted(path.stem for path in FOLDER.glob("*.script"))
@@ -28,7 +28,7 @@ def trace(name: str) -> list[str]:
             world.sockets.peers[int(words[2])] = eval(words[3], {})
     try:
         return run(text, world).notes
-    except ScriptError as error:
+    except ProgramError as error:
         return [f"does not compile: {error}"]
 
 

@@ -1,5 +1,17 @@
-"""Force control of the tool: along some axes it yields until a force is there, along the others it follows its path.
+"""How an arm gives way: in freedrive, under direct torque, and in force mode.
 
+In freedrive and under direct torque the joints yield, by the one model of the arm: the masses of links and payload, and
+the rotors.
+
+In **freedrive** it moves under the torques from outside; gravity and friction are compensated, and its speed is damped.
+At the end of its range a joint stands still. The damping is a guess, and so is the speed of the tool above which the
+controller stops the arm.
+
+Under **direct torque** it moves under the torques that a program gives for one cycle and those from outside. The
+controller compensates gravity, as the vendor says; what the program does not have compensated of its friction is that
+of the joints (`urlink.motors`). In a cycle without a torque the arm brakes.
+
+In force mode the tool yields along some axes until a force is there, and follows its path along the others.
 How a controller does this is not published beyond the purpose of the arguments; this model keeps to that.
 
 - Along a **compliant axis** the tool moves as a mass with damping would, under the force that it is to exert and the
@@ -23,20 +35,122 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from urlink.dynamics import Dynamics
 from urlink.kinematics import Arm
+from urlink.motors import Motors
+from urlink.parameters import number, numbers
 from urlink.poses import compose, rotvec_to_matrix
 from urlink.vectors import FloatArray
 
 from ..sources import Setpoint
 from .joint_limits import JointLimits, LimitViolation, Unreachable
+from .path_motion import Move
+from .streamed_motion import JointSpeed
 from .tool_paths import setpoint_at
 
-__all__ = ["Compliance", "ForceTask", "free_tool"]
+_REST = [0.0] * 6
+# s: times the change of a torque or a force, this brakes.
+_BRAKE = 0.03
+# 1/s of each joint in freedrive
+_FREE_DAMPING = number("freedrive_damping")
+# m/s of the tool in freedrive
+_FASTEST = number("freedrive_fastest")
+
+
+class FreeJoints:
+    """Freedrive with every axis free.
+
+    Args:
+        kinematics, limits: of the arm.
+        dynamics: of the arm with its rotors and its payload.
+        tcp: (6,) in the frame of the flange.
+        begin: present set-point.
+    """
+
+    def __init__(
+        self, kinematics: Arm, dynamics: Dynamics, limits: JointLimits, tcp: Sequence[float], begin: Setpoint
+    ) -> None:
+        self._dynamics, self._kinematics, self._limits, self._tcp = dynamics, kinematics, limits, list(tcp)
+        self._last = begin
+        self._lowest, self._highest = kinematics.position_limits.T
+        self._felt: FloatArray | None = None
+
+    def advance(self, wrench: Sequence[float], torques: Sequence[float], seconds: float) -> Setpoint:
+        """The set-point one cycle later, under a wrench at the TCP in the base frame, and torques at the joints.
+
+        Raises:
+            LimitViolation: a joint, or the tool, gets too fast.
+        """
+        last = self._last
+        felt = np.asarray(torques, dtype=np.float64)
+        if any(wrench):
+            felt = felt + self._kinematics.jacobian(last.q, self._tcp).T @ np.asarray(wrench)
+        change = np.zeros(6) if self._felt is None else felt - self._felt
+        self._felt = felt
+        push = np.linalg.solve(self._dynamics.mass_matrix(last.q), felt * seconds + _BRAKE * change)
+        qd = np.array(last.qd) * math.exp(-_FREE_DAMPING * seconds) + push
+        q = np.array(last.q) + seconds * qd
+        is_inside = (self._lowest < q) & (q < self._highest)
+        qd = np.where(is_inside & (np.abs(qd) > 1e-9), qd, 0.0)
+        q = np.clip(q, self._lowest, self._highest)
+        setpoint = Setpoint(q.tolist(), qd.tolist(), ((qd - np.array(last.qd)) / seconds).tolist())
+        self._limits.check(last, setpoint, seconds)
+        if any(setpoint.qd):
+            speed = math.hypot(*self._kinematics.velocity(setpoint.q, setpoint.qd, self._tcp)[:3].tolist())
+            if speed > _FASTEST:
+                raise LimitViolation(
+                    f"freedrive: the tool is moved at {speed:.2f} m/s, at most {_FASTEST:g} is allowed"
+                )
+        self._last = setpoint
+        return setpoint
+
+
+class TorqueMotion:
+    """Direct torque for one cycle.
+
+    Args:
+        dynamics: of the arm with its rotors and its payload; gravity has no effect.
+        motors: of the arm.
+        torque: (6,) Nm of the program, and from outside.
+        friction: (6,) fraction of its friction that each joint has, 0 to 1.
+        acceleration: (6,) rad/s² with which the arm brakes if no torque follows.
+
+    Attributes:
+        move: over after one cycle.
+    """
+
+    def __init__(
+        self,
+        dynamics: Dynamics,
+        motors: Motors,
+        torque: FloatArray,
+        friction: Sequence[float],
+        acceleration: Sequence[float],
+    ) -> None:
+        self.move = Move()
+        self.is_at_rest = False
+        self.overrun = 0.0
+        self._dynamics, self._motors, self._torque, self._friction = dynamics, motors, torque, np.array(friction)
+        self._brake = JointSpeed(_REST, acceleration, None)
+
+    def advance(self, last: Setpoint, seconds: float, scaling: float, change: float) -> Setpoint:
+        """The set-point one cycle later."""
+        if self.move.is_over:
+            setpoint = self._brake.advance(last, seconds, scaling, change)
+            self.is_at_rest = self._brake.is_at_rest
+            return setpoint
+        self.move.is_over = True
+        speed = np.array(last.qd)
+        rub, slope = (self._friction * each for each in self._motors.friction_torque(last.qd))
+        left = self._torque - rub - self._dynamics.coriolis_torque(last.q, last.qd)
+        # Friction at the end of the cycle: with that at its beginning a light joint would tremble about rest.
+        qdd = np.linalg.solve(self._dynamics.mass_matrix(last.q) + np.diag(seconds * slope), left)
+        qd = speed + seconds * qdd
+        return Setpoint((np.array(last.q) + seconds * qd).tolist(), qd.tolist(), qdd.tolist())
+
 
 # kg and kg m² that move along and about a compliant axis.
-_MASS = np.array([30.0, 30.0, 30.0, 1.0, 1.0, 1.0])
-# s: times the change of the force, this is a braking force.
-_BRAKE = 0.03
+_MASS = np.array(numbers("force_mode_mass"))
 # 1/s that damping 1 is: all of the speed within 2 ms.
 _DAMPING = 500.0
 # N/m and Nm/rad of the axes that are not compliant, and s in which they give way.

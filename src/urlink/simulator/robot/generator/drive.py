@@ -10,18 +10,18 @@ when a mode ends continues from where the arm is then.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from urlink.dynamics import Dynamics
 from urlink.interfaces.enums import ControlMode
 from urlink.kinematics import Arm
 
-from ..scaling import ScalingParameters
+from ..robot_parameters import ScalingParameters
 from ..sources import Setpoint
-from .compliance import Compliance, ForceTask, free_tool
-from .free_joints import FreeJoints
+from .compliance import Compliance, ForceTask, FreeJoints, free_tool
 from .joint_limits import JointLimits
 from .motion_generator import MotionGenerator
 
@@ -35,6 +35,7 @@ class Drive:
 
     Args:
         kinematics: of the arm.
+        dynamics: called for the masses of the arm with its present payload.
         setpoint: the present one.
         scaling: with which it begins.
         parameters: of the scaling.
@@ -47,13 +48,14 @@ class Drive:
     def __init__(
         self,
         kinematics: Arm,
+        dynamics: Callable[[], Dynamics],
         setpoint: Setpoint,
         scaling: float,
         parameters: ScalingParameters,
     ) -> None:
         self.generator = MotionGenerator(kinematics, setpoint, scaling, parameters)
         self.setpoint = setpoint
-        self._kinematics = kinematics
+        self._kinematics, self._dynamics = kinematics, dynamics
         self._limits = JointLimits(kinematics.model)
         self._compliance: Compliance | None = None
         self._free: FreeJoints | None = None
@@ -101,7 +103,7 @@ class Drive:
         """Let the arm be moved by hand, along and about these axes of a frame in the base frame, m and rad."""
         self.end_mode()
         if tuple(axes) == _ALL:
-            self._free = FreeJoints(self._kinematics, self._limits, self.generator.tcp, self.setpoint)
+            self._free = FreeJoints(self._kinematics, self._dynamics(), self._limits, self.generator.tcp, self.setpoint)
         else:
             self._compliance = self._comply(free_tool(frame, axes))
         self._mode = ControlMode.TEACH

@@ -13,6 +13,7 @@ from operator import le, mul, sub
 
 from linkcore.errors import BadValue
 from urlink.models import Model
+from urlink.parameters import number
 
 from ..sources import Setpoint
 
@@ -21,7 +22,7 @@ __all__ = ["JOINTS", "JointLimits", "LimitViolation", "Unreachable", "checked", 
 JOINTS = ("base", "shoulder", "elbow", "wrist 1", "wrist 2", "wrist 3")
 
 # Fraction by which a set-point may exceed the largest speed of a joint: rounding, and rough interpolation by clients.
-_TOLERANCE = 0.03
+_TOLERANCE = number("joint_speed_tolerance")
 # Factor of the largest acceleration of a joint that no arm can follow. Less than that is left to the motors.
 _HARDEST = 10.0
 # rad that rounding may put a joint beyond its range

@@ -20,15 +20,15 @@ from linkcore.errors import BadValue
 from urlink.curves import Arc, Line
 from urlink.dynamics import Dynamics
 from urlink.kinematics import Arm
+from urlink.motors import Motors
 from urlink.vectors import FloatArray
 
-from ..scaling import ScalingParameters, approached
+from ..robot_parameters import ScalingParameters, approached
 from ..sources import BRAKING, Setpoint
-from .free_joints import TorqueMotion
+from .compliance import TorqueMotion
 from .joint_limits import JointLimits, LimitViolation, Unreachable, checked, positive
 from .path_motion import Blend, JointPath, Move, Path, PathMotion, Profile, timed
-from .servo_motion import ServoMotion, lag_of
-from .speed_motion import JointSpeed, ToolSpeed
+from .streamed_motion import JointSpeed, ServoMotion, ToolSpeed, lag_of
 from .tool_paths import ToolPath
 
 __all__ = ["MotionGenerator"]
@@ -254,7 +254,7 @@ class MotionGenerator:
     # -- set-points, speeds, stops -----------------------------------------------------------------
 
     def servoj(self, q: Sequence[float], t: float, lookahead_time: float, gain: float) -> Move:
-        """Follow joint positions, rad, for a cycle, or for `t` s if that is longer; see the module `servo_motion`.
+        """Follow joint positions, rad, for a cycle, or for `t` s if that is longer; see the module `streamed_motion`.
 
         Args:
             lookahead_time, gain: s and 1; zero on firmware that does not have them.
@@ -326,15 +326,16 @@ class MotionGenerator:
         if not self.is_standing:
             self._begin(JointSpeed(_REST, self._gentle, None))
 
-    def direct_torque(self, dynamics: Dynamics, torque: FloatArray, friction: Sequence[float]) -> Move:
-        """Move the joints by torques for one cycle; see the module `free_joints`.
+    def direct_torque(self, dynamics: Dynamics, motors: Motors, torque: FloatArray, friction: Sequence[float]) -> Move:
+        """Move the joints by torques for one cycle; see the module `compliance`.
 
         Args:
-            dynamics: of the arm and its payload; gravity has no effect.
+            dynamics: of the arm with its rotors and its payload; gravity has no effect.
+            motors: of the arm.
             torque: (6,) Nm, including those from outside.
             friction: (6,) fraction of its friction that each joint has.
         """
-        return self._begin(TorqueMotion(dynamics, torque, friction, self._limits.acceleration))
+        return self._begin(TorqueMotion(dynamics, motors, torque, friction, self._limits.acceleration))
 
     # -- beginning ---------------------------------------------------------------------------------
 

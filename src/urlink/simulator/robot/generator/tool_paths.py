@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from urlink import kinematics
 from urlink.curves import Curve
 from urlink.kinematics import Arm
+from urlink.parameters import number
 
 from ..sources import Setpoint
 from .joint_limits import JointLimits, LimitViolation, Unreachable
@@ -15,7 +16,7 @@ from .joint_limits import JointLimits, LimitViolation, Unreachable
 __all__ = ["ToolPath", "joints_at", "setpoint_at"]
 
 #: m that count as much as a turn of 1 rad, at least, so that a tool which turns in place takes its time. A guess.
-RADIAN = 0.25
+RADIAN = number("metres_per_turn_simulated")
 
 _REST = [0.0] * 6
 # Samples of a path for its largest speed, and rad from one to the next that are a jump through a singularity.

@@ -5,12 +5,9 @@ from __future__ import annotations
 from urlink.firmware import Firmware
 
 from . import (
-    dynamics,
     force,
     inputs_outputs,
-    lists_and_strings,
     mathematics,
-    modbus,
     motions,
     poses,
     program,
@@ -18,16 +15,13 @@ from . import (
     registers,
     remote_procedures,
     sockets,
-    unmodelled,
 )
 from .declaration import Builtin, Family
 
 __all__ = ["FAMILIES", "find"]
 
 FAMILIES: tuple[Family, ...] = (
-    lists_and_strings.FAMILY,
     mathematics.FAMILY,
-    modbus.FAMILY,
     motions.FAMILY,
     poses.FAMILY,
     program.FAMILY,
@@ -36,9 +30,7 @@ FAMILIES: tuple[Family, ...] = (
     remote_procedures.FAMILY,
     sockets.FAMILY,
     queries.FAMILY,
-    dynamics.FAMILY,
     force.FAMILY,
-    unmodelled.FAMILY,
 )
 
 

@@ -11,11 +11,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from linkcore.wire.version import Since
+from linkcore.wire.fields import Since
 from urlink.firmware import Firmware
 
 from ..errors import Fault, type_error
-from ..values import NUMBERS, Pose, type_name
+from ..values import NUMBERS, PoseValue, type_name
 
 __all__ = [
     "REQUIRED",
@@ -146,7 +146,7 @@ def is_list(value: Any) -> bool:
 
 def numbers(value: Any, what: str) -> list[float]:
     """The numbers of a list or pose."""
-    if value.__class__ is not tuple and value.__class__ is not Pose:
+    if value.__class__ is not tuple and value.__class__ is not PoseValue:
         raise type_error(f"{what} is a list, not {type_name(value)}")
     for item in value:
         if item.__class__ not in NUMBERS:
@@ -164,7 +164,7 @@ def vector(value: Any, what: str, length: int) -> list[float]:
 
 def joints(value: Any, what: str) -> list[float]:
     """A list of six numbers that is not a pose."""
-    if value.__class__ is Pose:
+    if value.__class__ is PoseValue:
         raise type_error(f"{what} is a list, not a pose")
     return vector(value, what, 6)
 
@@ -176,6 +176,6 @@ def six(value: Any, what: str) -> list[float]:
 
 def pose(value: Any, what: str) -> list[float]:
     """The six numbers of a pose."""
-    if value.__class__ is not Pose:
+    if value.__class__ is not PoseValue:
         raise type_error(f"{what} is a pose, not {type_name(value)}")
     return vector(value, what, 6)

@@ -1,19 +1,27 @@
-"""The force sensor, contacts, force mode and freedrive.
+"""The force sensor, contacts, force mode and freedrive; direct torque, and the dynamics of the arm with its payload.
 
-How the arm yields is a model: see `urlink.simulator.robot.generator.compliance` and `free_joints`; tests place the
-objects that it touches (`urlink.simulator.robot.surroundings`). Known from the vendor's manual, as remembered: names,
-order and ranges of the arguments. Guesses: the first release with a function where no driver shows it, and that a
-number out of range is an error.
+How the arm yields is a model: see `urlink.simulator.robot.generator.compliance`; tests place the objects that it
+touches (`urlink.simulator.robot.surroundings`). Known from the vendor's manual, as remembered: names, order and ranges
+of the arguments. Guesses: the first release with a function where no driver shows it, and that a number out of range is
+an error.
+
+ur_rtde uses the functions of the dynamics on 5.23 and later, all without arguments. Guesses: their arguments, joint
+positions and speeds first; that the actual ones are the default; that a matrix is a list of its rows; and that rotors
+are left out of the mass matrix unless they are asked for.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
-from ...robot.generator import ForceTask
+import numpy as np
+
+from urlink.simulator.robot.generator import ForceTask
+
 from ..errors import Fault
-from ..machine import ScriptThread
-from .declaration import Family, boolean, integer, number, pose, six, vector
+from ..machine import ScriptThread, Waiting
+from .declaration import Family, boolean, integer, joints, number, pose, six, vector
 
 __all__ = ["FAMILY"]
 
@@ -148,3 +156,112 @@ def get_freedrive_status(thread: ScriptThread) -> int:
     thread.machine.spend(_COST)
     left = float(thread.world.kinematics.manipulability(list(thread.world.q_target))) ** 2
     return 2 if left < _TOO_CLOSE else 1 if left < _CLOSE else 0
+
+
+# -- dynamics --------------------------------------------------------------------------------------------
+
+# s, step of the central difference of the Jacobian: the errors of rounding and curvature are about equal.
+_MOMENT = 1e-5
+
+_Rows = tuple[tuple[float, ...], ...]
+
+
+def _rows(matrix: Any) -> _Rows:
+    return tuple(map(tuple, matrix.tolist()))
+
+
+def _positions(thread: ScriptThread, q: Any, what: str) -> Sequence[float]:
+    return list(thread.world.q_actual) if q is None else joints(q, f"{what}: q")
+
+
+def _speeds(thread: ScriptThread, qd: Any, what: str) -> Sequence[float]:
+    return list(thread.world.qd_actual) if qd is None else joints(qd, f"{what}: qd")
+
+
+def _tool(thread: ScriptThread, tcp: Any, what: str) -> Sequence[float]:
+    return list(thread.world.tcp) if isinstance(tcp, str) else pose(tcp, f"{what}: tcp")
+
+
+@FAMILY.declare(since="5.23/10.11")
+def get_jacobian(thread: ScriptThread, q: Any = None, tcp: Any = "active_tcp") -> _Rows:
+    """The matrix from joint speeds to the velocity of the TCP in the base frame."""
+    thread.machine.spend(_COST)
+    at, tool = _positions(thread, q, "get_jacobian"), _tool(thread, tcp, "get_jacobian")
+    return _rows(thread.world.kinematics.jacobian(at, tool))
+
+
+@FAMILY.declare(since="5.23/10.11")
+def get_jacobian_time_derivative(thread: ScriptThread, q: Any = None, qd: Any = None, tcp: Any = "active_tcp") -> _Rows:
+    """The time derivative of the Jacobian at these joint speeds, per second."""
+    thread.machine.spend(2 * _COST)
+    what = "get_jacobian_time_derivative"
+    at, speeds, tool = _positions(thread, q, what), _speeds(thread, qd, what), _tool(thread, tcp, what)
+    before, after = (
+        thread.world.kinematics.jacobian([p + t * v for p, v in zip(at, speeds, strict=True)], tool)
+        for t in (-_MOMENT, _MOMENT)
+    )
+    return _rows((after - before) / (2.0 * _MOMENT))
+
+
+@FAMILY.declare(since="5.23/10.11")
+def get_mass_matrix(thread: ScriptThread, q: Any = None, include_rotors_inertia: Any = False) -> _Rows:
+    """The matrix from joint accelerations to torques, kg m²."""
+    thread.machine.spend(_COST)
+    matrix = thread.world.dynamics.mass_matrix(_positions(thread, q, "get_mass_matrix"))
+    if not boolean(include_rotors_inertia, "get_mass_matrix: include_rotors_inertia"):
+        matrix = matrix - np.diag(thread.world.motors.rotor_inertias)
+    return _rows(matrix)
+
+
+@FAMILY.declare(since="5.23/10.11")
+def get_coriolis_and_centrifugal_torques(thread: ScriptThread, q: Any = None, qd: Any = None) -> tuple[float, ...]:
+    """Torques at constant joint speeds, without gravity, Nm."""
+    thread.machine.spend(_COST)
+    what = "get_coriolis_and_centrifugal_torques"
+    at, speeds = _positions(thread, q, what), _speeds(thread, qd, what)
+    return tuple(thread.world.dynamics.coriolis_torque(at, speeds).tolist())
+
+
+@FAMILY.declare(since="5.23/10.11")
+def get_target_joint_torques(thread: ScriptThread) -> tuple[float, ...]:
+    """Torques of the target movement, gravity included, Nm. The name of the function is a guess."""
+    return tuple(float(each) for each in thread.world.torques)
+
+
+@FAMILY.declare(takes_time=True, in_secondary=False, since="5.23/10.11")
+def direct_torque(
+    thread: ScriptThread,
+    torque: Any,
+    friction_comp: Any = True,
+    viscous_scale: Any = (1, 1, 1, 1, 1, 1),
+    coulomb_scale: Any = (1, 1, 1, 1, 1, 1),
+) -> Waiting:
+    """Apply joint torques for one cycle, in addition to gravity compensation.
+
+    The two scales, which later firmware has, are the compensated fractions of friction; here the smaller of both is
+    used for each joint.
+    """
+    thread.machine.spend(_COST)
+    wanted = joints(torque, "direct_torque: torque")
+    viscous, coulomb = six(viscous_scale, "direct_torque: viscous_scale"), six(coulomb_scale, "direct_torque: coulomb")
+    scales = [max(min(pair), 0.0) for pair in zip(viscous, coulomb, strict=True)]
+    is_made_up = boolean(friction_comp, "direct_torque: friction_comp")
+    left = [1.0 - min(scale, 1.0) if is_made_up else 1.0 for scale in scales]
+    turning = np.array(wanted) + np.array(thread.world.external_torques)
+    world = thread.world
+    return thread.machine.moving(
+        thread, lambda: world.motion.direct_torque(world.dynamics, world.motors, turning, left)
+    )
+
+
+@FAMILY.declare(since="5.23/10.11")
+def set_friction_compensation(thread: ScriptThread, enable: Any) -> None:
+    """Without effect: an argument of `direct_torque` turns friction compensation on."""
+    boolean(enable, "set_friction_compensation: enable")
+
+
+@FAMILY.declare(since="5.25/10.12")
+def set_friction_scales(thread: ScriptThread, viscous_scale: Any, coulomb_scale: Any) -> None:
+    """Without effect, as `set_friction_compensation`."""
+    six(viscous_scale, "set_friction_scales: viscous_scale")
+    six(coulomb_scale, "set_friction_scales: coulomb_scale")

@@ -18,7 +18,7 @@ from urlink.kinematics import Unreachable
 from ..errors import Fault, type_error
 from ..machine import ScriptThread
 from ..matrices import rows_of
-from ..values import Pose, list_of, type_name
+from ..values import PoseValue, list_of, type_name
 from .declaration import Family, is_list, joints, number, pose, vector
 
 __all__ = ["FAMILY"]
@@ -32,19 +32,19 @@ _NOWHERE = (0.0, 0.0, 0.0)
 
 
 @FAMILY.declare()
-def pose_trans(thread: ScriptThread, p_from: Any, p_from_to: Any) -> Pose:
+def pose_trans(thread: ScriptThread, p_from: Any, p_from_to: Any) -> PoseValue:
     return _transformed(thread, pose(p_from, "pose_trans: p_from"), pose(p_from_to, "pose_trans: p_from_to"))
 
 
 @FAMILY.declare()
-def pose_inv(thread: ScriptThread, p_from: Any) -> Pose:
+def pose_inv(thread: ScriptThread, p_from: Any) -> PoseValue:
     return _inverse(thread, pose(p_from, "pose_inv: p_from"))
 
 
 @FAMILY.declare(since="3.0")
 def inv(thread: ScriptThread, m: Any) -> Any:
     """The inverse of a pose, as `pose_inv`; from 3.14 and 5.9 on also of a square matrix."""
-    if m.__class__ is Pose or not thread.machine.has_matrices:
+    if m.__class__ is PoseValue or not thread.machine.has_matrices:
         return _inverse(thread, pose(m, "inv: m"))
     rows = rows_of(m, thread.machine.charge)
     if len(rows) != len(rows[0]):
@@ -72,17 +72,17 @@ def wrench_trans(thread: ScriptThread, T_from_to: Any, w_from: Any) -> tuple[flo
 
 
 @FAMILY.declare()
-def pose_add(thread: ScriptThread, p_1: Any, p_2: Any) -> Pose:
+def pose_add(thread: ScriptThread, p_1: Any, p_2: Any) -> PoseValue:
     a, b = pose(p_1, "pose_add: p_1"), pose(p_2, "pose_add: p_2")
     turned = _transformed(thread, [*_NOWHERE, *a[3:]], [*_NOWHERE, *b[3:]])
-    return Pose([a[0] + b[0], a[1] + b[1], a[2] + b[2], *turned[3:]])
+    return PoseValue([a[0] + b[0], a[1] + b[1], a[2] + b[2], *turned[3:]])
 
 
 @FAMILY.declare()
-def pose_sub(thread: ScriptThread, p_to: Any, p_from: Any) -> Pose:
+def pose_sub(thread: ScriptThread, p_to: Any, p_from: Any) -> PoseValue:
     a, b = pose(p_to, "pose_sub: p_to"), pose(p_from, "pose_sub: p_from")
     turned = _transformed(thread, [*_NOWHERE, *a[3:]], _inverse(thread, [*_NOWHERE, *b[3:]]))
-    return Pose([a[0] - b[0], a[1] - b[1], a[2] - b[2], *turned[3:]])
+    return PoseValue([a[0] - b[0], a[1] - b[1], a[2] - b[2], *turned[3:]])
 
 
 @FAMILY.declare()
@@ -97,11 +97,11 @@ def point_dist(thread: ScriptThread, p_from: Any, p_to: Any) -> float:
 
 
 @FAMILY.declare()
-def interpolate_pose(thread: ScriptThread, p_from: Any, p_to: Any, alpha: Any) -> Pose:
+def interpolate_pose(thread: ScriptThread, p_from: Any, p_to: Any, alpha: Any) -> PoseValue:
     a, b = pose(p_from, "interpolate_pose: p_from"), pose(p_to, "interpolate_pose: p_to")
     x = number(alpha, "interpolate_pose: alpha")
     thread.machine.spend(3 * _TRANSFORMATION)
-    return Pose(poses.interpolate(a, b, x).tolist())
+    return PoseValue(poses.interpolate(a, b, x).tolist())
 
 
 @FAMILY.declare()
@@ -117,11 +117,11 @@ def rpy2rotvec(thread: ScriptThread, rpy_vector: Any) -> tuple[float, ...]:
 
 
 @FAMILY.declare()
-def get_forward_kin(thread: ScriptThread, q: Any = "current_joint_positions", tcp: Any = "active_tcp") -> Pose:
+def get_forward_kin(thread: ScriptThread, q: Any = "current_joint_positions", tcp: Any = "active_tcp") -> PoseValue:
     world = thread.world
     thread.machine.spend(_FORWARD)
     where = world.q_actual if isinstance(q, str) else joints(q, "get_forward_kin: q")
-    return Pose(world.kinematics.forward(list(where), _tool(thread, tcp)).tolist())
+    return PoseValue(world.kinematics.forward(list(where), _tool(thread, tcp)).tolist())
 
 
 @FAMILY.declare(since="1.0", until="3.0")
@@ -198,16 +198,16 @@ def _near(thread: ScriptThread, qnear: Any) -> list[float]:
 def _tool(thread: ScriptThread, tcp: Any) -> list[float]:
     if isinstance(tcp, str):
         return list(thread.world.tcp)
-    if not isinstance(tcp, Pose):
+    if not isinstance(tcp, PoseValue):
         raise type_error(f"tcp is a pose, not {type_name(tcp)}")
     return pose(tcp, "tcp")
 
 
-def _transformed(thread: ScriptThread, first: Sequence[float], second: Sequence[float]) -> Pose:
+def _transformed(thread: ScriptThread, first: Sequence[float], second: Sequence[float]) -> PoseValue:
     thread.machine.spend(_TRANSFORMATION)
-    return Pose(poses.compose(first, second).tolist())
+    return PoseValue(poses.compose(first, second).tolist())
 
 
-def _inverse(thread: ScriptThread, of: Sequence[float]) -> Pose:
+def _inverse(thread: ScriptThread, of: Sequence[float]) -> PoseValue:
     thread.machine.spend(_TRANSFORMATION)
-    return Pose(poses.invert(of).tolist())
+    return PoseValue(poses.invert(of).tolist())

@@ -1,14 +1,19 @@
-"""Functions of the program itself: time, critical sections, messages."""
+"""Functions of the program itself: time, critical sections, messages; and those that are not modelled.
+
+A program with one that is not modelled compiles, and calling it is a run-time error. A function that becomes modelled
+moves to its family. Which firmware introduced each is left open, except that CB2 certainly has none.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from ..errors import Fault
 from ..machine import ScriptThread, Waiting
 from ..values import to_str
 from .declaration import Family, boolean, number
-from .lists_and_strings import made
+from .mathematics import made
 
 __all__ = ["FAMILY"]
 
@@ -98,3 +103,33 @@ def end_interpreter(thread: ScriptThread) -> None:
 def clear_interpreter(thread: ScriptThread) -> None:
     """Clear the statements that were begun, which makes room for others."""
     thread.machine.statements.clear()
+
+
+_NETWORK = [
+    "eip_reader_factory",
+    "eip_writer_factory",
+]
+#: In public programs, but in no manual as far as they are remembered.
+_UNKNOWN = ["tool_pose"]
+_CONVEYOR = [
+    "encoder_enable_pulse_decode",
+    "get_conveyor_tick_count",
+    "stop_conveyor_tracking",
+    "track_conveyor_linear",
+]
+
+
+def _unmodelled(name: str, what: str) -> Callable[..., Any]:
+    def stop(thread: ScriptThread, *arguments: Any) -> None:
+        raise Fault(f"{name}: {what} not modelled by this simulator")
+
+    return stop
+
+
+for _names, _what in (
+    (_NETWORK, "EtherNet/IP is"),
+    (_CONVEYOR, "conveyors are"),
+    (_UNKNOWN, "what it gives is not known, and it is"),
+):
+    for _name in _names:
+        FAMILY.declare(name=_name, since="3.0")(_unmodelled(_name, _what))

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from ..errors import Fault
-from ..limits import MAX_INTEGER, MIN_INTEGER
+from ..errors import MAX_INTEGER, MIN_INTEGER, Fault
 from ..machine import ScriptThread
-from ..values import Pose, list_of
+from ..values import PoseValue, list_of
 from .declaration import Family, integer, number, pose, string, vector
 
 __all__ = ["FAMILY"]
@@ -64,13 +63,13 @@ def get_joint_torques(thread: ScriptThread) -> _List:
 
 
 @FAMILY.declare()
-def get_actual_tcp_pose(thread: ScriptThread) -> Pose:
-    return Pose(_floats(thread.world.pose_actual))
+def get_actual_tcp_pose(thread: ScriptThread) -> PoseValue:
+    return PoseValue(_floats(thread.world.pose_actual))
 
 
 @FAMILY.declare()
-def get_target_tcp_pose(thread: ScriptThread) -> Pose:
-    return Pose(_floats(thread.world.pose_target))
+def get_target_tcp_pose(thread: ScriptThread) -> PoseValue:
+    return PoseValue(_floats(thread.world.pose_target))
 
 
 @FAMILY.declare()
@@ -84,15 +83,15 @@ def get_target_tcp_speed(thread: ScriptThread) -> _List:
 
 
 @FAMILY.declare(since="3.0")
-def get_target_waypoint(thread: ScriptThread) -> Pose:
+def get_target_waypoint(thread: ScriptThread) -> PoseValue:
     """The end of the present path move; without one, the target pose of the TCP (a guess)."""
     waypoint = thread.world.motion.waypoint
-    return Pose(_floats(thread.world.pose_target if waypoint is None else waypoint))
+    return PoseValue(_floats(thread.world.pose_target if waypoint is None else waypoint))
 
 
 @FAMILY.declare()
-def get_actual_tool_flange_pose(thread: ScriptThread) -> Pose:
-    return Pose(thread.world.kinematics.forward(list(thread.world.q_actual)).tolist())
+def get_actual_tool_flange_pose(thread: ScriptThread) -> PoseValue:
+    return PoseValue(thread.world.kinematics.forward(list(thread.world.q_actual)).tolist())
 
 
 @FAMILY.declare()
@@ -108,8 +107,8 @@ def force(thread: ScriptThread) -> float:
 
 
 @FAMILY.declare()
-def get_tcp_offset(thread: ScriptThread) -> Pose:
-    return Pose(_floats(thread.world.tcp))
+def get_tcp_offset(thread: ScriptThread) -> PoseValue:
+    return PoseValue(_floats(thread.world.tcp))
 
 
 @FAMILY.declare()
@@ -129,10 +128,10 @@ def set_payload(thread: ScriptThread, m: Any, cog: Any = None) -> None:
 
 @FAMILY.declare(since="3.15/5.10")
 def set_target_payload(thread: ScriptThread, m: Any, cog: Any, inertia: Any = None, transition_time: Any = 0) -> None:
-    """Takes effect at once; the transition time is not modelled."""
-    number(transition_time, "set_target_payload: transition_time")
+    seconds = number(transition_time, "set_target_payload: transition_time")
     moments = None if inertia is None else vector(inertia, "set_target_payload: inertia", 6)
-    thread.world.set_payload(_mass(m, "set_target_payload: m"), _cog(cog, "set_target_payload: cog"), moments)
+    mass, centre = _mass(m, "set_target_payload: m"), _cog(cog, "set_target_payload: cog")
+    thread.world.set_payload(mass, centre, moments, seconds)
 
 
 @FAMILY.declare()

@@ -1,8 +1,12 @@
-"""General-purpose registers, and the watchdog of RTDE inputs (docs/protocols/rtde.md, Releases).
+"""Values that programs share with what is outside: general-purpose registers, their watchdog, and Modbus signals.
 
-Known: which firmware has which registers; the action of the watchdog is "ignore", "pause" or "stop", in upper or lower
-case, and "pause" by default. Guesses: that a register which the firmware lacks, and a variable that is not an RTDE
-input, are run-time errors; that a frequency of zero ends the watchdog.
+Known (docs/protocols/rtde.md, Releases): which firmware has which registers; the action of the watchdog is "ignore",
+"pause" or "stop", in upper or lower case, and "pause" by default. Guesses: that a register which the firmware lacks,
+and a variable that is not an RTDE input, are run-time errors; that a frequency of zero ends the watchdog.
+
+No device is connected to the Modbus signals; see `robot.signals`. Their parameters are those of the manual, as far as
+they are remembered; `is_secondary_program` has no effect here. Arguments out of range, and a signal that was not added,
+end the program (a guess).
 """
 
 from __future__ import annotations
@@ -10,12 +14,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Literal
 
-from linkcore.wire.version import Since
+from linkcore.wire.fields import Since
 
 from ...registers import BITS, NUMBERS, Action, Bank
-from ..errors import Fault
+from ...robot.signals import KINDS, READ_AND_WRITE, ModbusSignal
+from ..errors import Fault, type_error
 from ..machine import ScriptThread
-from .declaration import Family, boolean, integer, number, string
+from .declaration import Family, boolean, integer, is_list, number, string, vector
 
 __all__ = ["FAMILY"]
 
@@ -87,3 +92,150 @@ def rtde_set_watchdog(thread: ScriptThread, variable_name: Any, min_frequency: A
     if wanted is None:
         raise Fault(f"rtde_set_watchdog: action is 'ignore', 'pause' or 'stop', not '{action}'")
     thread.world.set_watchdog(variable, frequency, wanted)
+
+
+def _signal(thread: ScriptThread, name: Any, what: str) -> ModbusSignal:
+    wanted = string(name, f"{what}: signal_name")
+    found = thread.world.modbus.signal(wanted)
+    if found is None:
+        raise Fault(f"{what}: there is no Modbus signal '{wanted}'")
+    return found
+
+
+@FAMILY.declare(since="3.0")
+def modbus_add_signal(
+    thread: ScriptThread,
+    IP: Any,
+    slave_number: Any,
+    signal_address: Any,
+    signal_type: Any,
+    signal_name: Any,
+    sequential_mode: Any = False,
+) -> None:
+    what = "modbus_add_signal"
+    boolean(sequential_mode, f"{what}: sequential_mode")
+    signal = ModbusSignal(
+        string(IP, f"{what}: IP"),
+        integer(slave_number, f"{what}: slave_number", 0, 255),
+        integer(signal_address, f"{what}: signal_address", 0, 65535),
+        integer(signal_type, f"{what}: signal_type", 0, READ_AND_WRITE - 1),
+    )
+    thread.world.modbus.add(string(signal_name, f"{what}: signal_name"), signal)
+
+
+@FAMILY.declare(since="5.0")
+def modbus_add_rw_signal(
+    thread: ScriptThread,
+    IP: Any,
+    slave_number: Any,
+    read_register_address: Any,
+    read_register_count: Any,
+    write_register_address: Any,
+    write_register_count: Any,
+    signal_name: Any,
+    sequential_mode: Any = False,
+) -> None:
+    """Registers that are read and others that are written at once, with function code 23: lists of numbers.
+
+    In the manual (17.18); the parameters, the counts, and the release that it came with are guesses.
+    """
+    what = "modbus_add_rw_signal"
+    boolean(sequential_mode, f"{what}: sequential_mode")
+    read = integer(read_register_count, f"{what}: read_register_count", 1, 125)
+    integer(write_register_address, f"{what}: write_register_address", 0, 65535)
+    signal = ModbusSignal(
+        string(IP, f"{what}: IP"),
+        integer(slave_number, f"{what}: slave_number", 0, 255),
+        integer(read_register_address, f"{what}: read_register_address", 0, 65535),
+        READ_AND_WRITE,
+        (0,) * read,
+        (0,) * integer(write_register_count, f"{what}: write_register_count", 1, 121),
+    )
+    thread.world.modbus.add(string(signal_name, f"{what}: signal_name"), signal)
+
+
+@FAMILY.declare(since="3.0")
+def modbus_delete_signal(thread: ScriptThread, signal_name: Any) -> bool:
+    """Delete a signal; False if there is none."""
+    return thread.world.modbus.delete(string(signal_name, "modbus_delete_signal: signal_name"))
+
+
+@FAMILY.declare(since="3.0")
+def modbus_get_signal_status(thread: ScriptThread, signal_name: Any, is_secondary_program: Any = False) -> Any:
+    """True or False for a digital signal, a number for a register, a list of numbers for several."""
+    signal = _signal(thread, signal_name, "modbus_get_signal_status")
+    return bool(signal.value) if signal.is_digital else signal.value
+
+
+def _set(thread: ScriptThread, name: Any, value: Any, what: str, is_digital: bool) -> None:
+    signal = _signal(thread, name, what)
+    if signal.is_input or signal.is_digital is not is_digital:
+        raise Fault(f"{what}: '{name}' is a {KINDS[signal.kind]}")
+    thread.world.modbus[str(name)] = value
+
+
+@FAMILY.declare(since="3.0")
+def modbus_set_output_signal(
+    thread: ScriptThread, signal_name: Any, digital_value: Any, is_secondary_program: Any = False
+) -> None:
+    what = "modbus_set_output_signal"
+    _set(thread, signal_name, int(boolean(digital_value, f"{what}: digital_value")), what, True)
+
+
+@FAMILY.declare(since="3.0")
+def modbus_set_output_register(
+    thread: ScriptThread, signal_name: Any, register_value: Any, is_secondary_program: Any = False
+) -> None:
+    """Of registers that were added by `modbus_add_rw_signal`, all those that are written, as a list."""
+    what = "modbus_set_output_register"
+    signal = _signal(thread, signal_name, what)
+    if signal.kind != READ_AND_WRITE:
+        return _set(thread, signal_name, integer(register_value, f"{what}: register_value", 0, 65535), what, False)
+    numbers = vector(register_value, f"{what}: register_value", len(signal.written))
+    signal.written = tuple([integer(number, f"{what}: register_value", 0, 65535) for number in numbers])
+
+
+@FAMILY.declare(since="3.0")
+def modbus_set_signal_update_frequency(thread: ScriptThread, signal_name: Any, update_frequency: Any) -> None:
+    what = "modbus_set_signal_update_frequency"
+    frequency = number(update_frequency, f"{what}: update_frequency")
+    if not 0 <= frequency <= 125:
+        raise Fault(f"{what}: update_frequency is from 0 to 125, not {frequency:g}")
+    _signal(thread, signal_name, what).frequency = frequency
+
+
+@FAMILY.declare(since="3.0")
+def modbus_set_signal_watchdog(thread: ScriptThread, signal_name: Any, is_watched: Any) -> None:
+    """Stored in the signal; a failure does not stop a program here."""
+    what = "modbus_set_signal_watchdog"
+    _signal(thread, signal_name, what).watchdog = boolean(is_watched, f"{what}: is_watched")
+
+
+@FAMILY.declare(since="3.0")
+def modbus_set_runstate_dependent_choice(thread: ScriptThread, signal_name: Any, runstate_choice: Any) -> None:
+    """Stored in the signal; outputs keep their values here, whether a program runs or not."""
+    what = "modbus_set_runstate_dependent_choice"
+    _signal(thread, signal_name, what).choice = integer(runstate_choice, f"{what}: runstate_choice", 0, 4)
+
+
+@FAMILY.declare(since="3.0")
+def modbus_get_error(thread: ScriptThread, signal_name: Any) -> int:
+    return _signal(thread, signal_name, "modbus_get_error").error
+
+
+@FAMILY.declare(since="3.0")
+def modbus_get_time_since_signal_invalid(thread: ScriptThread, signal_name: Any) -> float:
+    """s; 0 for a valid signal."""
+    signal = _signal(thread, signal_name, "modbus_get_time_since_signal_invalid")
+    return thread.world.modbus.seconds_invalid(signal)
+
+
+@FAMILY.declare(since="3.0")
+def modbus_send_custom_command(thread: ScriptThread, IP: Any, slave_number: Any, function_code: Any, data: Any) -> None:
+    """The arguments are checked; nothing is sent."""
+    what = "modbus_send_custom_command"
+    string(IP, f"{what}: IP")
+    integer(slave_number, f"{what}: slave_number", 0, 255)
+    integer(function_code, f"{what}: function_code", 0, 255)
+    if not is_list(data):
+        raise type_error(f"{what}: data is a list of bytes")

@@ -16,10 +16,9 @@ from urllib.parse import urlsplit
 from linkcore.errors import BadValue, PacketError
 from linkcore.wire.http import HttpParser, HttpRequest, HttpResponse
 
-from ..errors import Fault, type_error
-from ..limits import MAX_NESTING, MAX_STRING
+from ..errors import MAX_NESTING, MAX_STRING, Fault, type_error
 from ..machine import ScriptThread, Waiting
-from ..values import Charge, Pose, RpcHandle, Struct, checked, list_of, struct_of, type_name
+from ..values import Charge, PoseValue, RpcHandle, Struct, checked, list_of, struct_of, type_name
 from .declaration import Family, string
 
 __all__ = ["FAMILY", "call_method", "parse_answer"]
@@ -106,7 +105,7 @@ def _exchange(thread: ScriptThread, handle: RpcHandle, name: str, body: bytes) -
 
 def _sent(value: Any) -> Any:
     """The value as an argument of `dumps`."""
-    if isinstance(value, Pose):
+    if isinstance(value, PoseValue):
         return dict(zip(_POSE, map(float, value), strict=True))
     if value.__class__ is tuple:
         return [_sent(item) for item in value]
@@ -156,7 +155,7 @@ def _value(result: Any, what: str, charge: Charge, depth: int) -> Any:
         return list_of([_value(item, what, charge, depth + 1) for item in result], charge)
     if isinstance(result, dict):
         if result.keys() == set(_POSE) and all(isinstance(result[key], (int, float)) for key in _POSE):
-            return Pose(float(_number(result[key])) for key in _POSE)
+            return PoseValue(float(_number(result[key])) for key in _POSE)
         return struct_of({str(key): _value(member, what, charge, depth + 1) for key, member in result.items()}, charge)
     raise Fault(f"{what}: a value of XML-RPC that URScript does not have: {type(result).__name__}")
 

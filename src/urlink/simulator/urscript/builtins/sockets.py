@@ -18,12 +18,11 @@ import struct
 from collections.abc import Callable
 from typing import Any
 
-from ..errors import Fault
-from ..limits import MAX_STRING
+from ..errors import MAX_STRING, Fault
 from ..machine import ScriptThread, Waiting
 from ..values import to_str
 from .declaration import Family, boolean, integer, number, string
-from .lists_and_strings import made
+from .mathematics import made
 
 __all__ = ["FAMILY"]
 

@@ -1,0 +1,110 @@
+"""How far apart two arms of a group are, over many starts, in simulated time.
+
+Two controllers on computers of their own, whose clocks are up to 200 ppm apart, with 0.3 to 0.8 ms on each way of the
+network. Both turn wrist 3 there and back; from what they report, by the true time, follows when each was where.
+
+    python benchmarks/group.py                  # 100 starts
+    python benchmarks/group.py --quick          # 6 starts
+    python benchmarks/group.py --firmware 3.15  # of the second arm
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+import numpy as np
+
+import urlink
+from urlink.simulator import Controller
+from urlink.vectors import FloatArray
+
+#: rad there and back, and s for each.
+WAY, SECONDS = 0.3, 0.3
+
+
+class Side:
+    """One arm and its computer."""
+
+    def __init__(self, sim: urlink.Simulation, host: str, firmware: str) -> None:
+        self.sim, self.host = sim, host
+        self.rate = 500.0 if firmware[0] == "5" else 125.0
+        self.computer = sim.computer(host.replace(".", "-"), host)
+        self.computer.rate = 1.0 + sim.random.uniform(-1e-4, 1e-4)
+        with sim.on(self.computer):
+            time.sleep(sim.random.uniform(0.0, 0.01))
+            model = "UR5e" if firmware[0] == "5" else "UR5"
+            self.controller = Controller(model, firmware, host=host, ports="standard").start()
+        self.robot = urlink.connect(host)
+        #: time by its clock, and rad of wrist 3
+        self.rows: list[tuple[float, float]] = []
+        self.robot.realtime.subscribe(self._hear, inline=True)
+
+    def _hear(self, state: urlink.RealtimeState) -> None:
+        self.rows.append((state.time, float(state.q_target[5])))
+
+    def true(self) -> tuple[float, float]:
+        """The time of the simulation, and what its clock shows then."""
+        server, state = self.controller._server, self.controller._state
+        assert server is not None
+        with self.sim.on(self.computer):
+            cycles = (time.monotonic() - server._epoch) * self.rate + server._first
+        return self.sim.now, (cycles - (state.cycle - state.uptime)) / self.rate
+
+    def way(self, began: tuple[float, float], start: float) -> tuple[FloatArray, FloatArray]:
+        """True times, and the part of the way that is behind it; not its ends."""
+        (sim_began, own_began), (sim_ended, own_ended) = began, self.true()
+        rows = np.array(self.rows)
+        times = sim_began + (rows[:, 0] - own_began) * (sim_ended - sim_began) / (own_ended - own_began)
+        part = np.abs(rows[:, 1] - start) / WAY
+        inside = (part > 0.1) & (part < 0.9)
+        return times[inside], part[inside]
+
+    def close(self) -> None:
+        self.robot.close()
+        with self.sim.on(self.computer):
+            self.controller.close()
+
+
+def measure(seed: int, starts: int, firmware: str) -> tuple[list[float], list[float]]:
+    """Of each start, s between both in the median of the way, and at most."""
+    medians, most = [], []
+    with urlink.simulated_time(seed, latency=3e-4, jitter=5e-4) as sim:
+        sides = [Side(sim, "192.168.0.100", "5.11"), Side(sim, "192.168.0.101", firmware)]
+        group = urlink.Group(*(side.robot for side in sides))
+        time.sleep(1.0)
+        for number in range(starts):
+            here = [side.robot.realtime.wait().q_target for side in sides]
+            goals = [q + np.array([0, 0, 0, 0, 0, -WAY if number % 2 else WAY]) for q in here]
+            for side in sides:
+                side.rows.clear()
+            began = [side.true() for side in sides]
+            group.move_joints(goals, time=SECONDS, wait=True)
+            (when, part), (other_when, other_part) = (
+                side.way(marked, float(q[5])) for side, marked, q in zip(sides, began, here, strict=True)
+            )
+            apart = np.interp(part, other_part, other_when) - when
+            medians.append(abs(float(np.median(apart))))
+            most.append(float(np.abs(apart).max()))
+            time.sleep(sim.random.uniform(0.0, 0.05))
+        for side in sides:
+            side.close()
+    return medians, most
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="6 starts")
+    parser.add_argument("--starts", type=int, default=100)
+    parser.add_argument("--firmware", default="5.11", help="of the second arm")
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args()
+    medians, most = measure(options.seed, 6 if options.quick else options.starts, options.firmware)
+    print(f"two arms, {len(medians)} starts: in the median of the way {1e3 * max(medians):.2f} ms apart at most")
+    print(
+        f"at the worst moment {1e3 * max(most):.2f} ms, in half of the starts no more than {1e3 * np.median(most):.2f}"
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,82 @@
+"""What `robot.clock` costs in the receive path, and what a conversion costs.
+
+Real-time packets of an e-Series go through a receiver with the stamps that they have at 500 Hz: in turns with one whose
+clock is never looked at. For so many seconds that the last minute is full.
+
+    python benchmarks/peer_clock.py
+    python benchmarks/peer_clock.py --quick    # a quarter of the rounds
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+
+import numpy as np
+
+from linkcore.clock import Stamp
+from linkcore.streaming.receiver import Receiver
+from linkcore.streaming.statistics import StreamCounters
+from urlink.interfaces.realtime.protocol import RealtimeProtocol
+from urlink.packets import RealtimeState
+
+#: Packets a second, and of one turn.
+RATE, TURN = 500, 1000
+
+
+class Path:
+    """One receiver, and how long it takes for a packet."""
+
+    def __init__(self, *, is_looked_at: bool) -> None:
+        protocol = RealtimeProtocol()
+        self.counters = StreamCounters()
+        self.counters.connected(protocol, 1e-4)
+        self._receiver = Receiver("realtime", protocol, self.counters)
+        self._is_looked_at = is_looked_at
+
+    def run(self, packets: list[bytes], began: float) -> float:
+        """Seconds of processor time for one of these packets."""
+        stamps = [Stamp(began + i / RATE, 0.0) for i in range(len(packets))]
+        if not self._is_looked_at:
+            self.counters.clock.due = math.inf
+        begun = time.process_time()
+        for packet, stamp in zip(packets, stamps, strict=True):
+            self._receiver.feed(packet, stamp)
+        return (time.process_time() - begun) / len(packets)
+
+
+def turn_of(number: int) -> list[bytes]:
+    """The packets of one turn, with their times."""
+    return [bytes(RealtimeState("5.10", time=(number * TURN + i) / RATE)) for i in range(TURN)]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="a quarter of the rounds")
+    options = parser.parse_args()
+    with_clock, without = paths = Path(is_looked_at=True), Path(is_looked_at=False)
+    costs: dict[Path, list[float]] = {path: [] for path in paths}
+    begins = time.monotonic()
+    for number in range(35 if options.quick else 140):
+        packets = turn_of(number)
+        for path in paths if number % 2 else paths[::-1]:
+            costs[path].append(path.run(packets, begins + number * TURN / RATE))
+    clocked, bare = (float(np.median(costs[path])) for path in (with_clock, without))
+    relation = with_clock.counters.clock.relation
+    assert relation is not None
+    assert relation.bound(number * TURN / RATE) < 1e-3
+    assert without.counters.clock.relation is None
+    begun = time.process_time()
+    for _ in range(10_000):
+        relation = with_clock.counters.clock.relation
+        assert relation is not None
+        relation.to_peer(begins)
+    conversion = (time.process_time() - begun) / 10_000
+    ratio = clocked / bare
+    print(f"a real-time packet to a state, with the clock: {clocked * 1e6:.2f} us, {ratio:.3f} times as without")
+    print(f"a time of this computer to one of the controller: {conversion * 1e6:.2f} us")
+
+
+if __name__ == "__main__":
+    main()

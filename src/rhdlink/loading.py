@@ -1,0 +1,145 @@
+"""`load`: a recording of a robot as columns, one for each variable."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from linkcore.errors import BadRecording, PacketError
+from linkcore.recording.columns import ArrayColumns, Column
+from linkcore.recording.file import Progress, RecordingFile
+from linkcore.recording.table import Table
+from linkcore.recording.table_files import TABLE_WRITERS, chosen, export
+
+from .recording import CHANNEL, play
+from .variables.database import Database, VariableTable
+from .variables.declarations import Declaration, Declarations
+
+__all__ = ["RobotTable", "load"]
+
+
+class RobotTable(Table):
+    """What was recorded of a robot: a row for each batch that it sent, a column for each variable."""
+
+    def export(
+        self,
+        path: str | os.PathLike[str],
+        fields: Sequence[str] | None = None,
+        rate: float | None = None,
+        *,
+        progress: Progress | None = None,
+    ) -> Path:
+        """Write it to a file of another program, which replaces one of the same name once it is whole.
+
+        Args:
+            path: its suffix says the format: .csv, .parquet, .mat, .h5 or .mcap.
+            fields: names of variables; None for all.
+            rate: rows a second to which it is resampled; None for the batches as they came.
+            progress: called with the part that is done, 0 to 1.
+
+        Returns:
+            The path.
+
+        Raises:
+            BadValue: no such format or variable.
+            BadRecording: the file cannot be written.
+            LocalError: what writes the format is not installed; says how to.
+        """
+        return export(path, chosen({CHANNEL: self}, fields, rate), TABLE_WRITERS, progress)
+
+
+def load(
+    path: str | os.PathLike[str], variables: type[Declarations] | None = None, *, progress: Progress | None = None
+) -> RobotTable:
+    """A recording as columns: ``load("drive.urlog")["encl"]``, a row for each batch that the robot sent.
+
+    A variable keeps its value until the robot sends another. Of a read and a write variable with the same name the read
+    variable stands. What is damaged or unfinished is left out, and `Table.missing` says so.
+
+    Args:
+        path: of the file.
+        variables: class that declares variables, such as `rhdlink.robots.Smr`: their columns are typed as it says,
+            under the names of its attributes. Other variables are 32-bit words, int32, (n,) or (n, words).
+        progress: called with the part that is done, 0 to 1.
+
+    Raises:
+        BadRecording: no such file, or it holds no robot that runs RHD, or another kind of robot after a reconnect.
+    """
+    recording = RecordingFile(path, progress)
+    rows: list[bytes] = []
+    wall: list[float] = []
+    time: list[float] = []
+    begins: list[int] = []
+    missing: list[str] = []
+    database: Database | None = None
+    try:
+        for moment in play(recording, progress):
+            tables = (moment.database.write, moment.database.read)
+            if moment.is_handshake and database is not None:
+                begins.append(len(rows))
+                if [list(table) for table in tables] != [list(table) for table in (database.write, database.read)]:
+                    raise BadRecording(f"{path}: connection {moment.connection} is to a robot with other variables")
+            database = moment.database
+            rows.append(b"".join(bytes(table.memory) for table in tables))
+            time.append(moment.received.monotonic)
+            wall.append(moment.received.wall)
+    except PacketError as error:
+        missing.append(f"what follows {len(rows)} batches could not be read: {error}")
+    if recording.left_out:
+        missing.append(f"{recording.left_out} bytes at the end are damaged or unfinished")
+    if begins:
+        missing.append(f"connected again {len(begins)} times")
+    known: dict[str, Column] = {}
+    arrays: dict[str, NDArray[Any]] = {}
+    if database is not None:
+        words = np.frombuffer(b"".join(rows), np.int32).reshape(len(rows), -1)
+        of_write = len(database.write.values)
+        _add_words(database.write, words[:, :of_write], known, arrays)
+        _add_words(database.read, words[:, of_write:], known, arrays)
+        for attribute, declaration in ({} if variables is None else variables.declared()).items():
+            if declaration.name in arrays:
+                assert variables is not None, "the declarations are its own"
+                array = _typed(declaration, arrays.pop(declaration.name), declaration.order or variables._word_order)
+                known.pop(declaration.name)
+                width = array.shape[1] if array.ndim == 2 else None
+                known[attribute] = Column(attribute, declaration.unit, declaration.doc, width, array.dtype)
+                arrays[attribute] = array
+    seconds = np.array(time) - (time[0] if time else 0.0)
+    stamps = np.round(np.array(wall) * 1e9).astype(np.int64).astype("M8[ns]")
+    return RobotTable(str(path), ArrayColumns(known, arrays), seconds, stamps, begins, missing)
+
+
+def _add_words(
+    table: VariableTable, words: NDArray[np.int32], known: dict[str, Column], arrays: dict[str, NDArray[Any]]
+) -> None:
+    """A column for each variable of a table, of which `words` has the values, (n, words of the table)."""
+    for identity, row in enumerate(table):
+        if table.find(row.name) != identity:
+            continue  # of several with one name, the first is the one
+        start = table.start(identity)
+        mine = words[:, start] if row.length == 1 else words[:, start : start + row.length]
+        width = None if row.length == 1 else row.length
+        known[row.name] = Column(row.name, width=width, dtype=np.dtype(np.int32))
+        arrays[row.name] = mine
+
+
+def _typed(declaration: Declaration[Any, Any], words: NDArray[np.int32], order: Any) -> NDArray[Any]:
+    """The values of a variable in each row."""
+    count = len(words)
+    words = words.reshape(count, -1)
+    if declaration.length != words.shape[1]:
+        raise BadRecording(
+            f"{declaration.name} has {words.shape[1]} words in the recording, declared as {declaration.length}"
+        )
+    values = declaration.type.unpack_many(np.ascontiguousarray(words).ravel(), declaration.count * count, order)
+    if isinstance(values, np.ndarray) and values.dtype.names is None:
+        return values if declaration.count == 1 else values.reshape(count, declaration.count)
+    # Text and structures: one object for each row.
+    found = np.empty(count, object)
+    found[:] = [declaration.unpack(row, order) for row in words]
+    return found

@@ -1,0 +1,251 @@
+"""Connections recorded in linkcore's format: written as the bytes come, played batch by batch, summed up in figures."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from linkcore.clock import Stamp
+from linkcore.errors import BadRecording, Closed
+from linkcore.recording.file import Kind, Progress, Record, RecordingFile, RecordingWriter
+
+from .connection import Transport
+from .variables.database import Database
+from .variables.snapshot import Change, Update
+from .wire.decoder import ServerDecoder
+
+__all__ = ["CHANNEL", "Moment", "RecordedTransport", "Summary", "play", "received", "summarise"]
+
+_log = logging.getLogger(__name__)
+
+#: The name of the channel that holds a robot's bytes.
+CHANNEL = "rhd"
+
+
+class RecordedTransport:
+    """A transport that writes down what another one receives.
+
+    The file is made when the first connection stands, so that one that fails leaves none behind. Should the disk fail
+    later, the connection goes on, and `finish` says so.
+
+    Args:
+        transport: what carries the bytes.
+        path: a file that does not exist yet.
+    """
+
+    def __init__(self, transport: Transport, path: str | os.PathLike[str]) -> None:
+        self.name = transport.name
+        self._transport = transport
+        self._path = path
+        self._writer: RecordingWriter | None = None
+        self._channel = 0
+        self._failure: BadRecording | None = None
+
+    def open(self, timeout: float) -> None:
+        """Connect.
+
+        Raises:
+            BadRecording: the file exists, or cannot be made.
+        """
+        self._transport.open(timeout)
+        if self._writer is None:
+            self._writer = RecordingWriter(self._path)
+            self._channel = self._writer.add_channel({"name": CHANNEL, "interface": "rhd", "address": self.name})
+        else:
+            self._note("lost")
+        self._note("connected")
+
+    def receive(self, timeout: float | None = None) -> tuple[bytes, Stamp]:
+        """Wait for bytes."""
+        data, stamp = self._transport.receive(timeout)
+        self._write(Kind.BYTES, stamp, data)
+        return data, stamp
+
+    def receive_waiting(self) -> tuple[bytes, Stamp] | None:
+        """Bytes that have come already."""
+        arrived = self._transport.receive_waiting()
+        if arrived is not None:
+            self._write(Kind.BYTES, arrived[1], arrived[0])
+        return arrived
+
+    def send(self, data: bytes, timeout: float) -> None:
+        """Send all of it."""
+        self._transport.send(data, timeout)
+
+    def abort(self) -> None:
+        """Disconnect at once; the file stays open for the next connection."""
+        self._transport.abort()
+
+    def close(self) -> None:
+        """Disconnect; the file stays open for the next connection."""
+        self._transport.close()
+
+    def finish(self) -> None:
+        """Close the file; idempotent.
+
+        Raises:
+            BadRecording: the disk failed; the file holds what came before.
+        """
+        if self._writer is not None:
+            self._writer.close(complete=self._failure is None)
+        failure, self._failure = self._failure, None
+        if failure is not None:
+            raise failure
+
+    def _note(self, state: str) -> None:
+        self._write(Kind.EVENT, Stamp.now(), json.dumps({"state": state, "error": None}).encode())
+
+    def _write(self, kind: Kind, stamp: Stamp, payload: bytes) -> None:
+        if self._writer is None or self._failure is not None:
+            return
+        try:
+            self._writer.write(kind, self._channel, stamp, payload)
+        except Closed:
+            pass  # while the last sync was under way
+        except BadRecording as error:
+            _log.error("%s; the connection goes on without it", error)
+            self._failure = error
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A batch of a recording.
+
+    Attributes:
+        received: when it came.
+        database: all that was known then; it changes with the next moment.
+        width: words of a time stamp.
+        connection: number of the connection, from 1.
+        is_handshake: whether it is the first batch of its connection.
+    """
+
+    received: Stamp
+    database: Database
+    width: int
+    connection: int
+    is_handshake: bool
+
+    def update(self, names: frozenset[str] | None = None) -> Update:
+        """The variables whose time stamp or value has changed; of these, or of all."""
+        changes: dict[str, Change] = {}
+        # Of a read and a write variable with the same name the read variable stands.
+        for table in (self.database.write, self.database.read):
+            for identity in table.fresh.nonzero()[0].tolist():
+                name = table.rows[identity].name
+                if names is None or name in names:
+                    changes[name] = Change(table.words(identity), table.stamp(identity), bool(table.changed[identity]))
+        return Update(changes, self.received)
+
+
+def received(recording: RecordingFile, progress: Progress | None = None) -> Iterator[tuple[int, Record]]:
+    """The bytes of a robot, as they were received: the number of the connection, from 1, and the record.
+
+    Args:
+        progress: called with the part that is read, 0 to 1.
+
+    Raises:
+        BadRecording: it holds no robot that runs RHD.
+    """
+    number, connection = recording.channel(CHANNEL), 1
+    for record in recording.records(progress):
+        if record.channel != number:
+            continue
+        if record.kind is Kind.BYTES:
+            yield connection, record
+        elif record.kind is Kind.EVENT and json.loads(record.payload)["state"] == "lost":
+            connection += 1
+
+
+def play(recording: RecordingFile, progress: Progress | None = None) -> Iterator[Moment]:
+    """Every batch, in order.
+
+    Args:
+        progress: called with the part that is read, 0 to 1.
+
+    Raises:
+        BadRecording: it holds no robot that runs RHD.
+        PacketError: it holds bytes that are no batch.
+    """
+    decoder, database, current = ServerDecoder(), Database(), 1
+    for connection, record in received(recording, progress):
+        if connection != current:
+            decoder, current = ServerDecoder(), connection
+        decoder.feed(record.payload)
+        if decoder.handshake is None:
+            handshake = decoder.take_handshake()
+            if handshake is None:
+                continue
+            database = Database(handshake.read, handshake.write)
+            for data in handshake.data:
+                database.table(data.direction).receive(data)
+            yield Moment(record.stamp, database, handshake.width, connection, True)
+        assert decoder.handshake is not None
+        while (batch := decoder.take_batch()) is not None:
+            database.read.begin_round()
+            database.write.begin_round()
+            for data in batch.data:
+                database.table(data.direction).receive(data)
+            yield Moment(record.stamp, database, decoder.handshake.width, connection, False)
+
+
+@dataclass
+class Summary:
+    """The contents of a recording.
+
+    Attributes:
+        file: its name.
+        size: bytes.
+        is_complete: whether it was closed in good order.
+        left_out: bytes at its end that are unfinished or damaged.
+        seconds: from the first batch to the last.
+        batches: how many, those of handshakes among them.
+        connections: how many.
+        width: words of a time stamp.
+        variables: name -> how many batches set it.
+    """
+
+    file: str
+    size: int
+    is_complete: bool
+    left_out: int
+    seconds: float = 0.0
+    batches: int = 0
+    connections: int = 0
+    width: int = 0
+    variables: dict[str, int] = field(default_factory=dict)
+
+    def as_json(self) -> dict[str, Any]:
+        """Ready for JSON."""
+        return {**vars(self)}
+
+
+def summarise(recording: RecordingFile, progress: Progress | None = None) -> Summary:
+    """Read it through.
+
+    Args:
+        progress: called with the part that is read, 0 to 1.
+
+    Raises:
+        BadRecording: it holds no robot that runs RHD.
+        PacketError: it holds bytes that are no batch.
+    """
+    summary = Summary(str(recording.path), recording.path.stat().st_size, recording.is_complete, recording.left_out)
+    first: float | None = None
+    for moment in play(recording, progress):
+        first = moment.received.monotonic if first is None else first
+        summary.seconds = moment.received.monotonic - first
+        summary.batches += 1
+        summary.connections, summary.width = moment.connection, moment.width
+        counts = summary.variables
+        if moment.is_handshake:
+            for table in (moment.database.read, moment.database.write):
+                for row in table:
+                    counts.setdefault(row.name, 0)
+        else:
+            for name in moment.update().changes:
+                counts[name] += 1
+    return summary

@@ -1,1 +1,0 @@
-"""Connections written down, and lived through again: the bytes of a robot in linkcore's recording format."""

@@ -1,0 +1,211 @@
+"""Motions without a place to reach: `fwd`, `drive`, `motorcmds`, `stop`, `align`, and the test signals of `funcgen`.
+
+`idle` is in `control`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from ..arithmetic import cosine, divide, normalize_angle, sign, sine, truncate
+from .control import ControlledMotion, DriveKind, MotionControl, limited, ramped, root
+
+__all__ = ["Align", "FollowDirection", "Forward", "FunctionGenerator", "Stop", "Wheels"]
+
+
+class Stop(ControlledMotion):
+    """`stop`: hold the heading of the target."""
+
+    def update(self, control: MotionControl) -> None:
+        """Turn back by the error of the heading."""
+        error = normalize_angle(control.target.th - control.pose.th)
+        steering = control.parameters.gain * error
+        if control.drive is DriveKind.VELOMEGA and control.profile.stop_stands:
+            limit = control.parameters.limit
+            control.left = control.right = 0.0
+            control.omega = limited(steering, -limit, limit)
+        else:
+            # A velocity-omega robot takes the left one for its speed.
+            control.left, control.right = -steering, steering
+
+    def is_done(self, control: MotionControl) -> bool:
+        """At once."""
+        return True
+
+
+class Align(ControlledMotion):
+    """`align`: press the robot against an obstacle. A wheel that has stopped is told 4 m/s; its motor limits that."""
+
+    #: m/s below which a wheel has stopped, and what it is told then.
+    STOPPED = 0.01
+    PRESSING = 4.0
+
+    def update(self, control: MotionControl) -> None:
+        """Drive both wheels."""
+        control.target = control.pose.copy()
+        control.set_wheels(
+            self.PRESSING if abs(control.left_velocity) < self.STOPPED else control.speed,
+            self.PRESSING if abs(control.right_velocity) < self.STOPPED else control.speed,
+        )
+
+
+class FunctionGenerator(ControlledMotion):
+    """`funcgen`: a signal for a variable of the robot that `routeoutput` names; the speeds stay what they are.
+
+    Args:
+        parameters: 0 for a step (then height, s until it begins, s that it lasts), 1 for a square wave and 2 for a sine
+            (amplitude, Hz, s), 3 for a sweep (rate of change, Hz at the begin and at the end in rad/s, s).
+
+    Attributes:
+        output: the present value.
+    """
+
+    _PERIOD = 0.01
+
+    def __init__(self, parameters: Sequence[float]) -> None:
+        self._parameters = tuple(parameters)
+        self.output = 0.0
+        self._is_over = False
+
+    def update(self, control: MotionControl) -> None:
+        """The next value."""
+        kind, first, second, third, fourth = self._parameters
+        number, cycles, period = truncate(kind), control.cycles, self._PERIOD
+        if number == 0:
+            begin = second / period
+            end = third / period + begin
+            self._is_over = cycles > end
+            if not self._is_over:
+                self.output = first if begin <= cycles < end else 0.0
+        elif number in (1, 2, 3):
+            self._is_over = cycles >= (fourth if number == 3 else third) / period
+            if self._is_over:
+                return
+            if number == 1:
+                half = divide(1.0, second) * 0.5
+                halves = divide(cycles * period, half) - 0.5
+                # C's round: halves away from zero.
+                is_odd = math.isfinite(halves) and math.floor(abs(halves) + 0.5) % 2 == 1
+                self.output = first if is_odd else -first
+            elif number == 2:
+                self.output = first * sine(divide(math.tau * (cycles * period), divide(1.0, second)))
+            else:
+                squared = cycles * period * cycles * period
+                self.output = sine(second * cycles * period + (third - second) / 2 * first * squared)
+
+    def is_done(self, control: MotionControl) -> bool:
+        """When the signal is over."""
+        return self._is_over
+
+
+class Forward(ControlledMotion):
+    """`fwd`: straight on along the target heading, to a target that is moved on by the distance.
+
+    The target is moved, not the pose, so that errors do not add up. Near its end the robot slows down, and the line
+    ends 5 mm before the target; the robot goes on to it unless another motion begins.
+    """
+
+    #: m before the target at which the line ends.
+    TOLERANCE = 0.005
+
+    def __init__(self, distance: float) -> None:
+        self._distance = distance
+
+    def begin(self, control: MotionControl) -> None:
+        """Move the target on."""
+        control.distance = self._distance
+        control.reached = abs(control.velocity)
+        target = control.target
+        control.before = target.copy()
+        target.x += self._distance * cosine(target.th)
+        target.y += self._distance * sine(target.th)
+
+    def update(self, control: MotionControl) -> None:
+        """Ramp up, slow down before the target or an obstacle, and steer to the heading."""
+        parameters, pose, target = control.parameters, control.pose, control.target
+        acceleration = control.acceleration
+        velocity = ramped(abs(control.speed), control.reached, acceleration * parameters.period)
+        remaining = (target.x - pose.x) * cosine(target.th) + (target.y - pose.y) * sine(target.th)
+        is_ahead = control.distance > 0.0
+        free = (control.obstacle_front if is_ahead else control.obstacle_back) - parameters.stop_distance
+        free = control.clearance(free)
+        if abs(remaining) > free and not control.ignores_obstacles:
+            way, direction = free, 1.0 if is_ahead else -1.0
+        else:
+            way, direction = abs(remaining), sign(remaining)
+        for most in (root(2.0 * way * acceleration), parameters.kp * way):
+            if most < velocity:
+                velocity = most
+        control.reached = velocity
+        control.set_velocity(velocity * direction, control.heading_control(control.before.th - pose.th))
+        control.remaining = remaining
+
+    def is_done(self, control: MotionControl) -> bool:
+        """5 mm before the target, or beyond it."""
+        return sign(control.distance) * control.remaining < self.TOLERANCE
+
+    def progress(self, control: MotionControl) -> float:
+        """By the way that remains."""
+        return 1.0 - control.remaining / self._distance if self._distance else 1.0
+
+
+class FollowDirection(ControlledMotion):
+    """`drive` and its kin: along the line through the reference, in its direction, without an end.
+
+    Args:
+        keeps_speed: begins at the commanded speed (`driveon`) rather than at the robot's.
+        is_world: the reference is in world coordinates (`drivew`, `driveonw`).
+    """
+
+    def __init__(self, *, keeps_speed: bool = False, is_world: bool = False) -> None:
+        self._keeps_speed = keeps_speed
+        self._is_world = is_world
+
+    def begin(self, control: MotionControl) -> None:
+        """Take over the speed."""
+        control.reached = control.speed if self._keeps_speed else control.velocity
+
+    def update(self, control: MotionControl) -> None:
+        """Steer by the distance to the line and the angle to its direction."""
+        parameters, pose, reference = control.parameters, control.pose, control.reference
+        control.target = pose.copy()
+        control.ramp()
+        x, y, th = reference.x, reference.y, reference.th
+        if self._is_world:
+            world = control.world
+            c, s = cosine(world.th), sine(world.th)
+            x, y = c * x - s * y + world.x, s * x + c * y + world.y
+            th = normalize_angle(th + world.th)
+        c, s = cosine(th), sine(th)
+        control.remaining = (x - pose.x) * c + (y - pose.y) * s
+        error = normalize_angle(th - pose.th)
+        # The line in normal form: the distance to it counts to the left.
+        offset = (pose.x * -s + pose.y * c + -(-s * x + c * y)) + control.distance
+        if parameters.drive_kdist > 0.0:
+            # So far off the robot drives straight towards the line.
+            most = abs(parameters.drive_kangle * math.pi / 2 / parameters.drive_kdist)
+            if abs(offset) > most:
+                offset = most * sign(offset)
+        offset *= sign(control.reached)
+        rate = -parameters.drive_kdist * offset + parameters.drive_kangle * error
+        if control.drive is DriveKind.DIFFERENTIAL:
+            rate *= parameters.width
+        # The same limit for a turn rate and for a wheel: a velocity-omega robot turns far slower here.
+        control.set_velocity(control.reached, limited(rate, -parameters.limit, parameters.limit))
+
+
+class Wheels(ControlledMotion):
+    """`motorcmds`: the speeds of the wheels, as they are given."""
+
+    def __init__(self, left: float, right: float) -> None:
+        self._left, self._right = left, right
+
+    def update(self, control: MotionControl) -> None:
+        """Set them."""
+        control.target = control.pose.copy()
+        control.set_wheels(self._left, self._right)
+
+    def is_done(self, control: MotionControl) -> bool:
+        """At once."""
+        return True

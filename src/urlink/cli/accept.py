@@ -1,0 +1,114 @@
+"""`urlink accept`: tests a controller and this library together, and leaves evidence."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from pathlib import Path
+
+from linkcore.errors import BadValue
+
+from ..acceptance import report, stages
+from ..acceptance.bundle import opened, pack
+from ..acceptance.person import AtTheTerminal
+from ..acceptance.report import judge
+from ..acceptance.requirements import from_file, requirements
+from .options import Subparsers, add_address, add_command, seconds, tell
+
+__all__ = ["add_parser"]
+
+_DESCRIPTION = """\
+Test a controller and this library together, and print a page that can be signed.
+
+Stage 0 only reads, stage 1 moves nothing, stage 2 MOVES wrist 3 by some degrees. Each stage is begun with your
+consent: --yes gives it for the stages that --stage names; a simulated arm needs none. Each requirement has a
+verdict: held, NOT HELD, or not tried and why. The status is 0 where all that was tried is held."""
+
+_EXAMPLES = (
+    "urlink accept sim://ur5e",
+    "urlink accept 192.168.56.101 --stage 0 --yes --html page.html",
+    "urlink accept 192.168.56.101 --requirements cell.toml --bundle run.zip",
+    "urlink accept --replay run.zip",
+)
+
+
+def add_parser(subparsers: Subparsers) -> None:
+    """Declare the command."""
+    parser = add_command(subparsers, "accept", "prove a controller, and leave evidence", _DESCRIPTION, _EXAMPLES)
+    add_address(parser, nargs="?")
+    numbers = list(stages.STAGES)
+    parser.add_argument("--stage", type=int, action="append", choices=numbers, help="run this one; repeatable (all)")
+    parser.add_argument("--yes", action="store_true", help="consent to the stages that --stage names")
+    parser.add_argument(
+        "--dead-man", type=int, choices=range(8), metavar="N", help="digital input, on while it may move"
+    )
+    parser.add_argument("--duration", type=seconds, default=10.0, metavar="S", help="listen for S seconds (10)")
+    parser.add_argument("--requirements", metavar="FILE", help="limits of your own, and whose cell it is (TOML)")
+    parser.add_argument("--bundle", metavar="FILE", help="leave the evidence in this new file, a ZIP archive")
+    parser.add_argument("--replay", metavar="FILE", help="judge a bundle again, without a controller")
+    parser.add_argument("--html", metavar="FILE", help="write the page as HTML too")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the stages, or open a bundle, and print the page; the status is 1 if something that was tried is not held.
+
+    Raises:
+        BadValue: the address is a recording, or a file cannot be used.
+        BadRecording: no such bundle, or it cannot be written.
+        RemoteError: the controller cannot be reached.
+    """
+    if (args.address is None) == (args.replay is None):
+        args.usage_error("expected an address, or --replay and a bundle")
+    if args.replay is not None:
+        return _page(Path(args.replay), args.html)
+    if args.yes and not args.stage:
+        args.usage_error("--yes needs --stage: each stage is consented to by itself")
+    if args.bundle is not None and Path(args.bundle).exists():
+        raise BadValue(f"{args.bundle} exists; a bundle never overwrites one")
+    with tempfile.TemporaryDirectory(prefix="urlink-accept-") as folder:
+        bundle = Path(folder, "bundle.zip") if args.bundle is None else Path(args.bundle)
+        _test(args, Path(folder, "logbook.urlog"), bundle)
+        return _page(bundle, args.html)
+
+
+def _test(args: argparse.Namespace, logbook: Path, bundle: Path) -> None:
+    wanted, site = (requirements(), {}) if args.requirements is None else from_file(Path(args.requirements))
+    is_simulated = args.address.strip().startswith("sim:")
+
+    def consent(number: int, does: str) -> str:
+        if args.yes or is_simulated:
+            return ""
+        if not sys.stdin.isatty():
+            return "nobody could be asked for consent"
+        print(f"Stage {number} {does}.\nRun it? [y/N] ", end="", file=sys.stderr, flush=True)
+        return "" if sys.stdin.readline().strip().lower() in ("y", "yes") else "no consent"
+
+    numbers = args.stage or list(stages.STAGES)
+    tell(f"testing {args.address}: stage {', '.join(map(str, numbers))}; Ctrl-C ends it")
+    person = AtTheTerminal() if sys.stdin.isatty() and not is_simulated else None
+    secrets = stages.run(
+        args.address,
+        logbook,
+        numbers,
+        consent,
+        person=person,
+        dead_man=args.dead_man,
+        seconds=args.duration,
+        timeout=args.connect_timeout,
+    )
+    pack(logbook, bundle, wanted, site, secrets)
+
+
+def _page(path: Path, to: str | None) -> int:
+    with opened(path) as bundle:
+        verdicts = judge(bundle.evidence, bundle.requirements)
+        print(report.as_text(bundle.evidence, verdicts, bundle.site, bundle.digest))
+        if to is not None:
+            page = report.as_html(bundle.evidence, verdicts, bundle.site, bundle.digest)
+            try:
+                Path(to).write_text(page, encoding="utf-8")
+            except OSError as error:
+                raise BadValue(f"cannot write {to}: {error.strerror or error}") from None
+    return 0 if report.is_accepted(verdicts) else 1

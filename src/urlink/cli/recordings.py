@@ -1,0 +1,273 @@
+"""`urlink record`, `replay`, `export` and `plot`: a recording made, summed up or played, written for others, drawn."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
+
+from linkcore.cli.options import ProgressBar, add_export
+from linkcore.cli.program import Interruption
+from linkcore.recording.file import Kind, Progress, RecordingFile
+from linkcore.streaming.connection_life import ConnectionState
+from linkcore.streaming.stream import Stream
+from linkcore.text import strict_json
+from linkcore.wire.packet import State
+
+from ..decoding import INTERFACES
+from ..robot import connect
+from .echo import add_options, echo, kind_of, shower
+from .options import Subparsers, add_address, add_command, positive_int, seconds, tell
+from .summary import summarise
+
+if TYPE_CHECKING:
+    from ..data.recording import Recording as Columns
+
+__all__ = ["add_parser"]
+
+
+def add_parser(subparsers: Subparsers) -> None:
+    """Declare the commands."""
+    for add in (_add_record, _add_replay, _add_plot, _add_export):
+        add(subparsers)
+
+
+_RECORD = """\
+Record the raw bytes of one or more interfaces, with the times at which they came, into a new file.
+
+Every byte is kept, whether this library can decode it or not. A lost connection is noted and made again.
+Ctrl-C, SIGTERM, --duration and --count end the recording properly. After a crash the file can still be read
+up to the crash. Play it with `urlink replay`, look into it with `urlink dissect`, or use it as an address:
+replay:///path/to/file. A file that ends in .mcap gets messages of ROS 2 instead, for Foxglove and ros2 bag,
+which cannot be replayed (pip install 'urlink[mcap]')."""
+
+_RECORD_EXAMPLES = (
+    "urlink record 192.168.56.101 run.urlog",
+    "urlink record sim:// run.urlog --interface realtime --duration 10",
+    "urlink record 192.168.56.101 run.urlog --interface primary --interface secondary --count 100",
+)
+
+
+def _add_record(subparsers: Subparsers) -> None:
+    parser = add_command(subparsers, "record", "record what a robot sends", _RECORD, _RECORD_EXAMPLES)
+    add_address(parser)
+    parser.add_argument("file", metavar="FILE", help="file to make; it must not exist yet")
+    parser.add_argument(
+        "--interface",
+        action="append",
+        choices=INTERFACES,
+        help="interface to record; can be repeated (realtime and primary)",
+    )
+    parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds (never)")
+    parser.add_argument(
+        "--count", type=positive_int, metavar="N", help="end when N packets have come on each interface (never)"
+    )
+    parser.set_defaults(run=_record)
+
+
+def _record(args: argparse.Namespace) -> int:
+    """Record until interrupted, and print what is in the file.
+
+    Raises:
+        BadRecording: the file exists, or cannot be made.
+        RemoteError: the robot cannot be connected to, or a stream gave up.
+    """
+    interfaces = list(dict.fromkeys(args.interface or ("realtime", "primary")))
+    with connect(args.address, timeout=args.connect_timeout) as robot, Interruption() as interruption:
+        streams = [getattr(robot, name) for name in interfaces]
+        with robot.record(args.file, interfaces), ProgressBar("recording", args.quiet) as progress:
+            tell(f"recording {' and '.join(interfaces)} of {args.address} into {args.file}; Ctrl-C ends it")
+            begin = time.monotonic()
+            until = None if args.duration is None else begin + args.duration
+            while until is None or time.monotonic() < until:
+                left = 0.05 if until is None else min(0.05, max(until - time.monotonic(), 0.0))
+                if interruption.wait(left):
+                    break
+                fewest = min(stream.stats.received for stream in streams)
+                progress(
+                    max(
+                        0.0 if args.duration is None else (time.monotonic() - begin) / args.duration,
+                        0.0 if args.count is None else fewest / args.count,
+                    )
+                )
+                if args.count is not None and fewest >= args.count:
+                    break
+                for stream in streams:
+                    if stream.failure is not None:
+                        raise stream.failure
+                if all(stream.connection is ConnectionState.CLOSED for stream in streams):
+                    break  # the source is a recording, and it is over
+    if Path(args.file).suffix.lower() == ".mcap":
+        print(f"{args.file}: {Path(args.file).stat().st_size} bytes")
+    else:
+        with ProgressBar(f"reading {args.file}", args.quiet) as progress:
+            summary = summarise(RecordingFile(args.file, progress), progress)
+        print(summary.as_text())
+    interruption.raise_if_any()
+    return 0
+
+
+_REPLAY = """\
+Print what is in a recording; with --rate, play it.
+
+Without --rate: interfaces, robot, duration, bytes, packets, gaps, lost connections, and whether the file was
+closed properly. With --rate the packets are printed as `urlink echo` prints them, with the same options, and
+at the times at which they came, divided by the rate; `--rate max` prints them at once.
+
+A recording is an address as well: `urlink monitor replay:///tmp/run.urlog?rate=2` watches it, and so does
+every other command that takes one."""
+
+_REPLAY_EXAMPLES = (
+    "urlink replay run.urlog",
+    "urlink replay run.urlog --rate 1 q_actual tcp_force",
+    "urlink replay run.urlog --rate max --interface primary --json > states.jsonl",
+)
+
+
+def _add_replay(subparsers: Subparsers) -> None:
+    parser = add_command(subparsers, "replay", "print what is in a recording, or play it", _REPLAY, _REPLAY_EXAMPLES)
+    parser.add_argument("file", metavar="FILE", help="a recording")
+    add_options(parser)
+    parser.add_argument("--rate", type=_rate, metavar="R", help="play at R times the recorded speed, or max")
+    parser.set_defaults(run=_replay)
+
+
+def _rate(text: str) -> str:
+    if text == "max":
+        return text
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r} is neither a positive number nor max")
+    return text
+
+
+def _replay(args: argparse.Namespace) -> int:
+    """Print a summary, or play.
+
+    Raises:
+        BadRecording: no such file, or no recording, or it does not have this interface.
+    """
+    if args.rate is None:
+        for name in ("fields", "interface", "type", "count", "timeout"):
+            if getattr(args, name):
+                args.usage_error("what to print can be chosen only when the recording is played, with --rate")
+        with ProgressBar(f"reading {args.file}", args.quiet) as progress:
+            summary = summarise(RecordingFile(args.file, progress), progress)
+        print(strict_json(summary.as_json()) if args.json else summary.as_text())
+        return 0
+    interface, kind = kind_of(args)
+    show = shower(args, kind)
+    with ProgressBar(f"reading {args.file}", args.quiet) as progress:
+        recording = RecordingFile(args.file, progress)
+    number = recording.channel(interface)  # raises at once, and names the interfaces that there are
+    address = f"replay://{quote(str(Path(args.file).absolute()))}?rate={args.rate}"
+    # On a terminal the printed packets show the progress.
+    with connect(address) as robot, ProgressBar("playing", args.quiet or sys.stdout.isatty()) as progress:
+        if progress.is_shown:
+            show = _drawing(show, progress, getattr(robot, interface), _size(recording, number))
+        echo(robot, interface, kind, show, args)
+    return 0
+
+
+def _size(recording: RecordingFile, channel: int) -> int:
+    """Number of bytes that came over one interface."""
+    return sum(len(record.payload) for record in recording if (record.channel, record.kind) == (channel, Kind.BYTES))
+
+
+def _drawing(
+    show: Callable[[State], str], progress: ProgressBar, stream: Stream[Any], size: int
+) -> Callable[[State], str]:
+    """`show`, which also draws how much of `size` bytes has been played."""
+
+    def show_and_draw(packet: State) -> str:
+        progress(stream.stats.bytes / max(size, 1))
+        return show(packet)
+
+    return show_and_draw
+
+
+_EXPORT = """\
+Write a recording to a file of another program: .csv, .parquet, .mat (MATLAB), .h5 (HDF5) or .mcap (Foxglove,
+ros2 bag), by its suffix.
+
+Without fields everything is written; into .csv and .parquet, which hold one table, everything of the first
+stream that was recorded. Fields are named as `urlink echo` names them: q_actual, joint_data.T_motor,
+rtde.actual_q. A file of that name is replaced once the new one is complete. .parquet, .mat, .h5 and .mcap need the
+extra of the same name: pip install 'urlink[mcap]', or 'urlink[data]' for all."""
+
+_EXPORT_EXAMPLES = (
+    "urlink export run.urlog run.csv q_actual tcp_force",
+    "urlink export run.urlog run.parquet --rate 100",
+    "urlink export run.urlog run.mcap",
+)
+
+
+def _load(path: str, *, progress: Progress | None = None) -> Columns:
+    """A recording as columns, which `record` and `replay` do without."""
+    from ..data.recording import load
+
+    return load(path, progress=progress)
+
+
+def _add_export(subparsers: Subparsers) -> None:
+    add_export(
+        subparsers,
+        _EXPORT,
+        _EXPORT_EXAMPLES,
+        _load,
+        lambda recording: f"{recording.duration:.1f} s of {', '.join(recording.tables)}",
+        tell,
+    )
+
+
+_PLOT = """\
+Draw fields of a recording over time, a panel for each: in a window, or into a .png, .svg or .pdf.
+
+Fields are named as `urlink export` names them: q_actual, joint_data.T_motor, rtde.actual_q. It needs the extra
+plot: pip install 'urlink[plot]'."""
+
+_PLOT_EXAMPLES = (
+    "urlink plot run.urlog q_actual tcp_force",
+    "urlink plot run.urlog q_actual --output q.svg",
+    "urlink plot run.urlog tcp_force --start 2 --end 4.5 --output contact.png",
+)
+
+
+def _add_plot(subparsers: Subparsers) -> None:
+    parser = add_command(subparsers, "plot", "draw fields of a recording", _PLOT, _PLOT_EXAMPLES)
+    parser.add_argument("file", metavar="FILE", help="a recording")
+    parser.add_argument("fields", metavar="FIELD", nargs="+", help="field to draw; the first one is at the top")
+    parser.add_argument("--output", "-o", metavar="OUT", help="picture to write (a window)")
+    parser.add_argument("--start", type=float, default=0.0, metavar="S", help="second at which it begins (0)")
+    parser.add_argument(
+        "--end", type=float, default=float("inf"), metavar="S", help="second at which it ends (the last)"
+    )
+    parser.set_defaults(run=_plot, trailing="fields")
+
+
+def _plot(args: argparse.Namespace) -> int:
+    """Draw the fields.
+
+    Raises:
+        BadRecording: no such recording, or the picture cannot be written.
+        BadValue: no such field, or unknown suffix of the picture.
+        LocalError: matplotlib is not installed.
+    """
+    with ProgressBar(f"reading {args.file}", args.quiet) as progress:
+        recording = _load(args.file, progress=progress)
+        plot = recording.plot(*args.fields, start=args.start, end=args.end)
+        missing = recording.missing
+    for each in missing:
+        tell(f"missing: {each}")
+    if args.output is None:
+        plot.show()
+    else:
+        print(plot.save(args.output))
+    return 0

@@ -1,0 +1,335 @@
+"""Several arms as one: their motions begin at once, pass in one time, and end together; their states by one clock.
+
+Each arm is led by a program of its own, as with `follow`. What makes them one is the time of their trajectories
+(`urlink.motion.common_time`), and that what ends one before its time stops all.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+
+import numpy as np
+
+from linkcore.arguments import check_number, check_wait
+from linkcore.errors import BadValue, Cancelled, LinkError, LocalError
+from linkcore.handle import Lifecycle, Motion
+from linkcore.streaming.packet_queue import drop_oldest, latest
+from linkcore.threads import CallbackThread
+
+from .bounds import JOINT_ACCELERATION, JOINT_SPEED
+from .interfaces.realtime.packets import RealtimeState
+from .motion.common_time import CommonTime
+from .motion.follower import Follower
+from .motion.following import Tolerances, stands
+from .motion.linked import LinkedProgram
+from .motion.motions import LinkName
+from .motion.trajectory import Trajectory
+from .robot import Robot
+from .vectors import Numbers, six
+
+__all__ = ["Group", "GroupMotion"]
+
+#: Peak of speed and of acceleration of the quintic from 0 to 1 in one second, at rest at both ends.
+_PEAK_SPEED, _PEAK_ACCELERATION = 1.875, 10.0 / math.sqrt(3.0)
+#: s of a movement at least: of arms that are at their goal already.
+_SHORTEST = 0.1
+#: States of one arm that wait for those of the others.
+_WAITING = 64
+
+
+class GroupMotion(Motion):
+    """A motion of several arms under way. It is over when that of each arm is; what ends one before its time ends all.
+
+    Attributes:
+        motions: those of the arms, in the order of the group.
+    """
+
+    def __init__(
+        self, life: Lifecycle, motions: Sequence[Motion], names: Sequence[str], stopping: CallbackThread
+    ) -> None:
+        super().__init__(life)
+        self.motions = tuple(motions)
+        self._names = tuple(names)
+        lives = [motion._life for motion in motions]
+        life.brake = partial(_end_all, lives, f"cancelled with its group of {len(lives)}")
+        for number, each in enumerate(lives):
+            # In a thread of its own: the one that ends a motion may hold the section of its robot, and must not wait
+            # for that of another.
+            each.on_end(partial(stopping.call, self._look, number))
+
+    def _measured(self) -> float:
+        return min(motion.progress for motion in self.motions)
+
+    def _look(self, number: int) -> None:
+        """The motion of one arm is over."""
+        motion = self.motions[number]
+        error = motion.error
+        if error is not None:
+            others = [each._life for each in self.motions if each is not motion]
+            _end_all(others, f"stopped, since that of {self._names[number]} ended: {error}")
+            if isinstance(error, Cancelled):
+                self._life.cancel(f"cancelled with that of {self._names[number]}: {error}")
+            else:
+                self._life.fail(error)
+        elif all(each.done and each.error is None for each in self.motions):
+            self._life.finish()
+
+
+class Group:
+    """Arms that move together::
+
+        with urlink.connect(LEFT) as left, urlink.connect(RIGHT) as right:
+            both = urlink.Group(left, right)
+            both.follow([reach_left, reach_right]).wait()
+
+    Motions begin at the same moment, by the clocks of the controllers (`Robot.clock`), and pass as slowly as the arm
+    that is slowest with its program: speed slider, pause, and the controller's own limits. What ends the motion of one
+    arm before its time (a stop, an error, another motion, `cancel`) stops all.
+
+    Args:
+        robots: at least two, each once.
+
+    Attributes:
+        robots: as given.
+
+    Raises:
+        BadValue: fewer than two, or one of them twice.
+    """
+
+    def __init__(self, *robots: Robot) -> None:
+        for robot in robots:
+            if not isinstance(robot, Robot):
+                raise BadValue(f"{robot!r} is no Robot of urlink.connect")
+        if len(robots) < 2 or len({id(robot) for robot in robots}) < len(robots):
+            raise BadValue(f"a group of {len(robots)} robots; expected at least two, each of them once")
+        self.robots = tuple(robots)
+        self._callbacks = CallbackThread("group callbacks")
+        self._stopping = CallbackThread("group stops")
+
+    # -- motions ---------------------------------------------------------------------------------------
+
+    def follow(
+        self,
+        trajectories: Sequence[Trajectory],
+        *,
+        path_tolerance: float | None = None,
+        goal_tolerance: float = 0.01,
+        goal_time: float = 1.0,
+        start_tolerance: float = 0.05,
+        watchdog: float = 0.1,
+        lookahead_time: float = 0.03,
+        gain: float = 300.0,
+        link: LinkName = "reverse",
+        wait: bool | float = False,
+    ) -> GroupMotion:
+        """Follow a trajectory with each arm, all in one time.
+
+        The arms begin 50 ms after the last of them is at rest and its program has connected. One whose program is
+        paused halts all; once it goes on, it catches up with the others by a tenth of the speed.
+
+        Args:
+            trajectories: one for each arm; see `Motions.follow`. They may have different durations.
+            path_tolerance, goal_tolerance, goal_time, start_tolerance, watchdog, lookahead_time, gain, link: as for
+                `Motions.follow`, of each arm.
+            wait: see `Motions`.
+
+        Raises:
+            BadValue: not one trajectory for each arm; or one of an arm is refused, and nothing was sent.
+            LinkError: one arm could not begin; none has moved.
+        """
+        seconds = check_wait(wait)
+        if len(trajectories) != len(self.robots):
+            raise BadValue(f"{len(trajectories)} trajectories for a group of {len(self.robots)} robots")
+        tolerances = Tolerances.checked(path_tolerance, goal_tolerance, goal_time, start_tolerance)
+        common = CommonTime()
+        parts = []
+        for robot, trajectory in zip(self.robots, trajectories, strict=True):
+            if not isinstance(trajectory, Trajectory):
+                raise BadValue(f"{trajectory!r} is no Trajectory")
+            motions = robot.motion
+            model = robot.identity.arm
+            trajectory.check(model)
+            trajectory.check(near=motions._context.state().q_target, within=tolerances.start)
+            clock = common.member(robot.clock.to_local, 1.0 / robot.firmware.rate)
+            servoing = motions._servoing(watchdog, lookahead_time, gain)
+            parts.append((motions, Follower(trajectory, tolerances, servoing, model, clock=clock), clock))
+        begun: list[Motion] = []
+        try:
+            for motions, follower, clock in parts:
+                life = motions._context.programs.life("follow")
+                program = LinkedProgram(
+                    life, motions._context, follower, motions._opener(link), tolerance=tolerances.start
+                )
+                clock.is_paused = partial(getattr, program, "is_paused")
+                life.on_end(clock.leave)
+                begun.append(Motion(life, partial(getattr, follower, "progress")))
+                program.begin()
+        except BaseException:
+            _end_all([motion._life for motion in begun], "stopped, since that of another arm could not begin")
+            raise
+        return self._motion("follow", begun, seconds)
+
+    def move_joints(
+        self,
+        q: Sequence[Numbers],
+        speed: float = 1.05,
+        acceleration: float = 1.4,
+        *,
+        time: float | None = None,
+        wait: bool | float = False,
+    ) -> GroupMotion:
+        """Move each arm from where it stands to joint positions, straight in joint space; all arrive at the same time.
+
+        It is a `follow` of quintic trajectories that are at rest at both ends, so no joint exceeds the speed and the
+        acceleration.
+
+        Args:
+            q: (6,) rad for each arm.
+            speed: rad/s of the joint that moves fastest, of all arms.
+            acceleration: rad/s² of the joint that is accelerated most.
+            time: s that it takes; speed and acceleration have no effect then.
+            wait: see `Motions`.
+
+        Raises:
+            BadValue: not one goal for each arm; or beyond the limits of an arm.
+            LocalError: an arm moves.
+            LinkError: one arm could not begin; none has moved.
+        """
+        if len(q) != len(self.robots):
+            raise BadValue(f"{len(q)} goals for a group of {len(self.robots)} robots")
+        goals = [six(goal, f"q[{number}]") for number, goal in enumerate(q)]
+        starts = []
+        for robot in self.robots:
+            state = robot.motion._context.state()
+            if not stands(state.qd_target):
+                raise LocalError(f"{robot.address} moves: a group begins where its arms stand")
+            starts.append(state.q_target)
+        if time is None:
+            way = max(float(np.abs(goal - start).max()) for goal, start in zip(goals, starts, strict=True))
+            by_speed = _PEAK_SPEED * way / JOINT_SPEED.check(speed, "speed")
+            by_acceleration = math.sqrt(
+                _PEAK_ACCELERATION * way / JOINT_ACCELERATION.check(acceleration, "acceleration")
+            )
+            seconds = max(by_speed, by_acceleration, _SHORTEST)
+        else:
+            seconds = check_number(time, "time", _SHORTEST, 3600.0, "s")
+        rest = np.zeros((2, 6))
+        return self.follow(
+            [
+                Trajectory.from_arrays([0.0, seconds], [start, goal], rest, rest)
+                for start, goal in zip(starts, goals, strict=True)
+            ],
+            wait=wait,
+        )
+
+    def stop(self, acceleration: float = 2.0, *, wait: bool | float = False) -> None:
+        """Brake all arms, at `acceleration` in rad/s²; each is told, also where another one cannot be.
+
+        Raises:
+            LinkError: what the first of those said that could not be told.
+        """
+        check_wait(wait)
+        stops: list[Motion] = []
+        errors: list[LinkError] = []
+        for robot in self.robots:
+            try:
+                stops.append(robot.motion.stop(acceleration))
+            except LinkError as error:
+                errors.append(error)
+        if wait:
+            for stop in stops:
+                stop.wait(check_wait(wait))
+        if errors:
+            raise errors[0]
+
+    def _motion(self, name: str, motions: Sequence[Motion], seconds: float) -> GroupMotion:
+        sections = [robot.motion._context.section for robot in self.robots]
+
+        @contextlib.contextmanager
+        def waiting() -> Iterator[None]:
+            with contextlib.ExitStack() as stack:
+                for section in sections:
+                    stack.enter_context(section.waiting())
+                yield
+
+        life = Lifecycle(f"{name} of {len(motions)} arms", self._callbacks, waiting)
+        life.begin()
+        names = [robot.address for robot in self.robots]
+        motion = GroupMotion(life, motions, names, self._stopping)
+        if seconds:
+            motion.wait(seconds)
+        return motion
+
+    # -- states ----------------------------------------------------------------------------------------
+
+    def states(self, timeout: float | None = 5.0) -> Iterator[tuple[RealtimeState, ...]]:
+        """States of all arms of the same moment, the newest that there are, by the clocks of their controllers.
+
+        Those of the slowest controller, or of the first of the slowest, and of each other arm the one nearest to it: at
+        most half of a cycle of that arm away, and what both clocks may be off (`RobotClock.bound`). Moments of which an
+        arm has no state are left out.
+
+        Args:
+            timeout: s within which each arm must send a state; None for ever.
+
+        Yields:
+            one state for each arm, in the order of the group.
+
+        Raises:
+            LinkTimeout: none came from an arm in time.
+            RemoteError, LocalError: as `Stream.iterate`.
+        """
+        rates = [robot.firmware.rate for robot in self.robots]
+        first = rates.index(min(rates))
+        aligned = [
+            _Aligned(robot, timeout, 0.75 / rate)
+            for number, (robot, rate) in enumerate(zip(self.robots, rates, strict=True))
+            if number != first
+        ]
+        to_local = self.robots[first].clock.to_local
+        for state in self.robots[first].realtime.iterate(latest, timeout):
+            found = [each.at(to_local(state.time)) for each in aligned]
+            others = [other for other in found if other is not None]
+            if any(each.is_over for each in aligned):
+                break
+            if len(others) == len(found):
+                yield (*others[:first], state, *others[first:])
+
+    def __repr__(self) -> str:
+        return f"<Group of {', '.join(robot.address for robot in self.robots)}>"
+
+
+class _Aligned:
+    """The states of one arm, looked up by the time of this computer; times only go on.
+
+    Attributes:
+        is_over: there are no more.
+    """
+
+    def __init__(self, robot: Robot, timeout: float | None, furthest: float) -> None:
+        self._states = robot.realtime.iterate(drop_oldest(_WAITING), timeout)
+        self._to_local: Callable[[float], float] = robot.clock.to_local
+        self._furthest = furthest
+        self.is_over = False
+        self._before: RealtimeState | None = None
+        self._after: RealtimeState | None = None
+
+    def at(self, local: float) -> RealtimeState | None:
+        """The state nearest to monotonic s; None if there is none near it."""
+        while self._after is None or self._to_local(self._after.time) < local:
+            state = next(self._states, None)
+            if state is None:
+                self.is_over = True
+                return None
+            self._before, self._after = self._after, state
+        candidates = [each for each in (self._before, self._after) if each is not None]
+        nearest = min(candidates, key=lambda each: abs(self._to_local(each.time) - local))
+        return nearest if abs(self._to_local(nearest.time) - local) <= self._furthest else None
+
+
+def _end_all(lives: Sequence[Lifecycle], why: str) -> None:
+    for life in lives:
+        life.cancel(why, brake=True)

@@ -1,0 +1,133 @@
+"""One time for the trajectories of several arms: it begins for all at once, and passes as slowly as for the slowest.
+
+It is a function of this computer's clock. Each arm's states have a time of its own controller, which `RobotClock`
+converts, so it does not matter how long they were on their way. A program whose states do not come, or that is paused,
+halts it for all.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable
+
+from ..interfaces.realtime.packets import RealtimeState
+from .controller_clock import RAMP, ProgramClock
+
+__all__ = ["CommonTime", "MemberClock"]
+
+#: s from when the last arm is ready to the beginning: states and set-points of all arms get through in that. Chosen; an
+#: arm whose states take longer begins late, and catches up.
+_LEAD = 0.05
+#: s without a state after which the time stands still. Chosen: those after which a program brakes, by default.
+_SILENT = 0.1
+#: s in which an arm that is ahead or behind is led to the common time, and the fraction of its speed for that at most.
+#: Chosen: what the clocks show anew makes no jerk, and a follower catches up by so much (`urlink.motion.follower`).
+_SETTLING, _MOST = 0.2, 0.1
+
+
+class CommonTime:
+    """The time of all trajectories of a group. Any thread may call.
+
+    Attributes:
+        began: monotonic s of this computer at which they begin; None while an arm is not ready.
+        rate: seconds of it per second of this computer.
+    """
+
+    def __init__(self) -> None:
+        self.began: float | None = None
+        self.rate = 1.0
+        self._lock = threading.Lock()
+        self._members: tuple[MemberClock, ...] = ()
+        #: where it has got to: monotonic s of this computer, and s of its own
+        self._local, self._time = -math.inf, 0.0
+
+    def member(self, to_local: Callable[[float], float], cycle: float) -> MemberClock:
+        """The clock of one more arm.
+
+        Args:
+            to_local: converts s of the arm's controller to monotonic s of this computer.
+            cycle: s of its controller.
+        """
+        member = MemberClock(self, to_local, cycle)
+        self._members = (*self._members, member)
+        return member
+
+    def leave(self, member: MemberClock) -> None:
+        """The motion of that arm is over, so it holds up nobody."""
+        with self._lock:
+            self._members = tuple(each for each in self._members if each is not member)
+
+    def at(self, local: float) -> float:
+        """s of it at monotonic s of this computer, near the newest state."""
+        return self._time + self.rate * (local - self._local)
+
+    def look(self, local: float, now: float) -> None:
+        """Go on until `local`, the time of a state that has come `now`, both monotonic s of this computer."""
+        with self._lock:
+            running = self._members
+            if self.began is None:
+                if not all(member.is_ready for member in running):
+                    return
+                self.began = self._local = max(local, now) + _LEAD
+                self.rate = min((member.own_rate(now) for member in running), default=0.0)
+            seconds = local - self._local
+            if seconds > 0.0:
+                wanted = min((member.own_rate(now) for member in running), default=0.0)
+                change = min(max(wanted - self.rate, -RAMP * seconds), RAMP * seconds)
+                time = self._time + (self.rate + 0.5 * change) * seconds
+                self._local, self._time, self.rate = local, time, self.rate + change
+
+
+class MemberClock(ProgramClock):
+    """The clock of the trajectory of one arm of a group; made by `CommonTime.member`.
+
+    Attributes:
+        is_ready: the arm can begin.
+        is_paused: returns whether its program is paused.
+    """
+
+    def __init__(self, common: CommonTime, to_local: Callable[[float], float], cycle: float) -> None:
+        super().__init__(cycle)
+        self.is_ready = False
+        self.is_paused: Callable[[], bool] = bool
+        self._common = common
+        self._to_local = to_local
+        self._own = ProgramClock(cycle)
+        #: of the newest state: s since the one before, monotonic s of this computer at its time and at its arrival
+        self._seconds, self._local, self._seen = 0.0, -math.inf, -math.inf
+
+    def leave(self) -> None:
+        """The motion of this arm is over."""
+        self._common.leave(self)
+        self.is_paused = bool
+
+    def own_rate(self, now: float) -> float:
+        """Seconds of the program on this arm per second of its controller, as far as is known `now`."""
+        return 0.0 if self.is_paused() or now - self._seen > _SILENT else self._own.rate
+
+    def passed(self, state: RealtimeState, now: float) -> tuple[float, float]:
+        """As for a program by itself."""
+        seconds, scaled = self._own.passed(state, now)
+        local = self._to_local(state.time) if math.isfinite(state.time) else now
+        self._seconds, self._local, self._seen = seconds, local, now
+        self._common.look(local, now)
+        self.rate = self._common.rate
+        return seconds, scaled
+
+    def beginning(self) -> float | None:
+        """The common time, once it has begun."""
+        self.is_ready = True
+        began = self._common.began
+        return None if began is None or self._local < began else self._common.at(self._local)
+
+    def after(self, t: float, scaled: float) -> float:
+        """Towards the common time."""
+        step = self.rate * self._seconds
+        off = self._common.at(self._local) - (t + step)
+        most = _MOST * step
+        return t + step + min(max(off * self._seconds / _SETTLING, -most), most)
+
+    def restart(self) -> None:
+        """Go on after a pause."""
+        self._own.restart()

@@ -1,0 +1,545 @@
+"""The dialogue with a program that holds points (`urlink.urscript.buffering`): what it is sent, and where it is.
+
+Two curves are told apart. That of the points begins where the arm rests, and each point is reached at its own time. The
+arm is on it, but where the points came too late, or were replaced: then a way leads from where it is to a moment of
+that curve, and takes the time that it needs. The clock of the stream shows the time on the curve of the points; it
+stands while the arm brakes and rests for want of points.
+
+A cut can come too late, and points can come after the braking has begun: the program refuses them, and reports it. Then
+what was refused is planned again, from where the arm is by then.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import struct
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from contextlib import AbstractContextManager
+from typing import Any
+
+import numpy as np
+
+from linkcore.errors import BadValue, Cancelled
+
+from ..errors import ToleranceExceeded
+from ..interfaces.realtime.packets import RealtimeState
+from ..urscript.buffering import BRAKING, CUT, FINE, MOVING, OPEN, POINT, REPORTED, RESTING, WORD, PointRegisters
+from ..urscript.links import SCALE, STOP, WAIT
+from .controller_clock import ProgramClock
+from .following import Rest
+from .stream_steps import Aim, Bounds, Handed, JointMoment, Mark, Step, onto
+
+__all__ = ["StreamFeed"]
+
+_WORD, _REPORT = struct.Struct(f">{WORD}i"), struct.Struct(f">{REPORTED}i")
+_STOP_WORD = _WORD.pack(STOP, *[0] * (WORD - 1))
+_WAIT_WORD = _WORD.pack(WAIT, *[0] * (WORD - 1))
+#: Cycles, and s, that a cut takes to the program at first, and s at most: each that comes too late doubles the time.
+_AHEAD, _WAY, _LONGEST_WAY = 6, 0.01, 1.0
+#: Words within which a program has found out where the arm is, after a pause in which it was slow at first.
+_RESUMING = 50
+
+
+@dataclasses.dataclass(frozen=True)
+class _Sent:
+    """A step that the program holds, or is being sent.
+
+    Attributes:
+        number: of the point at its end.
+        word: number of the word that it came with.
+        begins, ends: on the clock of the stream, s.
+        until: s of all steps up to its end.
+        aim: what it leads to; None for the beginning of a step that was cut.
+    """
+
+    number: int
+    word: int
+    step: Step
+    begins: float
+    ends: float
+    until: float
+    aim: Aim | None
+
+
+@dataclasses.dataclass(frozen=True)
+class _Report:
+    words: int
+    epoch: int
+    head: int
+    base: int
+    passed: float
+    phase: int
+
+
+@dataclasses.dataclass
+class _Request:
+    """A replacement of the tail, or its removal.
+
+    Attributes:
+        since: on the clock of the stream, s.
+        curve: the points, each with the step from the one before; none to remove the tail.
+        done: resolved to the time from which it holds.
+    """
+
+    since: float
+    curve: Sequence[Aim]
+    done: Future[float]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Cut:
+    """A cut that the program has not answered: its word and epoch, and what holds again if it is refused."""
+
+    word: int
+    epoch: int
+    head: int
+    steps: tuple[_Sent, ...]
+    queue: tuple[Aim, ...]
+    mark: Mark
+    request: _Request | None
+
+
+class StreamFeed:
+    """Sends points to the program, as many as it is to hold.
+
+    Args:
+        write: makes the lines of the program.
+        section: of the robot: points and states come in different threads.
+        bounds: what may be asked of the arm.
+        cycle: s of the controller's cycle.
+        capacity: points that the program holds.
+        buffer: s that it is to hold.
+
+    Attributes:
+        begun: resolved once the arm rests, so that points can be appended.
+        starved: how often the arm had to brake because no points were left.
+        margin: s before which the program cannot be reached.
+    """
+
+    farewell = _STOP_WORD
+    is_over = False
+    survives_its_program = False
+
+    def __init__(
+        self,
+        write: Callable[[Any], list[str]],
+        section: AbstractContextManager[object],
+        bounds: Bounds,
+        cycle: float,
+        capacity: int,
+        buffer: float,
+    ) -> None:
+        self._write = write
+        self._section = section
+        self._bounds = bounds
+        self._cycle = cycle
+        self._capacity = capacity
+        self._buffer = buffer
+        self.begun: Future[None] = Future()
+        self.starved = 0
+        self.margin = _AHEAD * cycle + _WAY
+        self.mark: Mark | None = None
+        self._clock = ProgramClock(cycle)
+        self._begin = Rest("the stream")
+        self._is_lossy = False
+        self._received = b""
+        self._words = self._epoch = self._head = 0
+        #: s of the program since the first state, as far as states show it, and at the last report
+        self._passed = self._reported = 0.0
+        self._report = _Report(0, 0, 0, 0, 0.0, RESTING)
+        #: the steps from the present one on that were sent
+        self._steps: deque[_Sent] = deque()
+        #: the end of the step before these; while the epoch is closed, the braking from there
+        self._last: _Sent
+        self._brake: Step
+        self._is_open = False
+        self._queue: deque[Aim] = deque()
+        self._cut: _Cut | None = None
+        self._request: _Request | None = None
+        self._is_cleared = False
+        self._may_skip = False
+        #: after a pause: the words before it, and where the arm stood
+        self._found: tuple[int, JointMoment] | None = None
+        self._dry: list[Future[None]] = []
+
+    # -- for the one who appends; in the section -----------------------------------------------------
+
+    def add(self, aims: Sequence[Aim], handed: Handed) -> None:
+        """Append points, whose steps begin at the mark."""
+        self._queue.extend(dataclasses.replace(aim, handed=handed) for aim in aims)
+        self.mark = Mark(aims[-1].time, aims[-1].moment)
+
+    def replace(self, since: float, curve: Sequence[Aim]) -> Future[float]:
+        """Replace what comes after a time, or as soon as possible after it; without points, end there."""
+        request = _Request(since, curve, Future())
+        if self._cut is not None or self._request is not None:
+            self._request = request  # one that ends the stream, while points are being replaced
+        else:
+            self._attempt(request)
+        return request.done
+
+    def forget(self, handed: Handed) -> None:
+        """Drop those of these points that were not sent."""
+        kept = [aim for aim in self._queue if aim.handed is not handed]
+        if len(kept) < len(self._queue):
+            self._queue = deque(kept)
+            end = kept[-1] if kept else self._steps[-1].aim if self._steps else None
+            if end is not None:
+                self.mark = Mark(end.time, end.moment)
+            elif self._steps:
+                self.mark = Mark(self._steps[-1].ends, self._steps[-1].step.end)
+            else:
+                self.mark = Mark(self._last.ends, JointMoment.at_rest(self._brake.end.q))
+
+    def dry(self) -> Future[None]:
+        """Resolved once the arm rests and no point is left."""
+        future: Future[None] = Future()
+        self._dry.append(future)
+        self._settle_dry()
+        return future
+
+    @property
+    def is_dry(self) -> bool:
+        """Whether the arm rests and no point is left."""
+        is_busy = self._is_open or self._queue or self._cut or self._request
+        return not is_busy and self._report.phase == RESTING
+
+    @property
+    def time(self) -> float:
+        """On the clock of the stream, s."""
+        if self.mark is None:
+            return 0.0
+        place = self._place(0.0)
+        if place is None:
+            # It stands, or is led beyond what was sent by now.
+            return self._steps[-1].ends if self._steps and self._report.phase == MOVING else self._last.ends
+        step, t = place
+        return step.begins + (step.ends - step.begins) * min(t / step.step.length, 1.0) if t > 0.0 else step.begins
+
+    @property
+    def ahead(self) -> float:
+        """s of the steps that were sent and not passed."""
+        if not self._steps:
+            return 0.0
+        here = self._last.until + self._report.passed + self._passed - self._reported
+        return max(self._steps[-1].until - here, 0.0)
+
+    def end(self, error: Exception) -> None:
+        """Nothing is sent any more."""
+        with self._section:
+            for aim in self._queue:
+                if aim.handed is not None:
+                    aim.handed.settle(error)
+            waiting: list[Future[None] | Future[float]] = [self.begun, *self._dry]
+            for request in (self._request, None if self._cut is None else self._cut.request):
+                if request is not None:
+                    waiting.append(request.done)
+            for future in waiting:
+                if not future.done():
+                    future.set_exception(error)
+
+    # -- the dialogue ----------------------------------------------------------------------------------
+
+    def body(self, link: Any) -> list[str]:
+        self._is_lossy = isinstance(link, PointRegisters)
+        return self._write(link)
+
+    def resume(self, state: RealtimeState) -> None:
+        """Go on after a pause: with the points, or where the arm has braked to, if the program finds it elsewhere."""
+        with self._section:
+            self._clock.restart()
+            self._found = self._words, JointMoment.at_rest(state.q_target)
+
+    def conclude(self) -> None: ...
+
+    def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
+        """The word that answers a state.
+
+        Raises:
+            LinkTimeout: the arm does not come to rest before the first point.
+            ToleranceExceeded: no way leads onto the points from where the arm has braked to.
+        """
+        with self._section:
+            self._passed += self._clock.passed(state, now)[1]
+            self._words += 1
+            self._received += received
+            while len(self._received) >= _REPORT.size:
+                words, epoch, head, base, passed, phase = _REPORT.unpack_from(self._received)
+                self._received = self._received[_REPORT.size :]
+                self._take(_Report(words, epoch, head, base, passed / SCALE, phase))
+            if self.mark is None:
+                if self._begin.is_reached(state, now):
+                    self._rest_at(0.0, JointMoment.at_rest(state.q_target))
+                    self.begun.set_result(None)
+                return _WAIT_WORD
+            for handed in {aim.handed for aim in self._queue if aim.handed is not None}:
+                if handed.call is not None and handed.call.is_given_up:
+                    self.forget(handed)
+                    handed.settle(Cancelled("the task that appended these points has given them up"))
+            return self._next()
+
+    def _rest_at(self, time: float, moment: JointMoment) -> None:
+        self.mark = Mark(time, moment)
+        still = Step.braking(moment, self._bounds.limits)
+        self._last, self._brake = _Sent(0, 0, still, time, time, 0.0, None), still
+
+    def _next(self) -> bytes:
+        if self._cut is None:
+            if self._request is not None:
+                request, self._request = self._request, None
+                try:
+                    self._attempt(request)
+                except BadValue as error:
+                    request.done.set_exception(error)
+            if self._cut is None and not self._is_open and self._queue:
+                self._resume()
+            self._settle_dry()
+        if self._cut is not None and (self._cut.word == 0 or self._is_lossy):
+            # Again until it is answered, where words may be lost: so what sees a later word has seen a cut.
+            if self._cut.word == 0:
+                self._cut = dataclasses.replace(self._cut, word=self._words)
+            return self._cut_word
+        if self._is_open and self._queue and self._has_room:
+            aim = self._queue.popleft()
+            assert aim.step is not None
+            before = self._steps[-1] if self._steps else self._last
+            self._head += 1
+            # From where the step before ends, as the program does it.
+            step = Step.to(before.step.end, aim.moment, aim.step.length, aim.degree)
+            until = before.until + step.length
+            self._steps.append(_Sent(self._head, self._words, step, before.ends, aim.time, until, aim))
+            if aim.handed is not None and not any(each.handed is aim.handed for each in self._queue):
+                aim.handed.settle()
+            return self._word(POINT, self._head, aim.step.length, aim.degree, aim.moment)
+        return _WAIT_WORD
+
+    @property
+    def _has_room(self) -> bool:
+        return self._head - self._report.base < self._capacity - 1 and self.ahead < self._buffer
+
+    def _word(self, what: int, number: int, length: float, degree: int, moment: JointMoment) -> bytes:
+        numbers = [round(FINE * each) for each in moment.q.tolist()]
+        numbers += [round(SCALE * each) for row in (moment.qd, moment.qdd) for each in row.tolist()]
+        return _WORD.pack(what, self._epoch, number, round(SCALE * length), degree, *numbers)
+
+    # -- what the program reports ----------------------------------------------------------------------
+
+    def _take(self, report: _Report) -> None:
+        time, found = self.time, None
+        if self._found is not None and report.words > self._found[0]:
+            if report.phase == RESTING:
+                found = self._found[1]
+            if found is not None or report.words > self._found[0] + _RESUMING:
+                self._found = None
+        self._report, self._reported = report, self._passed
+        cut = self._cut
+        if cut is not None and 0 < cut.word <= report.words:
+            self._cut = None
+            if report.epoch == cut.epoch:
+                if cut.request is not None:
+                    self._is_cleared = not cut.request.curve
+                    assert self.mark is not None
+                    cut.request.done.set_result(self.mark.time if self._is_cleared else cut.request.since)
+            else:
+                self._take_back(cut)
+        while self._steps and self._steps[0].number <= report.base:
+            self._last = self._steps.popleft()
+        if self._cut is not None or self.mark is None:
+            return
+        is_closed = report.phase in (RESTING, BRAKING)
+        # While it moves, a point is refused if its word was too old; once it brakes, all that were on their way are.
+        refused = [
+            sent for sent in self._steps if sent.number > report.head and (is_closed or sent.word <= report.words)
+        ]
+        if refused:
+            self._head = refused[0].number - 1
+            again = [sent for sent in self._steps if sent.number > self._head]
+            self._steps = deque(sent for sent in self._steps if sent.number <= self._head)
+            self._queue.extendleft(sent.aim for sent in reversed(again) if sent.aim is not None)
+        if is_closed and (self._is_open or found is not None):
+            self._is_open = False
+            if found is not None:
+                self._last = dataclasses.replace(self._last, ends=time)
+                # The controller has braked it along its way: what is behind it is left out.
+                self._may_skip = True
+                assert self.mark is not None
+                if not self._queue:  # it was cleared, or is past its last point
+                    self.mark = Mark(time, found)
+            self._brake = Step.braking(found or self._last.step.end, self._bounds.limits)
+            if self._brake.length > self._cycle and not self._is_cleared:
+                self.starved += 1
+            self._is_cleared = False
+
+    def _take_back(self, cut: _Cut) -> None:
+        """The cut came too late."""
+        self.margin = min(2.0 * self.margin, _LONGEST_WAY)
+        new = [sent.aim for sent in self._steps if sent.number > cut.head and sent.aim is not None]
+        self._head, self._steps = cut.head, deque(cut.steps)
+        if cut.request is not None:
+            self._queue, self.mark, self._request = deque(cut.queue), cut.mark, cut.request
+            self._is_open = True
+        else:
+            self._queue.extendleft(reversed([aim for aim in new if aim not in self._queue]))
+            self._is_open = False
+
+    def _settle_dry(self) -> None:
+        if self.is_dry:
+            for future in self._dry:
+                if not future.done():
+                    future.set_result(None)
+            self._dry.clear()
+
+    # -- planning --------------------------------------------------------------------------------------
+
+    def _place(self, later: float) -> tuple[_Sent, float] | None:
+        """The step in which the arm is `later` s from now, if all goes well, and the time since it began."""
+        left = self._report.passed + self._passed - self._reported + later
+        if self._report.phase not in (MOVING, OPEN):
+            return None
+        if self._report.phase == OPEN:
+            left = later
+        for sent in self._steps:
+            if left < sent.step.length:
+                return sent, left
+            left -= sent.step.length
+        return None
+
+    def _open(self, number: int, length: float, degree: int, moment: JointMoment, cut: _Cut) -> None:
+        """Open an epoch with a cut, which is sent with the next word."""
+        self._epoch += 1
+        self._cut = dataclasses.replace(cut, epoch=self._epoch)
+        self._cut_word = self._word(CUT, number, length, degree, moment)
+        self._head = number + 1
+        self._is_open = True
+
+    def _kept(self, request: _Request | None) -> _Cut:
+        assert self.mark is not None
+        return _Cut(0, 0, self._head, tuple(self._steps), tuple(self._queue), self.mark, request)
+
+    def _resume(self) -> None:
+        """Go on from the braking, or from rest, onto the points that wait."""
+        report, time = self._report, self._last.ends
+        if report.phase == RESTING:
+            t, here = 0.0, JointMoment.at_rest(self._brake.end.q)
+        else:
+            t = report.passed + self._passed - self._reported + self.margin
+            if t > self._brake.length - self._cycle:
+                return  # it rests before a cut could reach it
+            here = self._brake.at(t)
+        shortest = 2.0 * self._cycle
+        if self._may_skip:
+            for first, aim in enumerate(self._queue):
+                span = aim.time - time
+                if span >= shortest and self._bounds.first_within([Step.to(here, aim.moment, span, 5)]) is not None:
+                    self._queue = deque(list(self._queue)[first:])
+                    break
+            self._may_skip = False
+        aim = self._queue[0]
+        if aim.step is None or not aim.step.begins_in(here):
+            # Where the points let accelerations leap, or ask for more than the stream may, it lands without one.
+            least, still = max(aim.time - time, shortest), dataclasses.replace(aim.moment, qdd=np.zeros(6))
+            landings = [aim.moment, still] if aim.degree == 5 else [still]
+            ways = ((self._bounds.way(here, landing, least), landing) for landing in landings)
+            way, landing = next((each for each in ways if each[0] is not None), (None, still))
+            if way is None:
+                raise ToleranceExceeded(
+                    f"no way within the limits leads from where the arm has braked to onto the point at {aim.time:g} s"
+                )
+            self._queue[0] = dataclasses.replace(aim, step=way, degree=5, moment=landing)
+        kept = self._kept(None)
+        self._open(report.base, t, 5, here, kept)
+        step = self._brake.cut(t)
+        self._steps.append(_Sent(self._head, 0, step, time, time, self._last.until + t, None))
+
+    def _attempt(self, request: _Request) -> None:
+        """Replace the tail, or cut it off.
+
+        Raises:
+            BadValue: no way within the limits leads onto the points.
+        """
+        now = self._place(self.margin)
+        if not self._is_open:
+            self._replace_at_rest(request)
+        elif now is None or (request.curve and request.since >= self._steps[-1].ends):
+            self._replace_unsent(request)
+        else:
+            self._replace_sent(request, *now)
+
+    def _replace_at_rest(self, request: _Request) -> None:
+        time = self._last.ends
+        self._drop()
+        if request.curve:
+            aims = [aim for aim in request.curve if aim.time > max(request.since, time)]
+            if not aims:
+                raise BadValue(
+                    f"all points are past: the last is at {request.curve[-1].time:g} s, and the stream at {time:g} s"
+                )
+            self._queue.extend(aims)
+            self._may_skip = True
+            self.mark = Mark(aims[-1].time, aims[-1].moment)
+        else:
+            self.mark = Mark(time, JointMoment.at_rest(self._brake.end.q))
+        request.done.set_result(time)
+
+    def _replace_unsent(self, request: _Request) -> None:
+        """What was sent stays; the arm is too near to its end, or the replacement is to begin later."""
+        end = self._steps[-1] if self._steps else self._last
+        queue = list(self._queue)
+        if not request.curve:
+            self._drop()
+            self._is_cleared = True
+            self.mark = Mark(end.ends, self._bounds.braked(end.step.end))
+            request.done.set_result(end.ends)
+            return
+        assert self.mark is not None
+        since = min(max(request.since, end.ends), self.mark.time)
+        kept: list[Aim] = []
+        begin, time = end.step.end, end.ends
+        for aim in queue:
+            if aim.time <= since:
+                kept.append(aim)
+                begin, time = aim.moment, aim.time
+            else:
+                assert aim.step is not None
+                t = aim.step.length - (aim.time - since)
+                if t > 0.5 * self._cycle:
+                    begin, time = aim.step.at(t), since
+                    step = aim.step.cut(t)
+                    kept.append(Aim(since, step.degree, begin, step, aim.handed))
+                break
+        aims = onto(self._bounds, request.curve, begin, time, 2.0 * self._cycle)
+        self._drop(kept)
+        self._queue.extend([*kept, *aims])
+        self.mark = Mark(aims[-1].time, aims[-1].moment)
+        request.done.set_result(time)
+
+    def _replace_sent(self, request: _Request, place: _Sent, t: float) -> None:
+        time = place.begins + (place.ends - place.begins) * t / place.step.length
+        if request.curve and request.since > time:
+            time = request.since
+            place = next(sent for sent in self._steps if sent.ends > time)
+            t = place.step.length * (time - place.begins) / (place.ends - place.begins)
+        # A step of no length has no polynomial.
+        t = max(t, 0.5 * self._cycle)
+        here = place.step.at(t)
+        aims = onto(self._bounds, request.curve, here, time, 2.0 * self._cycle) if request.curve else []
+        kept = self._kept(dataclasses.replace(request, since=time if request.curve else request.since))
+        self._drop()
+        step = place.step.cut(t)
+        self._open(place.number - 1, t, step.degree, here, kept)
+        while self._steps and self._steps[-1].number >= place.number:
+            self._steps.pop()
+        until = place.until - place.step.length + t
+        self._steps.append(_Sent(place.number, 0, step, place.begins, time, until, None))
+        self._queue.extend(aims)
+        self.mark = Mark(aims[-1].time, aims[-1].moment) if aims else Mark(time, self._bounds.braked(here))
+
+    def _drop(self, kept: Sequence[Aim] = ()) -> None:
+        """Forget the points that were not sent."""
+        left = {id(aim.handed) for aim in kept}
+        for aim in self._queue:
+            if aim.handed is not None and id(aim.handed) not in left:
+                aim.handed.settle(Cancelled("the points were replaced or cleared before the robot had room for them"))
+        self._queue.clear()

@@ -1,0 +1,141 @@
+"""What a new user wants to do, and the examples of the documentation that do it: ``python -m tests.new_user``.
+
+For each task the examples of one page are taken out of it, up to the end of one section, and run as a program of their
+own: in an environment in which nothing but the package is installed, as the session `wheel` of nox has it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+__all__ = ["TASKS", "Task", "examples", "words"]
+
+_DOCS = Path(__file__).resolve().parents[1] / "docs"
+#: s for the examples of one task, on a busy machine.
+_TIMEOUT = 240.0
+
+
+class Task(NamedTuple):
+    """A task, and the page and section whose examples do it."""
+
+    what: str
+    page: str
+    section: str
+
+
+TASKS = (
+    Task("see that it is installed", "install", "Install"),
+    Task("read the positions of the joints", "first-ten-minutes", "Read its state"),
+    Task("make the first movement", "first-ten-minutes", "Move it"),
+    Task("make it slowly, with the robot", "first-day", "7. The first movement"),
+    Task("keep the last seconds", "reading", "One at a time"),
+    Task("be called for each state", "reading", "Be called"),
+    Task("notice that the connection is lost", "reading", "When the connection is lost"),
+    Task("receive messages of the controller", "reading", "Messages"),
+    Task("decode bytes from a capture", "reading", "Bytes without a robot"),
+    Task("move and wait", "moving", "The first movement"),
+    Task("go through waypoints without stopping", "moving", "Several movements in one"),
+    Task("move at a speed", "moving", "At a speed"),
+    Task("steer by a joystick", "moving", "By hand"),
+    Task("stop a motion", "moving", "Stop and cancel"),
+    Task("await a motion in asyncio", "moving", "With asyncio"),
+    Task("set an output and the payload", "settings", "Outputs, payload, tool, slider, popup"),
+    Task("run a URScript program", "settings", "Your own URScript"),
+    Task("follow a trajectory", "trajectories", "Follow it"),
+    Task("close a loop", "servo", "Closed loops"),
+    Task("append points while it moves", "streams", "Points"),
+    Task("press with a force", "force", "Press"),
+    Task("teach points by hand", "force", "Teach"),
+    Task("go on after a protective stop", "safety", "How to go on"),
+    Task("read variables by RTDE", "rtde", "Read variables"),
+    Task("exchange numbers with a program", "rtde", "Registers"),
+    Task("record and replay", "recording", "Replay"),
+    Task("get a recording as arrays", "data", "Arrays"),
+    Task("start a program of the pendant", "dashboard", "The commands"),
+    Task("grasp something", "grippers", "Grippers"),
+    Task("send statements one at a time", "interpreter", "Interpreter mode"),
+    Task("have the simulated robot fail", "simulator", "Faults"),
+    Task("drive a mobile robot", "rhd", "The first ten minutes"),
+    Task("run a mission", "missions", "From Python"),
+)
+
+
+def examples(task: Task) -> str:
+    """The examples of the page up to the end of the section, with what they print.
+
+    Raises:
+        ValueError: the page has no such section, or no examples up to its end.
+    """
+    lines = (_DOCS / f"{task.page}.md").read_text(encoding="utf-8").splitlines()
+    found: list[str] = []
+    is_example = is_code = has_begun = False
+    for line in lines:
+        heading = None if is_code else re.fullmatch(r"(#+) (.*)", line)
+        if heading is not None:
+            if has_begun:
+                break
+            has_begun = heading[2] == task.section
+        if line.startswith("```"):
+            is_code = not is_code
+            is_example = is_code and line == "```pycon"
+        elif is_example:
+            found.append(line)
+    if not has_begun or not found:
+        raise ValueError(f"docs/{task.page}.md has no section {task.section!r} with examples up to its end")
+    return "\n".join(found) + "\n"
+
+
+def words() -> int:
+    """What is read from the first page to the first motion: words outside of code."""
+    ten = (_DOCS / "first-ten-minutes.md").read_text(encoding="utf-8").partition("## Record")[0]
+    page = (_DOCS / "index.md").read_text(encoding="utf-8") + ten
+    text = re.sub(r"(?ms)^```.*?^```$|^---$.*?^---$|\]\([^)]*\)|^:.*?$", "", page)
+    return len(re.findall(r"\w[\w'.-]*", text))
+
+
+def run(task: Task) -> str:
+    """Run its examples in a folder of their own; what is wrong, or nothing."""
+    with tempfile.TemporaryDirectory() as folder:
+        Path(folder, "task.txt").write_text(examples(task), encoding="utf-8")
+        env = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+        try:
+            done = subprocess.run(
+                [sys.executable, "-m", "doctest", "-f", "-o", "ELLIPSIS", "task.txt"],
+                cwd=folder,
+                env=env,
+                text=True,
+                capture_output=True,
+                timeout=_TIMEOUT,
+            )
+        except subprocess.TimeoutExpired:
+            return f"it takes longer than {_TIMEOUT:g} s"
+        return (done.stdout + done.stderr) if done.returncode else ""
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="python -m tests.new_user", description=__doc__)
+    parser.add_argument("--only", metavar="TEXT", default="", help="tasks with this in their name")
+    given = parser.parse_args()
+    failed = 0
+    for task in TASKS:
+        if given.only in task.what:
+            begun = time.perf_counter()
+            wrong = run(task)
+            failed += bool(wrong)
+            print(f"{'FAILED' if wrong else 'ok':6} {time.perf_counter() - begun:5.1f} s  {task.what}  ({task.page})")
+            if wrong:
+                print(wrong)
+    print(f"{len(TASKS)} tasks, {failed} failed; {words()} words from the first page to the first motion")
+    return bool(failed)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,89 @@
+"""A plugin for pytest: what only the operating system has is for tests with the mark `real_time`, and these are few.
+
+A test that connects or binds a real socket, starts a real thread or a process, or sends a signal, depends on how busy
+the computer is. It belongs into simulated time (`simulated_time`), or says that it cannot.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Callable, Generator
+
+import pytest
+
+__all__ = ["SHARE"]
+
+#: The part of all tests that may have the mark.
+SHARE = 0.1
+#: Events of `sys.addaudithook` -> what they are.
+_EVENTS = {
+    "socket.bind": "binds a socket",
+    "socket.connect": "connects a socket",
+    "subprocess.Popen": "starts a process",
+    "os.fork": "starts a process",
+    "os.posix_spawn": "starts a process",
+    "os.kill": "sends a signal",
+    "signal.pthread_kill": "sends a signal",
+}
+
+
+class RealTime:
+    """Notes what the test that runs does, in its own threads; those that an earlier one has left do not count."""
+
+    def __init__(self) -> None:
+        self._noted: set[str] | None = None
+        self._others: set[int | None] = set()
+        sys.addaudithook(self._note)
+        self._start = threading.Thread.start
+        threading.Thread.start = self._starting()  # type: ignore[assignment]
+
+    def _note(self, event: str, arguments: object) -> None:
+        if self._noted is not None and event in _EVENTS and threading.get_ident() not in self._others:
+            self._noted.add(_EVENTS[event])
+
+    def _starting(self) -> Callable[[threading.Thread], None]:
+        start = self._start
+
+        def starting(thread: threading.Thread) -> None:
+            # In simulated time another one is in its place.
+            if self._noted is not None and threading.get_ident() not in self._others:
+                self._noted.add("starts a thread")
+            start(thread)
+
+        return starting
+
+    def pytest_unconfigure(self) -> None:
+        threading.Thread.start = self._start  # type: ignore[method-assign]
+
+    @pytest.hookimpl(wrapper=True, tryfirst=True)
+    def pytest_runtest_setup(self, item: pytest.Item) -> Generator[None, None, None]:
+        self._others = {thread.ident for thread in threading.enumerate()} - {threading.main_thread().ident}
+        is_ours = item.config.rootpath / "tests" in item.path.parents
+        self._noted = set() if is_ours and not is_marked(item) else None
+        yield
+
+    @pytest.hookimpl(wrapper=True, tryfirst=True)
+    def pytest_runtest_call(self, item: pytest.Item) -> Generator[None, None, None]:
+        try:
+            yield
+        finally:
+            noted, self._noted = self._noted, None
+        if noted:
+            text = f"it {' and '.join(sorted(noted))}: mark it simulated_time, or real_time if it cannot be"
+            pytest.fail(text, pytrace=False)
+
+
+def is_marked(item: pytest.Item) -> bool:
+    return item.get_closest_marker("real_time") is not None
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.pluginmanager.register(RealTime(), "real_time")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Examples in documents run as they would at a reader's."""
+    for item in items:
+        if item.path.suffix == ".md":
+            item.add_marker("real_time")

@@ -1,0 +1,45 @@
+"""Few tests are in real time, and a test that is says so."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.real_time import SHARE, is_marked
+
+pytest_plugins = ["pytester"]
+
+#: Tests of a run that are enough to be the whole suite.
+_WHOLE = 8000
+
+
+def test_few_tests_are_in_real_time(request: pytest.FixtureRequest) -> None:
+    items = request.session.items
+    if len(items) < _WHOLE:
+        pytest.skip(f"{len(items)} tests are not the whole suite")
+    marked = sum(map(is_marked, items))
+    assert marked <= SHARE * len(items), f"{marked} of {len(items)} tests are marked real_time"
+
+
+USES = {
+    "it starts a thread": "threading.Thread(target=print).start()",
+    "it binds a socket": "socket.create_server(('127.0.0.1', 0)).close()",
+    "it starts a process": "subprocess.run(['true'])",
+    "it sends a signal": "signal.pthread_kill(threading.get_ident(), 0)",
+}
+
+
+@pytest.mark.real_time
+def test_what_is_real_is_marked(pytester: pytest.Pytester) -> None:
+    pytester.makeini("[pytest]\nmarkers = real_time")
+    test = pytester.mkdir("tests") / "test_uses.py"
+    test.write_text(
+        "import pytest, signal, socket, subprocess, threading\n"
+        + "".join(
+            f"{mark}\ndef test_{number}_{len(mark)}():\n    {use}\n"
+            for number, use in enumerate(USES.values())
+            for mark in ("", "@pytest.mark.real_time")
+        )
+    )
+    result = pytester.runpytest_inprocess("-p", "tests.real_time", "-p", "no:cacheprovider")
+    result.assert_outcomes(passed=len(USES), failed=len(USES))
+    result.stdout.fnmatch_lines_random([f"*{said}: mark it simulated_time*" for said in USES])

@@ -1,0 +1,236 @@
+"""The calls of `test_cycles.py` and `test_cycles_of_others.py` ten thousand times each, in simulated time.
+
+In real time that takes twenty hours, most of them spent waiting for the arm and for states. Here the controller is in
+the same process, so what only the collector finds is told apart by the modules of types and code: what the client
+leaves counts, what the simulation leaves does not. Each call is made until it was made often enough or its processor
+time is used up; with ``--state`` the next run goes on from there.
+
+    python -m tests.urlink.many_cycles --calls 10000 --seconds 60 --state /tmp/cycles.json
+    python -m tests.urlink.many_cycles --only Motions
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import collections
+import contextlib
+import gc
+import json
+import resource
+import types
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import urlink
+from linkcore.errors import LinkError
+from tests.urlink import test_cycles as own
+from tests.urlink import test_cycles_of_others as others
+from urlink.compat import rtde_io, urx
+from urlink.simulator import Controller, Still
+
+HOST = "192.168.0.100"
+#: Calls between two collections: what the simulated controller leaves has to be taken away.
+BATCH = 20
+
+#: Modules of what is counted, and of what only simulates.
+OWN = ("urlink", "linkcore", "tests.urlink")
+SIMULATED = ("urlink.simulator", "linkcore.simulated")
+
+#: Calls something so often.
+Repeat = Callable[[int], object]
+
+
+def module_of(found: object) -> str:
+    """The module of the code or of the type of an object."""
+    # Not by `isinstance`, which asks a weak reference for the class of what is gone.
+    if type(found) is types.TracebackType:
+        found = found.tb_frame
+    if type(found) is types.FrameType:
+        return str(found.f_globals.get("__name__"))
+    if type(found) is types.MethodType:
+        found = found.__func__
+    return str(found.__module__ if type(found) is types.FunctionType else type(found).__module__)
+
+
+def of_the_client(garbage: list[object]) -> list[object]:
+    """What has to do with nothing of the controller, by references among the garbage; both use some classes."""
+    places = {id(each): place for place, each in enumerate(garbage)}
+    above = list(range(len(garbage)))
+
+    def root(place: int) -> int:
+        while above[place] != place:
+            above[place] = place = above[above[place]]
+        return place
+
+    for place, each in enumerate(garbage):
+        for referred in gc.get_referents(each):
+            if id(referred) in places:
+                above[root(place)] = root(places[id(referred)])
+    modules = list(map(module_of, garbage))
+    simulated = {root(place) for place, module in enumerate(modules) if module.startswith("urlink.simulator")}
+    return [
+        each
+        for place, (each, module) in enumerate(zip(garbage, modules, strict=True))
+        if module.startswith(OWN) and not module.startswith(SIMULATED) and root(place) not in simulated
+    ]
+
+
+def left() -> collections.Counter[str]:
+    """What only the collector finds of the client now: its kinds. Everything is collected."""
+    gc.set_debug(gc.DEBUG_SAVEALL)
+    try:
+        gc.collect()
+        return collections.Counter(
+            f"{module_of(each)}.{each.__qualname__ if type(each) is types.FunctionType else type(each).__qualname__}"
+            for each in of_the_client(list(gc.garbage))
+        )
+    finally:
+        gc.set_debug(0)
+        gc.garbage.clear()
+        gc.collect()
+
+
+def processor_time() -> float:
+    """Seconds that this process has used, by a clock that is not simulated."""
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    return used.ru_utime + used.ru_stime
+
+
+def counted(repeat: Repeat, calls: int, seconds: float) -> tuple[int, collections.Counter[str]]:
+    """How often it was called, at most `calls` times, and what that has left."""
+    repeat(2)  # what is made once, such as a connection
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    made, found, until = 0, collections.Counter[str](), processor_time() + seconds
+    try:
+        while made < calls and processor_time() < until:
+            count = min(BATCH, calls - made)
+            repeat(count)
+            made += count
+            found += left()
+    finally:
+        gc.enable()
+        gc.unfreeze()
+    return made, found
+
+
+def again(call: Callable[[], object]) -> Repeat:
+    """A call that may be refused."""
+
+    def repeat(count: int) -> None:
+        for _ in range(count):
+            with contextlib.suppress(LinkError):
+                call()
+
+    return repeat
+
+
+@contextlib.contextmanager
+def connected(kind: str, name: str) -> Iterator[Repeat]:
+    """What repeats one call of a table on a robot that stands at home."""
+    with urlink.connect(HOST, stale_after=60.0, silence=60.0) as robot:
+        robot.motion.move_joints(own.HOME, wait=30)
+        if name.startswith("Gripper"):
+            robot.gripper.activate()
+        if kind == "refused":
+            robot.registers.read_bit(64)
+            robot.registers.write_bit(70, True)
+        elif kind == "dashboard":
+            method, arguments = getattr(robot.dashboard, name), own.ARGUMENTS.get(name, ())
+            yield again(lambda: method(*arguments))
+        else:
+            yield lambda count: [own.CALLS[name](robot) for _ in range(count)] and None
+    if kind == "refused":
+        yield again(lambda: own.CALLS[name](robot))
+
+
+@contextlib.contextmanager
+def awaited(kind: str, name: str) -> Iterator[Repeat]:
+    async def connect() -> urlink.AsyncRobot:
+        return await urlink.connect_async(HOST, stale_after=60.0, silence=60.0)
+
+    async def call(count: int) -> None:
+        for _ in range(count):
+            with contextlib.suppress(LinkError):
+                await others.AWAITED[name](robot)
+
+    others.is_home(HOST)
+    loop = asyncio.new_event_loop()
+    robot = loop.run_until_complete(connect())
+    yield lambda count: loop.run_until_complete(call(count))
+    loop.run_until_complete(robot.close())
+    loop.close()
+
+
+@contextlib.contextmanager
+def by_other_names(kind: str, name: str) -> Iterator[Repeat]:
+    others.is_home(HOST)
+    if kind == "urx":
+        robot = urx.Robot(HOST)
+        yield again(lambda: others.URX[name](robot))
+        robot.close()
+    elif kind == "ur_rtde":
+        control = others.Control(HOST)
+        yield again(lambda: others.CONTROL[name](control))
+        control.disconnect()
+    else:
+        outputs = rtde_io.RTDEIOInterface(HOST)
+        yield again(lambda: others.OUTPUTS[name](outputs))
+        outputs.disconnect()
+
+
+#: kind of call -> its table, and what repeats one of it.
+TABLES: dict[str, tuple[Any, Callable[[str, str], contextlib.AbstractContextManager[Repeat]]]] = {
+    "call": (own.CALLS, connected),
+    "refused": (own.CALLS, connected),
+    "dashboard": ([name for name in own.DASHBOARD if name not in ("power_off", "restart_safety")], connected),
+    "awaited": (others.AWAITED, awaited),
+    "ur_rtde": (others.CONTROL, by_other_names),
+    "ur_rtde output": (others.OUTPUTS, by_other_names),
+    "urx": (others.URX, by_other_names),
+}
+
+
+def tried(kind: str, name: str, calls: int, seconds: float) -> tuple[int, collections.Counter[str]]:
+    """How often one call of a table was made, and what that has left of the client."""
+    with urlink.simulated_time(1, limit=1e9) as sim:
+        cell = sim.computer("cell", HOST)
+        with sim.on(cell):
+            controller = Controller(
+                "UR5e", "5.25", host=HOST, ports="standard", motion=Still(own.HOME.tolist())
+            ).start()
+        with TABLES[kind][1](kind, name) as repeat:
+            outcome = counted(repeat, calls, seconds)
+        with sim.on(cell):
+            controller.close()
+    return outcome
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--calls", type=int, default=10_000, help="of each (10000)")
+    parser.add_argument("--seconds", type=float, default=60.0, help="of processor time for each (60)")
+    parser.add_argument("--only", default="", help="calls whose kind and name contain this")
+    parser.add_argument("--state", type=Path, help="a file of what was done, to go on from")
+    args = parser.parse_args()
+    done: dict[str, int] = json.loads(args.state.read_text()) if args.state and args.state.exists() else {}
+    for kind, (table, _) in TABLES.items():
+        for name in table:
+            key = f"{kind} {name}"
+            calls = args.calls - done.get(key, 0)
+            if args.only not in key or calls <= 0:
+                continue
+            made, found = tried(kind, name, calls, args.seconds)
+            done[key] = done.get(key, 0) + made
+            print(
+                f"{key}: {done[key]} calls left {found.total()} objects {dict(found.most_common(5)) or ''}", flush=True
+            )
+            if args.state:
+                args.state.write_text(json.dumps(done))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,519 @@
+"""The program of an impedance, as it is uploaded, on a simulated controller that is stepped."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Sequence
+from types import FrameType
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.urlink.motion.test_yielding_programs import LINK, Bench
+from tests.urlink.simulator.test_impedance import HORIZONTAL
+from tests.urlink.simulator.test_impedance import program as circle
+from urlink.models import model
+from urlink.simulator import Controller, Plane, Spring, Still
+from urlink.urscript.links import FOLLOW, STOP
+from urlink.urscript.springs import GAINS, LOOSE, MARGIN, TOP, Springs, impedance
+from urlink.urscript.wrapping import program
+from urlink.vectors import FloatArray
+
+READY = (0.0, -1.5, 2.0, -2.0, -1.57, 0.3)
+STIFFNESS, TORQUE = (1000.0, 1000.0, 500.0, 100.0, 100.0, 100.0), (28.0, 28.0, 14.0, 4.5, 4.5, 4.5)
+
+
+class Soft(Bench):
+    """An arm with an impedance, which is said the same in each cycle until something else is.
+
+    Args:
+        name, firmware: of the arm.
+        q: (6,) rad where it begins.
+        options: of `Springs`.
+    """
+
+    def __init__(self, name: str = "UR5e", firmware: str = "5.25", q: Sequence[float] = READY, **options: Any) -> None:
+        self.controller = Controller(name, firmware, motion=Still(q))
+        self.controller.step()
+        self.firmware = self.controller.firmware
+        self.arm = self.controller.arm
+        self.start = self.pose
+        self._count = self._number = 0
+        self._target: Sequence[float] = [0.0] * 6
+        arm = model(name)
+        low, high = np.clip(arm.position_limits, -1e6, 1e6).T
+        torque = np.array(options.pop("torque", TORQUE))
+        values: dict[str, Any] = {
+            "stiffness": STIFFNESS,
+            "damping": [1.0] * 6,
+            "speed": [1.0] * 6,
+            "torque": torque.tolist(),
+            "braking": np.minimum(4.0 * torque, arm.max_torque).tolist(),
+            "error": [0.2] * 6,
+            "lowest": low.tolist(),
+            "highest": high.tolist(),
+            "friction_compensation": True,
+            "watchdog": 0.5,
+        }
+        self.springs = Springs(**(values | options))
+        self.inertia = np.diag(self.arm.dynamics.mass_matrix(self.q))
+        self.controller.take(program("tried", impedance(self.firmware, LINK, self.springs), None).text)
+        self.go(0.1)
+
+    @property
+    def q(self) -> FloatArray:
+        return np.array(self.arm.setpoint.q)
+
+    @property
+    def qd(self) -> FloatArray:
+        return np.array(self.arm.setpoint.qd)
+
+    @property
+    def is_stopped(self) -> bool:
+        return self.controller.modes.safety_mode.name != "NORMAL"
+
+    def _say(self, first: Sequence[float], second: Sequence[float], seconds: float, mode: int = FOLLOW) -> None:
+        for i, value in enumerate(second):
+            self.controller.registers.inputs.floats[LINK.first_float + 6 + i] = value
+        self.tell(first, seconds, mode)
+
+    def go(self, seconds: float = 0.002) -> None:
+        """Some time in which the target is the same."""
+        self._say(self._target, [self._number, 0, 0, 0, 0, 0], seconds)
+
+    def lead(self, target: Sequence[float] | FloatArray, seconds: float = 0.002) -> None:
+        """Another target, and some time."""
+        self._target, self._number = list(target), self._number + 1
+        self.go(seconds)
+
+    def gain(self, stiffness: Sequence[float], damping: Sequence[float]) -> None:
+        self._say([each / 1000.0 for each in stiffness], damping, 0.002, GAINS)
+
+    def end(self, seconds: float = 1.0) -> None:
+        self._say([0.0] * 6, [0.0] * 6, 0.002, STOP)
+        self.silent(seconds - 0.002)
+
+    def static(self, q: FloatArray, aim: FloatArray) -> FloatArray:
+        """(6,) Nm of the springs at rest, with what turns a joint back at the end of its range."""
+        s = self.springs
+        spring = np.array(s.stiffness) * np.clip(aim - q, np.negative(s.error), s.error)
+        spring = np.clip(spring, np.negative(s.torque), s.torque)
+        top = TOP * np.array(s.speed)
+        fastest = np.clip(5.0 * (np.array(s.highest) - MARGIN - q), -top, top)
+        slowest = np.clip(5.0 * (np.array(s.lowest) + MARGIN - q), -top, top)
+        spring = np.clip(spring, 75.0 * self.inertia * slowest, 75.0 * self.inertia * fastest)
+        clipped: FloatArray = np.clip(spring, np.negative(s.braking), s.braking)
+        return clipped
+
+
+def turned(q: FloatArray, angle: float) -> FloatArray:
+    """The same joint positions with the base turned by some rad."""
+    there = q.copy()
+    there[0] += angle
+    return there
+
+
+@pytest.mark.parametrize("axis", range(6))
+def test_a_wrench_moves_the_arm_as_far_as_its_springs_say(axis: int) -> None:
+    soft = Soft()
+    wrench = [0.0] * 6
+    wrench[axis] = 15.0 if axis < 3 else 2.0
+    jacobian = soft.arm.kinematics.jacobian(soft.q, soft.arm.tcp)
+    compliance = jacobian @ np.diag(1.0 / np.array(STIFFNESS)) @ jacobian.T
+    start = np.array(soft.pose[:3])
+    begin = soft.q
+    soft.controller.push(wrench)
+    soft.go(1.2)
+    moved = jacobian @ (soft.q - begin)
+    expected = compliance @ wrench
+    assert np.abs(moved - expected).max() < 0.05 * np.abs(expected).max()
+    assert np.linalg.norm(np.array(soft.pose[:3]) - start - expected[:3]) < 0.05 * np.linalg.norm(expected)
+    assert moved[axis] > 0.0
+
+
+def test_it_goes_where_it_is_led_and_rests_after_its_end() -> None:
+    soft = Soft()
+    goal = soft.q + np.array([0.3, 0.1, -0.2, 0.2, 0.5, 1.0])
+    fastest = 0.0
+    soft.lead(goal)
+    for _ in range(1100):
+        soft.go()
+        fastest = max(fastest, float(np.abs(soft.qd).max()))
+    np.testing.assert_allclose(soft.q, goal, rtol=0.0, atol=1e-3)
+    # At 0.7 of what the joints may be as fast, and a little more where it begins.
+    assert 0.7 <= fastest < 0.8
+    soft.end(0.5)
+    assert not soft.is_running
+    rests = soft.q
+    soft.controller.push([0, 0, 30.0, 0, 0, 0])
+    soft.silent(0.2)
+    assert soft.q.tolist() == rests.tolist()
+
+
+def test_gains_go_over_to_others_without_a_leap() -> None:
+    soft = Soft()
+    soft.controller.push([0, 15.0, 0, 0, 0, 0])
+    soft.go(1.0)
+    away = float(soft.q[0])
+    soft.gain([0.5 * each for each in STIFFNESS], [1.0] * 6)
+    hardest = 0.0
+    for _ in range(600):
+        before = soft.qd
+        soft.go()
+        hardest = max(hardest, float(np.abs(soft.qd - before).max() * 500))
+    assert soft.q[0] == pytest.approx(2.0 * away, rel=0.05)
+    assert hardest < 1.0
+
+
+@pytest.mark.parametrize("ratio", [0.1, 0.3, 1.0])
+def test_a_joint_swings_as_its_damping_ratio_says(ratio: float) -> None:
+    """The base let go of 30 mrad from its aim: each swing is smaller than the last by what a ratio takes away.
+
+    The other joints are stiff, so that the arm is one mass; and what damps it beside its ratio is counted.
+    """
+    soft = Soft(stiffness=[200.0, 3000.0, 3000.0, 1000.0, 1000.0, 1000.0], damping=[ratio, 1, 1, 1, 1, 1])
+    aim = soft.q
+    soft.controller.world.push_joints([6.0, 0, 0, 0, 0, 0])
+    soft.go(3.0)
+    away = soft.q[0] - aim[0]
+    assert away == pytest.approx(0.03, rel=0.05)
+    soft.controller.world.push_joints([0.0] * 6)
+    places = []
+    for _ in range(1000):
+        soft.go()
+        places.append(soft.q[0] - aim[0])
+    whole = ratio + LOOSE / (2.0 * math.sqrt(200.0 / soft.inertia[0]))
+    swing = math.exp(-math.pi * whole / math.sqrt(1.0 - whole**2)) if whole < 1.0 else 0.0
+    assert -min(places) / away == pytest.approx(swing, abs=0.03)
+
+
+# -- what bounds it --------------------------------------------------------------------------------------
+
+
+def test_no_joint_gets_faster_than_it_may_where_a_contact_ends() -> None:
+    soft = Soft(damping=[0.0] * 6, torque=[40.0, 40.0, 40.0, 10.0, 10.0, 10.0], speed=[0.5] * 6)
+    way = soft.arm.kinematics.jacobian(soft.q, soft.arm.tcp)[:3, 0]
+    wall = soft.controller.world.add(Plane(soft.pose[:3], (-way).tolist()))
+    soft.lead(turned(soft.q, 0.5), 0.8)
+    assert abs(soft.q[0]) < 0.1
+    soft.controller.world.remove(wall)
+    fastest = 0.0
+    for _ in range(200):
+        soft.go()
+        fastest = max(fastest, float(np.abs(soft.qd).max()))
+    assert 0.4 < fastest < 0.5
+    assert not soft.is_stopped
+
+
+def test_a_joint_is_turned_back_before_the_end_of_its_range() -> None:
+    high = float(model("UR5e").position_limits[2, 1])
+    soft = Soft(q=[0.0, -1.5, high - 0.3, -2.0, -1.57, 0.3], stiffness=[1000, 1000, 0, 100, 100, 100])
+    soft.controller.world.push_joints([0, 0, 12.0, 0, 0, 0])
+    highest = 0.0
+    for _ in range(500):
+        soft.go()
+        highest = max(highest, float(soft.q[2]))
+    assert high - 2 * MARGIN < highest < high
+    assert not soft.is_stopped
+
+
+def test_an_arm_that_was_moved_while_its_program_was_paused_stays_there() -> None:
+    soft = Soft()
+    soft.lead(soft.q, 0.5)
+    pendant = soft.controller.pendant
+    assert pendant.pause()
+    soft.go(0.3)
+    elsewhere = turned(soft.q, 0.2)
+    assert pendant.jog(elsewhere.tolist())
+    soft.go(1.5)
+    np.testing.assert_allclose(soft.q, elsewhere, rtol=0.0, atol=1e-6)
+    assert pendant.play()
+    soft.go(1.0)
+    np.testing.assert_allclose(soft.q, elsewhere, rtol=0.0, atol=1e-3)
+    assert soft.is_running
+    soft.lead(turned(elsewhere, 0.1), 1.5)
+    assert soft.q[0] == pytest.approx(elsewhere[0] + 0.1, abs=1e-3)
+
+
+def test_the_way_to_a_target_goes_by_the_slider() -> None:
+    soft = Soft()
+    soft.controller.speed_fraction = 0.5
+    soft.lead(turned(soft.q, 2.0), 1.0)
+    assert soft.qd[0] == pytest.approx(0.35, abs=0.03)
+    soft.controller.speed_fraction = 0.0
+    soft.go(0.5)
+    assert np.abs(soft.qd).max() < 0.02
+    soft.controller.speed_fraction = 1.0
+    soft.go(3.0)
+    assert soft.q[0] == pytest.approx(2.0, abs=2e-3)
+
+
+@pytest.mark.parametrize("gap", [0.2, 0.4])
+def test_words_may_stay_away_for_as_long_as_the_watchdog_lets_them(gap: float) -> None:
+    soft = Soft()
+    soft.lead(turned(soft.q, 0.2), 0.05)
+    soft.silent(gap)
+    running = [soft.is_running]
+    assert soft.q[0] > 0.05
+    soft.go(0.1)
+    soft.silent(1.0)
+    running.append(soft.is_running)
+    assert running == [True, False]
+    assert not soft.is_stopped
+    assert not soft.qd.any()
+
+
+# -- contact -------------------------------------------------------------------------------------------------
+
+
+def pressed(soft: Soft, depth: float, friction: float = 0.0) -> None:
+    """A table under the tool, into which it is led by some m; and some time until it rests there."""
+    x, y, z = soft.pose[:3]
+    soft.controller.world.add(Plane((x, y, z), friction=friction))
+    soft.lead(below(soft, soft.pose, depth), 2.0)
+
+
+def below(soft: Soft, pose: Sequence[float], depth: float) -> list[float]:
+    """The joint positions of a place that is deeper."""
+    place = [*pose[:2], soft.start[2] - depth, *soft.start[3:]]
+    q: list[float] = soft.arm.kinematics.inverse(place, soft.q, soft.arm.tcp).tolist()
+    return q
+
+
+@pytest.mark.parametrize("end", ["told", "silent"])
+def test_its_end_in_a_contact_is_no_leap(end: str) -> None:
+    soft = Soft()
+    pressed(soft, 0.01)
+    force, z = soft.arm.wrench[2], soft.pose[2]
+    assert 5.0 < force < 100.0
+    if end == "told":
+        soft.end(0.002)
+    forces, places, fastest = [], [], 0.0
+    for _ in range(600):
+        soft.silent(0.002)
+        forces.append(soft.arm.wrench[2])
+        places.append(soft.pose[2])
+        fastest = max(fastest, float(np.abs(soft.qd).max()))
+    assert not soft.is_running
+    assert max(forces) < 1.02 * force
+    # It rises as the table springs back, and no further.
+    assert max(places) - z < force / 20_000.0 + 0.0005
+    assert fastest < 0.02
+    assert not soft.is_stopped
+
+
+def test_a_protective_stop_in_a_contact_leaves_the_arm_there() -> None:
+    soft = Soft()
+    pressed(soft, 0.01)
+    force, place = soft.arm.wrench[2], soft.pose[2]
+    controller = soft.controller
+    controller.faults.protective_stop()
+    soft.go(0.5)
+    assert soft.is_stopped
+    assert not soft.qd.any()
+    assert soft.pose[2] == pytest.approx(place, abs=1e-4)
+    assert soft.arm.wrench[2] == pytest.approx(force, rel=0.1)
+    # It is paused; that it is let go on has the springs where they were.
+    controller.faults.clear()
+    soft.go(0.5)
+    assert soft.pose[2] == pytest.approx(place, abs=1e-4)
+
+
+def test_zeroing_the_force_sensor_in_a_contact_moves_nothing() -> None:
+    soft = Soft()
+    pressed(soft, 0.01)
+    place, force = soft.pose[2], soft.arm.wrench[2]
+    soft.controller.arm.zero_force()
+    soft.go(0.5)
+    assert abs(soft.arm.wrench[2]) < 0.05 * force
+    assert soft.pose[2] == pytest.approx(place, abs=1e-4)
+
+
+def slid(intervals: Sequence[tuple[float, bool]]) -> tuple[float, float]:
+    """Led sideways over a table, at 0.1 m/s: the largest force of the last half, and its mean.
+
+    Args:
+        intervals: s between two targets, and whether no word comes meanwhile.
+    """
+    soft = Soft(q=(0.5, *READY[1:]))
+    pressed(soft, 0.01, friction=0.3)
+    place, seconds = list(soft.start), sum(seconds for seconds, _ in intervals)
+    forces, past = [], 0.0
+    for interval, is_busy in intervals:
+        place[1] += 0.1 * interval
+        soft.lead(below(soft, place, 0.01))
+        for cycle in range(round(interval * 500)):
+            if cycle:
+                (soft.silent if is_busy else soft.go)(0.002)
+            past += 0.002
+            if past > 0.5 * seconds:
+                forces.append(math.hypot(*soft.arm.wrench[:3]))
+    assert soft.is_running
+    assert not soft.is_stopped
+    return max(forces), float(np.mean(forces))
+
+
+def test_targets_at_10_hz_with_gaps_press_no_harder_than_steady_ones() -> None:
+    _, steady = slid([(0.004, False)] * 500)
+    draw = np.random.default_rng(3)
+    rough = [(0.2, True) if draw.random() < 0.2 else (float(draw.uniform(0.08, 0.12)), False) for _ in range(18)]
+    assert sum(is_busy for _, is_busy in rough) >= 3
+    largest, mean = slid(rough)
+    assert largest < 1.2 * steady
+    assert mean == pytest.approx(steady, rel=0.1)
+
+
+# -- what a cycle costs -----------------------------------------------------------------------------------
+
+
+#: Functions of URScript that compute with the masses and places of all links.
+DYNAMICS = {
+    *("get_mass_matrix", "get_coriolis_and_centrifugal_torques"),
+    *("get_jacobian", "get_jacobian_time_derivative", "get_forward_kin"),
+}
+
+
+class Counted:
+    """What the interpreter does in one cycle: all its calls, those that compute with whole lists and matrices, and
+    those of functions that compute with the arm."""
+
+    def __init__(self) -> None:
+        self.steps = self.lists = self.dynamics = 0
+
+    def __call__(self, frame: FrameType, event: str, argument: object) -> None:
+        if event != "call":
+            return
+        file, name = frame.f_code.co_filename, frame.f_code.co_name
+        if "simulator/urscript" not in file.replace("\\", "/"):
+            return
+        self.steps += 1
+        if name in ("_slow", "transpose", "inv"):
+            self.lists += 1
+        elif name in DYNAMICS:
+            self.dynamics += 1
+
+
+def hardest_cycle(step: Any, cycles: int) -> tuple[int, int, int]:
+    """The most of each in one of some cycles."""
+    most = [0, 0, 0]
+    for _ in range(cycles):
+        counted = Counted()
+        sys.setprofile(counted)
+        try:
+            step()
+        finally:
+            sys.setprofile(None)
+        most = [max(pair) for pair in zip(most, (counted.steps, counted.lists, counted.dynamics), strict=True)]
+    return most[0], most[1], most[2]
+
+
+def test_a_cycle_costs_at_most_twice_that_of_the_vendors_example() -> None:
+    example = Controller("UR5e", "5.25", motion=Still(), files={"circle.urp": circle(HORIZONTAL)})
+    example.step(10)
+    example.dashboard.reply("load circle.urp")
+    example.dashboard.reply("play")
+    example.step(200)
+    limits = hardest_cycle(example.step, 20)
+    assert limits[1] > 10
+    assert limits[2] > 3
+    soft = Soft()
+
+    def step() -> None:
+        soft.lead(soft.q)
+
+    cost = hardest_cycle(step, 20)
+    assert all(mine <= 2 * theirs for mine, theirs in zip(cost, limits, strict=True)), (cost, limits)
+
+
+# -- energy ------------------------------------------------------------------------------------------------
+
+
+class World:
+    """A random arm, with random gains, among random things, and its energy.
+
+    Args:
+        seed: of everything.
+    """
+
+    def __init__(self, seed: int) -> None:
+        draw = np.random.default_rng(seed)
+        name = str(draw.choice(["UR3e", "UR5e", "UR10e"]))
+        scale = {"UR3e": 0.5, "UR5e": 1.0, "UR10e": 1.3}[name]
+        q = np.array(READY) + draw.uniform(-0.7, 0.7, 6)
+        self.soft = Soft(
+            name,
+            q=q.tolist(),
+            stiffness=(np.array(STIFFNESS) * scale * draw.uniform(0.0, 1.5, 6)).tolist(),
+            damping=draw.uniform(0.0, 1.5, 6).tolist(),
+            torque=(np.array(TORQUE) * scale * draw.uniform(0.3, 1.0, 6)).tolist(),
+            error=draw.uniform(0.02, 0.3, 6).tolist(),
+            friction_compensation=bool(draw.integers(2)),
+        )
+        self.aim = self.soft.q
+        world, place = self.soft.controller.world, np.array(self.soft.pose[:3])
+        world.force_limit = 1e4
+        self.things: list[Plane | Spring] = []
+        for _ in range(int(draw.integers(0, 3))):
+            normal = draw.normal(size=3)
+            normal /= np.linalg.norm(normal)
+            self.things.append(
+                Plane(
+                    (place - normal * draw.uniform(0.0, 0.03)).tolist(),
+                    normal.tolist(),
+                    stiffness=10 ** draw.uniform(2.5, 4.0),
+                    damping=draw.uniform(0.0, 100.0),
+                    friction=draw.uniform(0.0, 0.6),
+                )
+            )
+        if draw.integers(2):
+            self.things.append(
+                Spring((place + draw.normal(size=3) * 0.05).tolist(), draw.uniform(50, 1000), draw.uniform(0, 20))
+            )
+        for thing in self.things:
+            world.add(thing)
+        self.wrench = np.concatenate((draw.normal(size=3) * 25.0, draw.normal(size=3) * 2.0))
+        self.pushed = draw.uniform(0.05, 0.4)
+
+    def run(self, seconds: float) -> tuple[FloatArray, float]:
+        """J of the arm and its springs in each cycle, less what everything outside has done to them; and the largest.
+
+        It ends where the controller stops the arm, which must be for a push that is stronger than what brakes a joint.
+        Torques of a cycle make the speed of the next, at which the arm then moves: so that speed belongs to the middle
+        of the way between two places.
+        """
+        soft, arm = self.soft, self.soft.arm
+        done, potential, largest, energies, last = 0.0, 0.0, 0.0, [], np.zeros(6)
+        soft.controller.push(self.wrench.tolist())
+        for cycle in range(round(seconds * 500)):
+            if cycle >= self.pushed * 500:
+                soft.controller.push([0.0] * 6)
+            before, spring, outside = soft.q, soft.static(soft.q, self.aim), np.array(arm.external_torques)
+            soft.go()
+            if soft.is_stopped:
+                assert (np.abs(outside) > soft.springs.braking).any()
+                break
+            way = soft.q - before
+            given = -0.5 * float((spring + soft.static(soft.q, self.aim)) @ way)
+            moving = 0.5 * float(soft.qd @ arm.dynamics.mass_matrix(before + 0.5 * way) @ soft.qd)
+            there = moving + potential + 0.5 * given
+            # What acts in this cycle has made the speed of the last one that of this one.
+            done += 0.5 * float(outside @ (last + way))
+            energies.append(there - done)
+            largest, last = max(largest, there), way
+            potential += given
+        return np.array(energies), largest
+
+
+@pytest.mark.property
+@settings(max_examples=max(settings.default.max_examples // 2, 20) if settings.default else 20)
+@given(st.integers(0, 2**31))
+def test_energy_never_grows_by_itself(seed: int) -> None:
+    world = World(seed)
+    energies, largest = world.run(0.5)
+    assert world.soft.is_running
+    grown = float((energies - np.minimum.accumulate(energies)).max())
+    assert grown <= 0.001 * largest + 1e-5, (seed, grown, largest)

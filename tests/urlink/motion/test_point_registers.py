@@ -1,0 +1,128 @@
+"""Streams of points over registers: what is written, what is reported, and words that are lost."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from linkcore.errors import ConnectFailed, ConnectionLost
+from tests.urlink.motion.streamed import Streamed
+from tests.urlink.motion.test_register_link import FIRMWARES, Inputs, write
+from tests.urlink.motion.test_stream import BESIDE, E_SERIES, wave, waves
+from urlink.firmware import Firmware
+from urlink.motion.point_registers import INPUTS, OUTPUTS, PointRegisterLink
+from urlink.motion.setpoints import dated
+from urlink.motion.stream_feed import StreamFeed
+from urlink.motion.trajectory import Trajectory
+from urlink.urscript import links
+from urlink.urscript.buffering import WORD
+
+
+class Registered(Streamed):
+    """A stream over registers.
+
+    Args:
+        lost: part of the words that another one overwrites before the program looks.
+    """
+
+    def __init__(self, firmware: Firmware, lost: float = 0.0, **options: Any) -> None:
+        self._lost, self._draw = lost, np.random.default_rng(5)
+        self.link = PointRegisterLink(Inputs(self._write), self._outputs, lambda: 0.0)
+        super().__init__(firmware, **options)
+
+    def program(self, write: Callable[[Any], list[str]]) -> list[str]:
+        return self.feed.body(self.link.endpoint)
+
+    def run(self, cycles: int = 1, *, is_frozen: bool = False) -> None:
+        for _ in range(cycles):
+            if not is_frozen:
+                word = self.feed.step(self.link.received(), self.state(), 1000.0 + self.bench.cycle * self.period)
+                self.link.send(dated(word, self.bench.cycle))
+            self.bench.run()
+
+    def _write(self, package: dict[str, float]) -> None:
+        if self._draw.random() >= self._lost:
+            write(self.bench.registers.inputs, package)
+
+    def _outputs(self) -> SimpleNamespace:
+        integers = self.bench.registers.outputs.integers
+        return SimpleNamespace(**{name: integers[int(name.rpartition("_")[2])] for name in OUTPUTS})
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
+def test_set_points_are_on_the_curve_of_the_points(firmware: Firmware) -> None:
+    """As they are over a connection, cycle by cycle, but for when they begin."""
+    paths = []
+    for stream in (Streamed(firmware), Registered(firmware)):
+        stream.append(waves(0.05, 2.0))
+        stream.until(lambda stream=stream: stream.feed.time > 1.9)
+        assert stream.feed.starved == 0
+        path = np.array(stream.path)
+        begin = int(np.argmax(np.abs(path - path[0]).max(axis=1) > 1e-9))
+        paths.append(path[begin : begin + round(1.8 / stream.period)])
+    assert np.abs(paths[0] - paths[1]).max() < 1e-9
+
+
+def test_words_that_are_lost_are_said_again() -> None:
+    stream = Registered(E_SERIES, lost=0.3, buffer=0.5)
+    stream.append(waves(0.05, 3.0, spacing=0.02))
+    stream.until(lambda: stream.feed.time > 1.0)
+    for _ in range(30):
+        looked = stream.feed.time
+        since = stream.replace(looked, [wave(looked + 0.05 * i) for i in range(1, 61)])
+        # One that was lost does not count as one that came too late, after which more time is given to it.
+        assert since - looked < 0.03
+    end = looked + 3.0
+    stream.run_dry()
+    path = np.array(stream.path)
+    wanted = np.array([wave(end).q])
+    assert np.abs(path - wanted).max(axis=1).min() < 5e-4
+    _, qdd, _ = stream.derivatives()
+    assert np.abs(qdd).max() < 11.0
+
+
+def test_a_tail_is_replaced_and_cleared() -> None:
+    stream = Registered(E_SERIES)
+    stream.append(waves(0.05, 3.0))
+    stream.until(lambda: stream.feed.time > 0.5)
+    way = Trajectory.from_arrays([0, 1, 2], [np.array(wave(0.5).q) + each * BESIDE for each in (0, 1, 2)])
+    assert 0.5 < stream.replace(0.5, way) < 0.6
+    stream.until(lambda: stream.feed.time > 1.0)
+    stream.clear()
+    stream.run_dry()
+    assert stream.feed.starved == 0
+
+
+def test_what_is_written_and_what_is_heard() -> None:
+    packages: list[dict[str, float]] = []
+    there: list[Any] = [None]
+    now = [0.0]
+    link = PointRegisterLink(Inputs(packages.append), lambda: there[0], lambda: now[0])
+    assert not link.poll(has_begun=False)
+    assert link.poll(has_begun=True)
+    numbers = list(range(1, WORD + 1))
+    link.send(StreamFeed.farewell + (7).to_bytes(4, "big"))
+    link.send(b"".join(each.to_bytes(4, "big") for each in (*numbers, 500)))
+    token = link.endpoint.token
+    assert [tuple(package) for package in packages] == [INPUTS, INPUTS]
+    assert list(packages[0].values())[:14] == [links.STOP, *[0] * 10, 7, 1, token]
+    assert list(packages[1].values()) == [*range(1, 12), 500, 2, token, *range(12, 24)]
+    there[0] = SimpleNamespace(**dict(zip(OUTPUTS, [1, 2, 3, 4, 5, 6, token + 1], strict=True)))
+    assert link.received() == b""  # it is another program's
+    there[0] = SimpleNamespace(**dict(zip(OUTPUTS, [1, 2, 3, 4, 5, 6, token], strict=True)))
+    assert link.received() == b"".join(each.to_bytes(4, "big") for each in range(1, 7))
+    assert link.received() == b""
+    there[0], now[0] = None, 0.9
+    assert link.received() == b""
+    now[0] = 1.1
+    with pytest.raises(ConnectionLost, match="have not come"):
+        link.received()
+    assert isinstance(link.absence("nothing came"), ConnectFailed)
+    link.close(farewell=True)
+    assert [link.is_up, link.poll(has_begun=True)] == [False, False]
+    with pytest.raises(ConnectionLost):
+        link.send(StreamFeed.farewell + bytes(4))

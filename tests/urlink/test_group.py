@@ -1,0 +1,319 @@
+"""Arms that move as one, on two computers of their own in simulated time whose clocks drift."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+import urlink
+from linkcore.errors import BadValue, Cancelled, LinkTimeout, LocalError
+from linkcore.handle import Phase
+from urlink.errors import SafetyStop, ToleranceExceeded
+from urlink.interfaces.realtime.packets import RealtimeState
+from urlink.motion.trajectory import Trajectory
+from urlink.robot import Robot
+from urlink.simulator import Controller
+from urlink.vectors import FloatArray
+
+#: s for one cycle of an e-Series.
+CYCLE = 0.002
+#: s of a motion of the tests, and rad of wrist 3 at its end.
+SECONDS, WAY = 1.0, 0.4
+
+
+class Side:
+    """One arm, its computer, and what it has reported: time by its clock, target position and speed of wrist 3."""
+
+    def __init__(self, sim: urlink.Simulation, name: str, host: str, firmware: str) -> None:
+        self.sim, self.host = sim, host
+        self.rate = 500.0 if firmware[0] == "5" else 125.0
+        self.computer = sim.computer(name, host)
+        self.computer.rate = 1.0 + sim.random.uniform(-1e-4, 1e-4)
+        with sim.on(self.computer):
+            time.sleep(sim.random.uniform(0.0, 0.01))
+            self.controller = Controller(
+                "UR5e" if firmware[0] == "5" else "UR5", firmware, host=host, ports="standard"
+            ).start()
+        self.rows: list[tuple[float, float, float]] = []
+        self.marks: list[tuple[float, float]] = []
+
+    def connect(self) -> Robot:
+        self.robot = urlink.connect(self.host)
+        self.robot.realtime.wait()
+        return self.robot
+
+    def listen(self) -> None:
+        self.robot.realtime.subscribe(self._hear, inline=True)
+
+    def _hear(self, state: RealtimeState) -> None:
+        self.rows.append((state.time, float(state.q_target[5]), float(state.qd_target[5])))
+
+    def mark(self) -> None:
+        """What its clock shows now, in truth."""
+        controller = self.controller
+        assert controller._server is not None
+        with self.sim.on(self.computer):
+            cycles = (time.monotonic() - controller._server._epoch) * self.rate + controller._server._first
+        self.marks.append((self.sim.now, (cycles - (controller._state.cycle - controller._state.uptime)) / self.rate))
+
+    def path(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """What it has reported since the first of two marks, by the time of the simulation."""
+        (began, first), (ended, last) = self.marks[0], self.marks[-1]
+        rows = np.array(self.rows)
+        return began + (rows[:, 0] - first) * (ended - began) / (last - first), rows[:, 1], rows[:, 2]
+
+
+class Pair:
+    def __init__(self, sim: urlink.Simulation, sides: list[Side]) -> None:
+        self.sim = sim
+        self.left, self.right = self.sides = sides
+        self.group = urlink.Group(*(side.connect() for side in sides))
+        time.sleep(1.0)  # the clocks get to know each other
+        for side in sides:
+            side.listen()
+        self.begin()
+
+    def begin(self) -> None:
+        self.start = [np.array(side.robot.realtime.wait().q_target) for side in self.sides]
+        for side in self.sides:
+            side.rows.clear()
+            side.marks.clear()
+            side.mark()
+
+    def goals(self, way: float = WAY) -> list[FloatArray]:
+        return [start + np.array([0, 0, 0, 0, 0, way]) for start in self.start]
+
+    def steady(self, seconds: float = 1.6, speed: float = 0.5) -> list[Trajectory]:
+        """At constant speed but for a fifth of a second at both ends."""
+        at = [0.0, 0.2, seconds - 0.2, seconds]
+        ways = np.array([0.0, 0.1, seconds - 0.3, seconds - 0.2]) * speed
+        qd = np.zeros((4, 6))
+        qd[1:3, 5] = speed
+        return [Trajectory.from_arrays(at, start + np.outer(ways, [0, 0, 0, 0, 0, 1.0]), qd) for start in self.start]
+
+    def ways(self) -> list[tuple[FloatArray, FloatArray]]:
+        """Of each, times and the rad that it has gone; neither ever goes back."""
+        for side in self.sides:
+            side.mark()
+        found = []
+        for side, start in zip(self.sides, self.start, strict=True):
+            when, q, _ = side.path()
+            way = np.abs(q - start[5])
+            assert np.diff(way).min() > -1e-4
+            found.append((when, way))
+        return found
+
+    def radians_apart(self, after: float = 0.0) -> float:
+        """At most, at any time after one of them has gone so many rad."""
+        (when, way), (other_when, other_way) = self.ways()
+        return float(np.abs(np.interp(when, other_when, other_way) - way)[way >= after].max())
+
+    def seconds_apart(self) -> float:
+        """At most, between the moments at which both are as far, but for the ends of the way."""
+        times = []
+        for when, way in self.ways():
+            inside = (way > 0.05 * way[-1]) & (way < 0.95 * way[-1])
+            times.append((when[inside], way[inside]))
+        (when, way), (other_when, other_way) = times
+        return float(np.abs(np.interp(way, other_way, other_when) - when).max())
+
+
+@contextmanager
+def pair(seed: int = 1, *firmwares: str, latency: float = 3e-4, jitter: float = 5e-4) -> Iterator[Pair]:
+    with urlink.simulated_time(seed, latency=latency, jitter=jitter) as sim:
+        names = ("left", "192.168.0.100"), ("right", "192.168.0.101")
+        sides = [
+            Side(sim, *name, firmware) for name, firmware in zip(names, firmwares or ("5.11", "5.11"), strict=True)
+        ]
+        try:
+            yield Pair(sim, sides)
+        finally:
+            for side in sides:
+                side.robot.close()
+                with sim.on(side.computer):
+                    side.controller.close()
+
+
+@pytest.mark.parametrize("firmwares", [("5.11", "5.11"), ("3.15", "5.11"), ("3.15", "3.4")])
+def test_they_begin_and_move_together(firmwares: tuple[str, str]) -> None:
+    with pair(2, *firmwares) as both:
+        for number in range(4):
+            both.begin()
+            motion = both.group.move_joints(both.goals(WAY if number % 2 else -WAY), time=0.4)
+            assert 0.0 <= motion.progress < 1.0
+            motion.wait()
+            assert [each.phase for each in motion.motions] == [Phase.DONE] * 2
+            assert motion.progress == 1.0
+            # A set-point may come a cycle late.
+            assert both.seconds_apart() < max(1.0 / side.rate for side in both.sides) + 5e-4
+            for side, goal in zip(both.sides, both.goals(WAY if number % 2 else -WAY), strict=True):
+                assert side.robot.realtime.wait().q_target == pytest.approx(goal, abs=1e-3)
+
+
+def test_the_slower_of_both_sets_the_pace() -> None:
+    """Each slider in turn, to a half, to 0 for half a second, and back."""
+    with pair(3) as both:
+        motion = both.group.follow(both.steady())
+        began = both.sim.now
+        for side, fraction in [(0, 0.5), (1, 0.3), (0, 0.0), (1, 1.0), (0, 1.0)]:
+            time.sleep(0.5)
+            both.sides[side].robot.set_speed_slider(fraction)
+        motion.wait()
+        assert both.sim.now - began > 3.0
+        assert both.radians_apart() < 0.01
+
+
+def test_a_pause_of_one_halts_the_other_and_both_go_on() -> None:
+    with pair(4) as both:
+        motion = both.group.follow(both.steady(2.4))
+        time.sleep(0.8)
+        controller = both.left.controller
+        controller.call(controller.pendant.pause)
+        time.sleep(0.5)
+        assert [abs(side.robot.realtime.wait().qd_target[5]) < 1e-3 for side in both.sides] == [True, True]
+        time.sleep(3.0)
+        assert not motion.done
+        controller.call(controller.pendant.play)
+        motion.wait()
+        assert 0.01 < both.radians_apart() < 0.1  # one brakes at once, and the other as the slider would make it
+        assert both.radians_apart(1.0) < 0.005
+        for side, path in zip(both.sides, both.steady(2.4), strict=True):
+            assert side.robot.realtime.wait().q_target == pytest.approx(path.q[-1], abs=1e-3)
+
+
+def test_a_stop_of_one_reaches_the_other() -> None:
+    """Within two cycles, and the ways of the network from one controller and to the other."""
+    latency = 1e-3
+    with pair(5, latency=latency, jitter=0.0) as both:
+        motion = both.group.follow(both.steady())
+        time.sleep(1.0)
+        controller = both.left.controller
+        stopped = both.sim.now
+        controller.call(controller.faults.protective_stop)
+        with pytest.raises(SafetyStop):
+            motion.wait()
+        assert motion.phase is Phase.FAILED
+        with pytest.raises(Cancelled, match=r"stopped, since that of 192\.168\.0\.100 ended: .*stop"):
+            motion.motions[1].wait()
+        time.sleep(1.0)
+        for side in both.sides:
+            side.mark()
+        when, _, speed = both.right.path()
+        slower = when[(when > stopped) & (speed < 0.498)][0]
+        assert slower - stopped <= 2 * CYCLE + 2 * latency
+        assert speed[-1] == 0.0
+
+
+def test_who_cancels_one_cancels_all() -> None:
+    with pair(6) as both:
+        motion = both.group.follow(both.steady())
+        time.sleep(0.7)
+        motion.motions[1].cancel()
+        with pytest.raises(Cancelled, match=r"with that of 192\.168\.0\.101"):
+            motion.wait()
+        assert [each.phase for each in motion.motions] == [Phase.CANCELLED] * 2
+        time.sleep(1.0)
+        again = both.group.move_joints(both.goals())
+        time.sleep(0.2)
+        again.cancel()
+        with pytest.raises(Cancelled, match="cancelled with its group of 2"):
+            again.motions[0].wait()
+        time.sleep(1.0)
+        assert [side.robot.motion.current for side in both.sides] == [None, None]
+        assert [side.controller.arm.is_moving for side in both.sides] == [False, False]
+
+
+def test_stop_stops_each() -> None:
+    with pair(7) as both:
+        motion = both.group.follow(both.steady())
+        time.sleep(0.7)
+        both.group.stop(wait=True)
+        assert motion.phase is Phase.CANCELLED
+        assert [side.controller.arm.is_moving for side in both.sides] == [False, False]
+        controller = both.left.controller
+        controller.call(controller.faults.protective_stop)
+        time.sleep(0.5)
+        both.right.robot.motion.speed_joints([0, 0, 0, 0, 0, 0.2], duration=0.5)
+        time.sleep(0.1)
+        with pytest.raises(SafetyStop):
+            both.group.stop()
+        time.sleep(0.3)
+        assert not both.right.controller.arm.is_moving
+
+
+def test_where_one_cannot_begin_none_does() -> None:
+    with pair(8) as both:
+        controller = both.right.controller
+        controller.call(controller.faults.protective_stop)
+        time.sleep(0.5)
+        with pytest.raises(SafetyStop):
+            both.group.move_joints(both.goals())
+        time.sleep(0.5)
+        assert both.left.robot.motion.current is None
+        assert both.left.robot.realtime.wait().q_target == pytest.approx(both.start[0], abs=1e-9)
+        far = [
+            path if number else Trajectory.from_arrays([0, 1], both.start[0] + [[0.5] * 6, [0.6] * 6])
+            for number, path in enumerate(both.steady())
+        ]
+        with pytest.raises(BadValue):
+            both.group.follow(far)
+
+
+def test_one_that_is_led_away_stops_both() -> None:
+    with pair(9) as both:
+        motion = both.group.follow(both.steady(), path_tolerance=1e-4)
+        with pytest.raises(ToleranceExceeded):
+            motion.wait()
+        assert all(each.done for each in motion.motions)
+
+
+@pytest.mark.parametrize("firmwares", [("5.11", "5.11"), ("5.11", "3.15")])
+def test_states_of_the_same_moment(firmwares: tuple[str, str]) -> None:
+    with pair(10, *firmwares) as both:
+        seen = []
+        for states in both.group.states():
+            seen.append([state.time for state in states])
+            if len(seen) == 100:
+                break
+        for side in both.sides:
+            side.mark()
+        whens = []
+        for number, side in enumerate(both.sides):
+            (began, first), (ended, last) = side.marks[0], side.marks[-1]
+            times = np.array(seen)[:, number]
+            whens.append(began + (times - first) * (ended - began) / (last - first))
+        # Of arms of one generation, how long a state takes to be sent is the same.
+        bound = 4e-4 if len(set(firmwares)) == 1 else sum(side.robot.clock.bound for side in both.sides)
+        assert np.abs(whens[0] - whens[1]).max() < 0.5 * CYCLE + bound
+        assert np.diff(whens[0]).min() > 0.0
+        both.right.controller.call(lambda: both.right.controller.faults.stall(3600.0, "realtime"))
+        with pytest.raises(LinkTimeout):
+            list(both.group.states(timeout=0.5))
+
+
+@pytest.mark.simulated_time
+def test_what_a_group_refuses() -> None:
+    with urlink.connect("sim://ur5e") as one, urlink.connect("sim://ur5e") as two:
+        for robots in [(), (one,), (one, one)]:
+            with pytest.raises(BadValue, match="at least two"):
+                urlink.Group(*robots)
+        with pytest.raises(BadValue, match="no Robot"):
+            urlink.Group(one, "sim://ur5e")  # type: ignore[arg-type]
+        group = urlink.Group(one, two)
+        assert repr(group) == "<Group of sim://ur5e, sim://ur5e>"
+        here = one.realtime.wait().q_target
+        with pytest.raises(BadValue, match="1 goals for a group of 2"):
+            group.move_joints([here])
+        path = Trajectory.from_arrays([0, 1], [here, here + 0.1])
+        with pytest.raises(BadValue, match="3 trajectories for a group of 2"):
+            group.follow([path] * 3)
+        with pytest.raises(BadValue, match="is no Trajectory"):
+            group.follow([path, None])  # type: ignore[list-item]
+        one.motion.speed_joints([0, 0, 0, 0, 0, 0.2], duration=0.5)
+        one.realtime.wait_until(lambda state: state.qd_target[5] > 0.1)
+        with pytest.raises(LocalError, match="moves: a group begins where its arms stand"):
+            group.move_joints([here, here])

@@ -1,0 +1,113 @@
+"""`robot.clock` over a network in simulated time, with clocks that drift, jitter, cut cables and a controller that is
+started again."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+
+import pytest
+
+import urlink
+from linkcore.errors import LinkTimeout, LocalError
+from urlink.simulator import Controller
+
+CELL = "192.168.0.100"
+
+
+class Truth:
+    """What the clock of a simulated controller on another computer shows now, between its cycles too."""
+
+    def __init__(self, sim: urlink.Simulation, controller: Controller, rate: float) -> None:
+        self._cell = sim.network.computers["cell"]
+        self._sim = sim
+        self._server, self._state, self._rate = controller._server, controller._state, rate
+
+    def __call__(self) -> float:
+        assert self._server is not None
+        with self._sim.on(self._cell):
+            cycles = (time.monotonic() - self._server._epoch) * self._rate + self._server._first
+        return (cycles - (self._state.cycle - self._state.uptime)) / self._rate
+
+
+@pytest.mark.parametrize(
+    ("firmware", "seed", "drift", "latency", "jitter"),
+    [("5.11", 1, 100e-6, 1e-4, 5e-5), ("5.11", 2, -100e-6, 2e-3, 4e-3), ("3.15", 3, 60e-6, 5e-4, 1e-3)],
+)
+def test_it_is_right_within_its_bound(firmware: str, seed: int, drift: float, latency: float, jitter: float) -> None:
+    with urlink.simulated_time(seed, latency=latency, jitter=jitter) as sim:
+        cell = sim.computer("cell", CELL)
+        cell.rate, sim.here.rate = 1.0 + drift, 1.0 - 0.5 * drift
+        with sim.on(cell):
+            controller = Controller("UR5e" if firmware[0] == "5" else "UR5", firmware, host=CELL, ports="standard")
+            controller.start()
+        truth = Truth(sim, controller, 500.0 if firmware[0] == "5" else 125.0)
+        sim.schedule("cut=cell@8", "mend=cell@12", "reset=cell@20", "hold=here@24", "release=here@24.4")
+        looks = wrong = 0
+        with urlink.connect(CELL, silence=0.5) as robot:
+            robot.realtime.wait()
+            while sim.now < 30.0:
+                time.sleep(sim.random.uniform(0.0, 0.02))
+                true, now = truth(), time.monotonic()
+                off, bound = robot.clock.to_controller(now) - true, robot.clock.bound
+                looks += 1
+                wrong += abs(off) > bound
+                assert robot.clock.to_local(true) - now == pytest.approx(-off, abs=1e-5)
+            assert robot.realtime.stats.reconnects >= 2
+            true_drift = (1.0 + drift) / (1.0 - 0.5 * drift) - 1.0
+            assert robot.clock.drift == pytest.approx(true_drift, abs=2e-5 + 0.02 * jitter)
+            assert robot.clock.offset == pytest.approx(true - now, abs=2.0 * bound)
+            assert robot.clock.bound < 0.5 / truth._rate + latency + 1.5 * jitter + 2e-4
+            assert robot.clock.restarts == 0
+            assert "ppm, within" in repr(robot.clock)
+        with sim.on(cell):
+            controller.close()
+        assert looks > 2000
+        assert wrong <= 0.001 * looks
+
+
+def test_a_controller_that_is_started_again_is_seen() -> None:
+    with urlink.simulated_time(4) as sim:
+        cell = sim.computer("cell", CELL)
+        with sim.on(cell):
+            controller = Controller("UR5e", host=CELL, ports="standard").start()
+        truth = Truth(sim, controller, 500.0)
+        with urlink.connect(CELL, silence=0.5) as robot:
+            robot.realtime.wait()
+            time.sleep(5.0)
+            controller.faults.reboot(downtime=10.0)
+            robot.realtime.of(urlink.ConnectionEvent).wait_until(
+                lambda event: event.state is urlink.ConnectionState.CONNECTED, 60.0
+            )
+            robot.realtime.wait()
+            time.sleep(0.1)
+            assert robot.clock.restarts == 1
+            assert robot.clock.to_controller(time.monotonic()) == pytest.approx(truth(), abs=robot.clock.bound)
+        with sim.on(cell):
+            controller.close()
+
+
+@pytest.mark.simulated_time
+def test_it_waits_for_the_first_state() -> None:
+    with urlink.connect("sim://ur5e") as robot:
+        clock = robot.clock
+        assert repr(clock) == "<RobotClock: no state has come>"
+        assert clock.to_local(robot.realtime.wait().time) == pytest.approx(time.monotonic(), abs=0.05)
+        robot.realtime.wait_until(lambda state: robot.clock.bound < 0.01)
+    with urlink.connect("sim://ur5e") as robot:
+        robot.controller.faults.stall(3600.0, "realtime")
+        with pytest.raises(LinkTimeout):
+            _ = robot.clock.offset
+
+
+@pytest.mark.simulated_time
+def test_with_asyncio() -> None:
+    async def ask() -> None:
+        async with urlink.connect_async("sim://ur5e") as robot:
+            with pytest.raises(LocalError):
+                _ = robot.clock.offset
+            state = await robot.realtime.wait()
+            assert state.received is not None
+            assert robot.clock.to_local(state.time) == pytest.approx(state.received.monotonic, abs=0.05)
+
+    asyncio.run(ask())

@@ -1,0 +1,70 @@
+"""The table of time-outs on the page about time is that of the code."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import inspect
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import urlink
+from urlink.motion.motions import Motions
+from urlink.robot import Robot
+
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs" / "time.md"
+#: What is no part of the way to a robot.
+ELSEWHERE = ("simulator", "compat", "cli", "acceptance", "data")
+CALLS: dict[str, Callable[..., object]] = {
+    "urlink.connect": urlink.connect,
+    "robot.freedrive": Robot.freedrive,
+    **{
+        f"robot.motion.{name}": getattr(Motions, name)
+        for name in ("follow", "servo", "jog", "stream", "force_mode", "torque", "impedance")
+    },
+}
+ARGUMENTS = ("timeout", "silence", "stale_after", "start_timeout", "watchdog", "goal_time")
+
+
+def listed() -> dict[str, float]:
+    found = re.findall(r"^\| `([A-Za-z_.]+(?:\([a-z_]+=\))?)` \| ([0-9.]+) \|", PAGE.read_text(), re.MULTILINE)
+    return {name: float(seconds) for name, seconds in found if "." in name}
+
+
+def arguments() -> dict[str, float]:
+    values = {}
+    for call, function in CALLS.items():
+        for name, parameter in inspect.signature(function).parameters.items():
+            if name in ARGUMENTS:
+                values[f"{call}({name}=)"] = parameter.default
+    return values
+
+
+def constants() -> dict[str, float]:
+    """The numbers of modules whose names say that they are time-outs."""
+    values = {}
+    for path in sorted((ROOT / "src" / "urlink").rglob("*.py")):
+        parts = path.relative_to(ROOT / "src").with_suffix("").parts
+        if parts[1] in ELSEWHERE:
+            continue
+        for node in ast.parse(path.read_text()).body:
+            if not isinstance(node, ast.Assign):
+                continue
+            names = [each.id for each in ast.walk(node) if isinstance(each, ast.Name)]
+            for name in names:
+                if re.search("TIMEOUT|SILENCE|WATCHDOG|STALE", name):
+                    value = getattr(importlib.import_module(".".join(parts)), name)
+                    values[".".join((*parts, name))] = value
+    return values
+
+
+def test_every_time_out_is_on_the_page_with_its_value() -> None:
+    shown = listed()
+    wanted = arguments() | constants()
+    assert {name: shown.get(name) for name in wanted} == wanted
+    for name, seconds in shown.items():
+        if name not in wanted:  # others whose names say less
+            module, _, constant = name.rpartition(".")
+            assert getattr(importlib.import_module(module), constant) == seconds, name
