@@ -30,18 +30,20 @@ class Watchdog:
         self._is_debugged = config.getoption("usepdb")
         # While a test runs, its output is captured from descriptor 2 as well. This one leads out of the capture.
         self._stderr = os.dup(2)
+        # That of a test in simulated time, by which pytest reports a failure, is another one.
+        self._now = time.monotonic
         self._deadline: float | None = None
 
     def start(self, seconds: float) -> None:
         """Exit after that many seconds; 0 is never."""
         if seconds and not self._is_debugged:
-            self._deadline = time.monotonic() + seconds
+            self._deadline = self._now() + seconds
             self.rearm()
 
     def rearm(self) -> None:
         """Arm the timer for what is left; pytest has cancelled it, or there is none yet."""
         if self._deadline is not None:
-            left = max(self._deadline - time.monotonic(), 0.001)
+            left = max(self._deadline - self._now(), 0.001)
             faulthandler.dump_traceback_later(left, file=self._stderr, exit=True)
 
     def cancel(self) -> None:

@@ -59,41 +59,47 @@ class CallbackThread:
     def __init__(self, name: str) -> None:
         self._name = name
         self._calls: _Calls = SimpleQueue()
-        self._thread: dict[str, threading.Thread] = {}
+        # With the event of its end: a thread that another one is just starting cannot be joined yet.
+        self._thread: dict[str, tuple[threading.Thread, threading.Event]] = {}
         weakref.finalize(self, self._calls.put, None)
 
     def call(self, function: Callable[..., object], *arguments: Any) -> None:
         """Call `function(*arguments)` soon. Where the system has no thread left, the log says so instead."""
         if _ONE not in self._thread:
-            thread = threading.Thread(target=_run, args=(self._calls,), name=self._name, daemon=True)
-            if self._thread.setdefault(_ONE, thread) is thread:
+            has_ended = threading.Event()
+            made = threading.Thread(target=_run, args=(self._calls, has_ended), name=self._name, daemon=True), has_ended
+            if self._thread.setdefault(_ONE, made) is made:
                 try:
-                    started(thread)
+                    started(made[0])
                 except LocalError:
                     self._thread.pop(_ONE, None)
+                    has_ended.set()
                     _log.exception("%r is not called", function)
                     return
         self._calls.put((function, arguments))
 
     def close(self, timeout: float) -> None:
         """Make the calls that wait, and end the thread, within `timeout` seconds. Idempotent."""
-        thread = self._thread.pop(_ONE, None)
-        if thread is None:
+        thread, has_ended = self._thread.pop(_ONE, (None, None))
+        if thread is None or has_ended is None:
             return
         self._calls.put(None)
-        if thread is not threading.current_thread():
-            thread.join(max(timeout, 0.0))
+        if thread is not threading.current_thread() and has_ended.wait(max(timeout, 0.0)) and thread.ident is not None:
+            thread.join()
 
 
-def _run(calls: _Calls) -> None:
-    while (call := calls.get()) is not None:
-        function, arguments = call
-        try:
-            function(*arguments)
-        except BaseException:
-            # Also SystemExit and KeyboardInterrupt: they would end this thread, and with it all later callbacks.
-            _log.exception("%r raised; the callbacks after it are called all the same", function)
-        del call, function, arguments
+def _run(calls: _Calls, has_ended: threading.Event) -> None:
+    try:
+        while (call := calls.get()) is not None:
+            function, arguments = call
+            try:
+                function(*arguments)
+            except BaseException:
+                # Also SystemExit and KeyboardInterrupt: they would end this thread, and with it all later callbacks.
+                _log.exception("%r raised; the callbacks after it are called all the same", function)
+            del call, function, arguments
+    finally:
+        has_ended.set()
 
 
 class Runnable(ABC):

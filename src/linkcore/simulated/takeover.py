@@ -196,6 +196,8 @@ def simulated_time(
     here = network.add("here", "192.168.0.1")
     sockets = Sockets(scheduler, network)
     numbers = random.getstate()
+    of_pools: Any = _pool._threads_queues
+    pooled = list(of_pools)
     collects = gc.isenabled()
     gc.disable()  # what it calls would be called at other steps in every run
     scheduler.adopt("main", here)
@@ -208,6 +210,10 @@ def simulated_time(
         scheduler.end()
         install(None)
         put_back()
+        # The interpreter joins those of pools as it exits, which is only for real threads.
+        for thread in list(of_pools):
+            if thread not in pooled:
+                del of_pools[thread]
         random.setstate(numbers)
         if collects:
             gc.enable()

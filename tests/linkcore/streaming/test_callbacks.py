@@ -12,6 +12,7 @@ from linkcore.streaming.fanout import FanOut
 from linkcore.streaming.packet_queue import PacketQueue, block
 from linkcore.streaming.stream import Stream
 from linkcore.streaming.subscription import ThreadedDelivery
+from linkcore.threads import CallbackThread, started
 from tests.linkcore.script import Count, ScriptedTransport, counts
 from tests.waiting import until
 
@@ -41,6 +42,22 @@ def test_sys_exit_in_on_deadline(stream: Stream[Count], caplog: pytest.LogCaptur
     subscription = stream.subscribe(lambda count: None, deadline=0.01, on_deadline=lambda age: sys.exit(1))
     until(lambda: "on_deadline of script Count raised" in caplog.text)
     assert subscription.stats.missed_deadlines == 1
+
+
+def test_callbacks_end_while_their_thread_is_being_started(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One thread has begun to start it, and another one closes."""
+    callbacks = CallbackThread("callbacks")
+    threads: list[threading.Thread] = []
+
+    def start_late(thread: threading.Thread) -> threading.Thread:
+        callbacks.close(0.0)
+        threads.append(started(thread))
+        return thread
+
+    monkeypatch.setattr("linkcore.threads.started", start_late)
+    callbacks.call(print)
+    threads[0].join(10)
+    assert not threads[0].is_alive()
 
 
 class Packet:
