@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
+import importlib
 import os
 import signal
 import socket
@@ -41,6 +43,9 @@ def pytest_configure() -> None:
 
 def pytest_collection_finish() -> None:
     """Hundreds of tests collect garbage, so that a socket which nobody closed warns in the test that opened it."""
+    # Imported for the first time on a computer, it makes a list of the fonts there, by a process and a thread.
+    with contextlib.suppress(ImportError):
+        importlib.import_module("matplotlib.font_manager")
     leave_to_stay()
 
 

@@ -38,11 +38,8 @@ class RealTime:
         self._start = threading.Thread.start
         threading.Thread.start = self._starting()  # type: ignore[assignment]
 
-    def _note(self, event: str, arguments: tuple[object, ...]) -> None:
-        if self._noted is None or event not in _EVENTS or threading.get_ident() in self._others:
-            return
-        # With the first picture that it draws on a computer, matplotlib asks for the fonts there.
-        if event != "subprocess.Popen" or arguments[0] != "fc-list":
+    def _note(self, event: str, arguments: object) -> None:
+        if self._noted is not None and event in _EVENTS and threading.get_ident() not in self._others:
             self._noted.add(_EVENTS[event])
 
     def _starting(self) -> Callable[[threading.Thread], None]:
