@@ -150,6 +150,8 @@ class Programs:
         self._stopping: str | None = None
         #: name of the program that was given up and that the controller may keep, paused by a stop of the robot
         self._kept: str | None = None
+        #: when the last one ended; what a robot's states showed until then may be from before it
+        self.ended = -math.inf
         self._is_closed = False
         monitor.on_close(self._interlock_closed)
         # A text that was sent during the silence may not have arrived yet, and is not to be carried out later.
@@ -225,7 +227,11 @@ class Programs:
                 # A signal handler has sent it between these lines: it is the later one, though it was sent first.
                 raise Cancelled(f"{life.name} was preempted by {newest.life.name}")
 
-        life.on_end(lambda: self._runs.pop(run.name, None))
+        def end() -> None:
+            self._runs.pop(run.name, None)
+            self.ended = self._clock()
+
+        life.on_end(end)
         try:
             self._listen()
             replaces = not (is_stop or wrapped.is_secondary)

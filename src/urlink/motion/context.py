@@ -46,14 +46,21 @@ class MotionContext:
     clock: Callable[[], float] = monotonic
 
     def state(self) -> RealtimeState:
-        """The newest state; if there is none, the next one.
+        """The newest state that has come since the last program ended; if there is none, the next one.
+
+        Both interfaces report by themselves: when the end of a motion is known, the newest state may be as old as
+        `stale_after`, and show the arm standing where that motion began.
 
         Raises:
             LocalError: there is none yet, and this is the thread that receives states.
             LinkTimeout, RemoteError: no state comes.
         """
-        newest = self.realtime.latest
-        if newest is not None:
+        newest, ended = self.realtime.latest, self.programs.ended
+
+        def is_newer(state: RealtimeState) -> bool:
+            return state.received is not None and state.received.monotonic > ended
+
+        if newest is not None and is_newer(newest):
             return newest
         with self.section.waiting():
-            return self.realtime.wait()
+            return self.realtime.wait_until(is_newer)

@@ -419,6 +419,7 @@ def test_waits_when_it_is_asked_to(robot: Rehearsal, move: Callable[[Rehearsal, 
     thread.join(TIMEOUT)
     assert isinstance(motion, urlink.Motion)
     assert motion.phase is Phase.DONE
+    robot.show()
     with pytest.raises(LinkTimeout, match="it goes on"):
         move(robot, 0.01)
     with pytest.raises(BadValue, match="wait="):

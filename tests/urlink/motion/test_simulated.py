@@ -156,3 +156,15 @@ def test_a_trajectory_that_begins_elsewhere(connect: Callable[[str, str], Robot]
     elsewhere = Trajectory.from_arrays([0, 1], [READY + 0.2, READY + 0.2])
     with pytest.raises(BadValue, match="too far from where the arm is"):
         robot.motion.follow(elsewhere)
+
+
+def test_a_motion_begins_where_the_one_before_has_ended(connect: Callable[[str, str], Robot]) -> None:
+    """Also if the interface with the positions was silent, so that its newest state is from before that motion."""
+    robot = connect("ur5e", "5.11")
+    assert robot.controller is not None
+    goal = np.array([*READY[:5], 0.2])
+    robot.controller.faults.stall(2.0, "realtime")
+    robot.motion.move_joints(goal, speed=2.0, acceleration=10.0).wait(TIMEOUT)
+    path = Trajectory.from_arrays([0.0, 0.5, 1.0], [goal, READY, goal])
+    robot.motion.follow(path, watchdog=WATCHDOG).wait(TIMEOUT)
+    assert np.allclose(robot.realtime.wait(TIMEOUT).q_target, goal, atol=1e-3)
