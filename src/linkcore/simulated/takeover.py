@@ -53,10 +53,10 @@ _BEFORE = ("asyncio", "concurrent.futures.thread", "multiprocessing.process", "n
 _OF_COMPUTERS = ("suspend", "resume", "hold", "release", "kill", "power_off", "power_on")
 _FAULT = re.compile(r"(\w+)=([\w.-]+)@(\d+(?:\.\d*)?)")
 
-#: Modules of others in which nothing was to be replaced, with the number of names that they had: looking through all
-#: modules takes most of the time of a short block.
-_without: dict[str, int] = {}
-_OURS = ("linkcore", "urlink", "rhdlink", "pytest_urlink", "tests")
+#: How many names a module had, and which of them may have what is replaced: those that had it, and those called like it
+#: since another may be in its place for a while. To look through all names of all modules for each block would take
+#: most of the time of a short one.
+_places: dict[str, tuple[int, tuple[str, ...]]] = {}
 
 #: Methods of `threading.Thread` that are replaced.
 _METHODS = ("start", "join", "is_alive")
@@ -308,20 +308,25 @@ def _is_importing() -> bool:
 def _take_over(replacements: list[tuple[object, object]]) -> Callable[[], None]:
     """Replace objects wherever a module has them by a name; how to put them back."""
     by_identity = {id(real): simulated for real, simulated in replacements}
+    called = {getattr(real, "__name__", None) for real, _ in replacements}
     done: list[tuple[ModuleType, str, object]] = []
     names: dict[str, int] = {}
     for name, module in list(sys.modules.items()):
         if not isinstance(module, ModuleType):
             continue  # type: ignore[unreachable]  # sys.modules takes any object
-        names[name] = len(vars(module))
-        if name.startswith(_KEPT) or _without.get(name) == names[name]:
+        held = vars(module)
+        names[name] = len(held)
+        if name.startswith(_KEPT):
             continue
-        found = [(key, by_identity[id(value)]) for key, value in list(vars(module).items()) if id(value) in by_identity]
-        for attribute, simulated in found:
-            done.append((module, attribute, vars(module)[attribute]))
-            setattr(module, attribute, simulated)
-        if not found and not name.startswith(_OURS):
-            _without[name] = names[name]
+        count, places = _places.get(name, (0, ()))
+        if count != len(held):
+            places = tuple(key for key, value in list(held.items()) if key in called or id(value) in by_identity)
+            _places[name] = len(held), places
+        for attribute in places:
+            value = held.get(attribute)
+            if id(value) in by_identity:
+                done.append((module, attribute, value))
+                setattr(module, attribute, by_identity[id(value)])
     # Methods of the class itself, for the sake of what is derived from it.
     kept = {name: getattr(threading.Thread, name) for name in _METHODS}
     for name in _METHODS:
@@ -337,8 +342,8 @@ def _take_over(replacements: list[tuple[object, object]]) -> Callable[[], None]:
         for name, module in list(sys.modules.items()):
             if (
                 isinstance(module, ModuleType)
-                and not name.startswith("linkcore.simulated")
                 and len(vars(module)) != names.get(name)
+                and not name.startswith("linkcore.simulated")
             ):
                 for attribute, value in list(vars(module).items()):
                     if id(value) in replaced:

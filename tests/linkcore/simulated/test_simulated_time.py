@@ -15,6 +15,7 @@ import uuid
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as FutureTimeout
+from types import ModuleType
 
 import pytest
 
@@ -327,6 +328,22 @@ def test_everything_is_put_back() -> None:
         queue.SimpleQueue,
         random.getstate(),
     ) == before
+
+
+def test_a_name_that_was_patched_is_simulated_in_the_next_block(monkeypatch: pytest.MonkeyPatch) -> None:
+    module = ModuleType("made_for_this_test")
+    vars(module).update(sleep=time.sleep, now=time.monotonic)
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    with monkeypatch.context() as patched:
+        patched.setattr(module, "sleep", len)
+        with simulated_time():
+            assert module.sleep is len
+            assert module.now is time.monotonic
+    with simulated_time() as sim:
+        module.sleep(3600)
+        assert module.now() == pytest.approx(sim.now)
+    assert module.sleep is time.sleep
+    assert module.now is time.monotonic
 
 
 def test_one_at_a_time() -> None:
