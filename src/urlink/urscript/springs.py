@@ -1,9 +1,10 @@
 """The programs of an impedance: springs and dampers between the arm and an aim, by torques that the program computes.
 
-Their text is in `springs.script` and `springs_of_joints.script`, for who wants to read what runs on the robot. It is
-put into a loop by words (`links.word_loop`). A word holds the target and its number, by which a new one is known, 0
-before the first; or, with `GAINS` in the place of what to do, the stiffness of each axis in thousands and its damping
-ratio. Lists are computed with as a whole: whatever has ``direct_torque`` does.
+Their text is in `aim.script`, `springs.script`, and `springs_of_joints.script` or `springs_of_tool.script`, for who
+wants to read what runs on the robot. It is put into a loop by words (`links.word_loop`). A word holds the target and its
+number, by which a new one is known, 0 before the first; with `GAINS` in the place of what to do, the stiffness of each
+axis in thousands and its damping ratio; with `POSTURE`, joint positions. Lists are computed with as a whole: whatever
+has ``direct_torque`` does.
 """
 
 from __future__ import annotations
@@ -15,12 +16,12 @@ from string import Template
 
 from ..firmware import Firmware
 from .links import InputRegisters, ReverseSocket, missable, word_loop
-from .text import number, vector
+from .text import indented, number, vector
 
-__all__ = ["GAINS", "LOOSE", "MARGIN", "TOP", "Springs", "impedance"]
+__all__ = ["GAINS", "LOOSE", "MARGIN", "POSTURE", "TOP", "Springs", "ToolSprings", "impedance"]
 
-#: What to do, beside `STOP`, `FOLLOW` and `WAIT`: take gains.
-GAINS = -1
+#: What to do, beside `STOP`, `FOLLOW` and `WAIT`: take gains, or a posture.
+GAINS, POSTURE = -1, -2
 #: The part of its largest speed at which a joint begins to be braked, and that with which the aim moves at most.
 TOP, _RAMP = 0.9, 0.7
 #: s that the way to a new target takes at most, if its joints may be so fast.
@@ -42,6 +43,34 @@ LOOSE = 1.0
 _FADING = 0.2
 #: rad/s² with which the arm brakes that stands already.
 _DECELERATION = "stopj(4.0)"
+#: The speed slider does not scale torques; so it scales the way to the target.
+_SLIDER = 'get_rtde_value("target_speed_fraction")'
+#: From the axes of the base to those of the aim.
+_TOOL_AXES = """\
+  x = pose_trans(aimed, p[1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+  y = pose_trans(aimed, p[0.0, 1.0, 0.0, 0.0, 0.0, 0.0])
+  z = pose_trans(aimed, p[0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+  axes = [[x[0], x[1], x[2], 0.0, 0.0, 0.0], [y[0], y[1], y[2], 0.0, 0.0, 0.0], [z[0], z[1], z[2], 0.0, 0.0, 0.0], \
+[0.0, 0.0, 0.0, x[0], x[1], x[2]], [0.0, 0.0, 0.0, y[0], y[1], y[2]], [0.0, 0.0, 0.0, z[0], z[1], z[2]]]
+  jacobian = axes * jacobian
+  away = axes * away"""
+
+
+@dataclass(frozen=True)
+class ToolSprings:
+    """What springs of the tool need beside those of the joints.
+
+    Attributes:
+        in_tool: the axes are those of the aim, and turn with it; False for those of the base.
+        speed: (6,) m/s and rad/s, the largest along and about each axis.
+        force: (6,) N and Nm of the springs along and about each axis.
+        posture: (6,) Nm/rad with which the joints are drawn to the posture.
+    """
+
+    in_tool: bool
+    speed: Sequence[float]
+    force: Sequence[float]
+    posture: Sequence[float]
 
 
 @dataclass(frozen=True)
@@ -49,15 +78,17 @@ class Springs:
     """What is set once, when an impedance begins.
 
     Attributes:
-        stiffness: (6,) Nm/rad.
-        damping: (6,) ratios: 1 is critical.
+        stiffness: (6,) Nm/rad of the joints; with `tool`, N/m along and Nm/rad about its axes.
+        damping: (6,) ratios, likewise: 1 is critical.
         speed: (6,) rad/s, the largest of each joint.
-        torque: (6,) Nm of springs and dampers.
-        braking: (6,) Nm with which a joint is braked that is too fast, or too close to the end of its range.
-        error: (6,) rad of each joint that its spring can be stretched.
+        torque: (6,) Nm of springs and dampers; with `tool`, of springs, and dampers have `braking` less this at least.
+        braking: (6,) Nm with which a joint is braked that is too fast, or too close to the end of its range; at least
+            twice the torque.
+        error: (6,) that each spring can be stretched: rad of the joints; with `tool`, m and rad.
         lowest, highest: (6,) rad.
         friction_compensation: the controller makes up for friction.
         watchdog: s without a word after which it ends.
+        tool: for springs of the tool; None for those of the joints.
     """
 
     stiffness: Sequence[float]
@@ -70,37 +101,37 @@ class Springs:
     highest: Sequence[float]
     friction_compensation: bool
     watchdog: float
+    tool: ToolSprings | None = None
 
 
 def impedance(firmware: Firmware, link: ReverseSocket | InputRegisters, springs: Springs) -> list[str]:
-    """Draw the joints to the aim that the words lead; at the end the springs are let go of, and the arm stands."""
-    cycle = 1.0 / firmware.rate
-    law = _text("springs_of_joints", error=vector(springs.error), loose=number(LOOSE))
+    """Draw the arm to the aim that the words lead; at the end the springs are let go of, and the arm stands."""
+    cycle, tool = 1.0 / firmware.rate, springs.tool
+    if tool is None:
+        law, most, ramp_speed = _text("springs_of_joints", error=vector(springs.error), loose=number(LOOSE)), springs.torque, springs.speed
+    else:
+        law, most, ramp_speed = _of_tool(springs, tool, cycle), springs.braking, tool.speed
     program = _text(
         "springs",
-        stiffness=vector(springs.stiffness),
-        damping=vector(springs.damping),
         speed=vector([TOP * each for each in springs.speed]),
-        ramp_speed=vector([_RAMP * each * cycle for each in springs.speed]),
-        torque=vector(springs.torque),
+        most=vector(most),
         braking=vector(springs.braking),
         lowest=vector([each + MARGIN for each in springs.lowest]),
         highest=vector([each - MARGIN for each in springs.highest]),
-        longest=number(_LONGEST * firmware.rate),
-        pull=number(_ROUNDING**2 * cycle),
-        drag=number(2.0 * _ROUNDING * cycle),
-        cycle=number(cycle),
-        blend=number(cycle / _BLENDING),
-        blending=str(round(8.0 * _BLENDING * firmware.rate)),
         moved=number(_MOVED),
         approach=number(_APPROACH),
         grip=number(_GRIP),
-        law=law,
+        aim=_aim(firmware, springs.stiffness, springs.damping, ramp_speed, _SLIDER, law),
     )
     call = f"direct_torque(torques(), friction_comp={'True' if springs.friction_compensation else 'False'})"
+    take_posture = "" if tool is None else f"""
+        elif wanted == {POSTURE}:
+          take_posture(goal)
+    """
     told = f"""
         if wanted == {GAINS}:
           take_gains(goal, speed)
+{indented(take_posture)}
         else:
           take_target(goal, speed[0])
         end
@@ -117,9 +148,58 @@ def impedance(firmware: Firmware, link: ReverseSocket | InputRegisters, springs:
         {_DECELERATION}
     """
     most_missed = missable(springs.watchdog, firmware.rate)
-    start = "find_dampers()\nstay()\nmissed = 0"
+    start = "stay()\nfind_dampers()\nmissed = 0"
     loop = word_loop(firmware, link, start, told, call, end, watchdog=springs.watchdog, most_missed=most_missed)
     return [*program.splitlines(), *loop]
+
+
+def _aim(
+    firmware: Firmware,
+    stiffness: Sequence[float],
+    damping: Sequence[float],
+    speed: Sequence[float],
+    pace: str,
+    law: str,
+) -> str:
+    """The part that follows the targets, with the law between arm and aim.
+
+    Args:
+        speed: (6,) the largest of the aim.
+        pace: cycles by which it goes on in one cycle: less, where the speed slider slows it down.
+    """
+    cycle = 1.0 / firmware.rate
+    return _text(
+        "aim",
+        stiffness=vector(stiffness),
+        damping=vector(damping),
+        ramp_speed=vector([_RAMP * each * cycle for each in speed]),
+        longest=number(_LONGEST * firmware.rate),
+        pull=number(_ROUNDING**2 * cycle),
+        drag=number(2.0 * _ROUNDING * cycle),
+        cycle=number(cycle),
+        blend=number(cycle / _BLENDING),
+        blending=str(round(8.0 * _BLENDING * firmware.rate)),
+        pace=pace,
+        law=law,
+    )
+
+
+def _of_tool(springs: Springs, tool: ToolSprings, cycle: float) -> str:
+    return _text(
+        "springs_of_tool",
+        posture=vector(tool.posture),
+        error=vector(springs.error),
+        force=vector(tool.force),
+        tool_speed=vector(tool.speed),
+        torque=vector(springs.torque),
+        slowing=vector([most - each for most, each in zip(springs.braking, springs.torque, strict=True)]),
+        loose=number(LOOSE),
+        top=number(TOP),
+        grip=number(_GRIP),
+        blend=number(cycle / _BLENDING),
+        axes=_TOOL_AXES if tool.in_tool else "",
+        aim_rate="axes * aim_speed" if tool.in_tool else "aim_speed",
+    )
 
 
 def _text(name: str, **values: str) -> str:

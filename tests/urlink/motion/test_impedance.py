@@ -444,15 +444,7 @@ class World:
         name = str(draw.choice(["UR3e", "UR5e", "UR10e"]))
         scale = {"UR3e": 0.5, "UR5e": 1.0, "UR10e": 1.3}[name]
         q = np.array(READY) + draw.uniform(-0.7, 0.7, 6)
-        self.soft = Soft(
-            name,
-            q=q.tolist(),
-            stiffness=(np.array(STIFFNESS) * scale * draw.uniform(0.0, 1.5, 6)).tolist(),
-            damping=draw.uniform(0.0, 1.5, 6).tolist(),
-            torque=(np.array(TORQUE) * scale * draw.uniform(0.3, 1.0, 6)).tolist(),
-            error=draw.uniform(0.02, 0.3, 6).tolist(),
-            friction_compensation=bool(draw.integers(2)),
-        )
+        self.soft = self.soften(draw, name, scale, q.tolist())
         self.aim = self.soft.q
         world, place = self.soft.controller.world, np.array(self.soft.pose[:3])
         world.force_limit = 1e4
@@ -477,6 +469,18 @@ class World:
             world.add(thing)
         self.wrench = np.concatenate((draw.normal(size=3) * 25.0, draw.normal(size=3) * 2.0))
         self.pushed = draw.uniform(0.05, 0.4)
+
+    def soften(self, draw: np.random.Generator, name: str, scale: float, q: Sequence[float]) -> Soft:
+        """The arm on its springs."""
+        return Soft(
+            name,
+            q=q,
+            stiffness=(np.array(STIFFNESS) * scale * draw.uniform(0.0, 1.5, 6)).tolist(),
+            damping=draw.uniform(0.0, 1.5, 6).tolist(),
+            torque=(np.array(TORQUE) * scale * draw.uniform(0.3, 1.0, 6)).tolist(),
+            error=draw.uniform(0.02, 0.3, 6).tolist(),
+            friction_compensation=bool(draw.integers(2)),
+        )
 
     def run(self, seconds: float) -> tuple[FloatArray, float]:
         """J of the arm and its springs in each cycle, less what everything outside has done to them; and the largest.

@@ -1,0 +1,435 @@
+"""The program of an impedance of the tool, as it is uploaded, on a simulated controller that is stepped."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.urlink.motion.test_impedance import READY, TORQUE, Soft, World, hardest_cycle, turned
+from tests.urlink.simulator.test_impedance import HORIZONTAL
+from tests.urlink.simulator.test_impedance import program as circle
+from urlink import poses
+from urlink.models import model
+from urlink.simulator import Controller, Plane, Still
+from urlink.urscript.springs import MARGIN, POSTURE, TOP, ToolSprings
+from urlink.vectors import FloatArray
+
+STIFFNESS = (500.0, 500.0, 500.0, 30.0, 30.0, 30.0)
+
+
+class SoftTool(Soft):
+    """An arm whose tool is on springs.
+
+    Args:
+        in_tool: the axes are those of the tool.
+        options: of `Springs` and of `ToolSprings`, whose speed is `tool_speed`.
+    """
+
+    def __init__(self, name: str = "UR5e", *, in_tool: bool = False, **options: Any) -> None:
+        tool = ToolSprings(
+            in_tool=in_tool,
+            speed=options.pop("tool_speed", (0.25,) * 3 + (0.8,) * 3),
+            force=options.pop("force", (50.0,) * 3 + (5.0,) * 3),
+            posture=options.pop("posture", (0.5,) * 6),
+        )
+        values: dict[str, Any] = {
+            "stiffness": STIFFNESS,
+            "error": (0.1,) * 3 + (0.5,) * 3,
+            "speed": (1.5,) * 6,
+            "tool": tool,
+        }
+        super().__init__(name, **(values | options))
+        self.tool = tool
+        self._share, self._saved = 1.0, 0.0
+
+    @property
+    def jacobian(self) -> FloatArray:
+        return self.arm.kinematics.jacobian(self.q, self.arm.tcp)
+
+    def bend(self, q: Sequence[float]) -> None:
+        """Another posture."""
+        self._say(q, [0.0] * 6, 0.002, POSTURE)
+
+    def off(self, pose: Sequence[float]) -> FloatArray:
+        """(6,) m and rad from the pose of the tool to another one, in the base frame."""
+        here = self.pose
+        turn = poses.compose([0.0, 0.0, 0.0, *pose[3:]], poses.invert([0.0, 0.0, 0.0, *here[3:]]))
+        return np.array([*np.subtract(pose[:3], here[:3]), *turn[3:]])
+
+    def stored(self, aim: Sequence[float], posture: FloatArray) -> float:
+        """J in the springs, and what their share has saved: to be asked for once in each cycle."""
+        away, jacobian = self.off(aim), self.jacobian
+        if self.tool.in_tool:
+            axes = np.kron(np.eye(2), poses.rotvec_to_matrix(aim[3:]).T)
+            away, jacobian = axes @ away, axes @ jacobian
+        angle = float(np.linalg.norm(away[3:]))
+        away[3:] *= 2.0 * math.sin(0.5 * angle) / angle if angle > 1e-9 else 1.0
+        stiffness, s = np.array(self.springs.stiffness), self.springs
+        firm = np.minimum(stiffness * s.error, self.tool.force)
+        pull = np.clip(stiffness * away, -firm, firm)
+        energy = np.abs(pull) * np.abs(away)
+        energy[stiffness > 0] -= 0.5 * pull[stiffness > 0] ** 2 / stiffness[stiffness > 0]
+        bent = posture - self.q
+        whole = float(energy.sum() + 0.5 * np.array(self.tool.posture) @ bent**2)
+        # The slope of this energy: the torques of the joints.
+        moment = math.cos(0.5 * angle) * pull[3:] - np.cross(0.5 * away[3:], pull[3:])
+        torque = jacobian.T @ np.concatenate((pull[:3], moment)) + np.array(self.tool.posture) * bent
+        strongest = np.minimum(s.torque, 75.0 * self.inertia * TOP * np.array(s.speed))
+        share = min(1.0, float((strongest / np.maximum(np.abs(torque), 1e-9)).min()))
+        if share > self._share and (share - self._share) * whole > self._saved:
+            share = self._share + self._saved / whole
+        self._saved += (self._share - share) * whole
+        self._share = share
+        if share > 0.999999:
+            self._saved = 0.0
+        return share * whole + self._saved
+
+
+@pytest.mark.parametrize("in_tool", [False, True])
+@pytest.mark.parametrize("axis", range(6))
+def test_a_wrench_moves_the_tool_by_force_over_stiffness(axis: int, in_tool: bool) -> None:
+    stiffness = [500.0, 400.0, 700.0, 30.0, 25.0, 40.0]
+    soft = SoftTool(in_tool=in_tool, stiffness=stiffness)
+    start = soft.pose
+    axes = poses.rotvec_to_matrix(start[3:]) if in_tool else np.eye(3)
+    wrench = np.zeros(6)
+    wrench[axis] = 8.0 if axis < 3 else 1.0
+    soft.controller.push([*(axes @ wrench[:3]), *(axes @ wrench[3:])])
+    soft.go(1.5)
+    moved = -soft.off(start)
+    moved = np.concatenate((axes.T @ moved[:3], axes.T @ moved[3:]))
+    expected = wrench / stiffness
+    assert np.abs(moved - expected)[:3].max() < 0.05 * (expected[axis] if axis < 3 else 0.01)
+    assert np.abs(moved - expected)[3:].max() < 0.05 * (expected[axis] if axis > 2 else 0.1)
+
+
+def place(pose: Sequence[float], *way: float) -> list[float]:
+    """A pose that is moved and turned, in its own axes."""
+    moved: list[float] = poses.compose(pose, way).tolist()
+    return moved
+
+
+@pytest.mark.parametrize("in_tool", [False, True])
+def test_it_goes_where_it_is_led_and_rests_after_its_end(in_tool: bool) -> None:
+    soft = SoftTool(in_tool=in_tool)
+    goal = place(soft.pose, 0.1, -0.05, 0.05, 0.0, 0.3, 1.5)
+    soft.lead(goal)
+    # As Python says it with each target: the joint positions there.
+    soft.bend(soft.arm.kinematics.inverse(goal, soft.q, soft.arm.tcp).tolist())
+    fastest = np.zeros(6)
+    for _ in range(1500):
+        soft.go()
+        fastest = np.maximum(fastest, np.abs(soft.jacobian @ soft.qd))
+    assert np.abs(soft.off(goal)).max() < 2e-3
+    # Its slowest axis, which is turned by 1.5 rad, has 0.7 of its speed.
+    assert 0.4 < fastest[3:].max() < 0.7
+    soft.end(0.5)
+    assert not soft.is_running
+    rests = soft.q
+    soft.controller.push([0, 0, 30.0, 0, 0, 0])
+    soft.silent(0.2)
+    assert soft.q.tolist() == rests.tolist()
+
+
+def test_orientations_are_approached_the_short_way() -> None:
+    """Also where the rotation vectors of both are far apart, as those of tools that look down are."""
+    soft = SoftTool(q=(0.0, -1.5, 2.0, -2.07, -1.57, 0.0), posture=(0.0,) * 6)
+    start = soft.pose
+    assert np.linalg.norm(start[3:]) > 3.0
+    goal = place(start, 0.0, 0.0, 0.0, 0.3, 0.0, 0.0)
+    back = place(start, 0.0, 0.0, 0.0, -0.3, 0.0, 0.0)
+    assert np.linalg.norm(np.subtract(goal[3:], back[3:])) > 5.0
+    for each in (goal, back, goal):
+        soft.lead(each)
+        turned_by = 0.0
+        for _ in range(900):
+            soft.go()
+            turned_by = max(turned_by, float(np.linalg.norm(soft.off(start)[3:])))
+        assert np.abs(soft.off(each)).max() < 3e-3
+        assert turned_by < 0.35
+
+
+def test_gains_go_over_to_others_without_a_leap() -> None:
+    soft = SoftTool()
+    start = soft.pose
+    soft.controller.push([0, 10.0, 0, 0, 0, 0])
+    soft.go(1.0)
+    away = -soft.off(start)[1]
+    soft.gain([0.5 * each for each in STIFFNESS], [1.0] * 6)
+    hardest = 0.0
+    for _ in range(700):
+        before = soft.qd
+        soft.go()
+        hardest = max(hardest, float(np.abs(soft.qd - before).max() * 500))
+    assert -soft.off(start)[1] == pytest.approx(2.0 * away, rel=0.07)
+    assert hardest < 1.5
+
+
+@pytest.mark.parametrize("ratio", [0.1, 0.4])
+def test_the_tool_swings_as_its_damping_ratio_says(ratio: float) -> None:
+    """Let go of sideways, on a soft spring, with all other axes stiff: overshoot is what the ratio says, or less, since
+    the joints are damped too."""
+    soft = SoftTool(
+        stiffness=[1500.0, 200.0, 1500.0, 100.0, 100.0, 100.0],
+        damping=[1.0, ratio, 1.0, 1.0, 1.0, 1.0],
+        posture=(0.0,) * 6,
+        force=(100.0,) * 3 + (20.0,) * 3,
+    )
+    start = soft.pose
+    soft.controller.push([0, 6.0, 0, 0, 0, 0])
+    soft.go(3.0)
+    away = -soft.off(start)[1]
+    assert away == pytest.approx(0.03, rel=0.05)
+    soft.controller.push([0.0] * 6)
+    places = []
+    for _ in range(1000):
+        soft.go()
+        places.append(-soft.off(start)[1])
+    swing = math.exp(-math.pi * ratio / math.sqrt(1.0 - ratio**2))
+    assert -min(places) / away == pytest.approx(swing, abs=0.12)
+
+
+# -- the posture, singular poses ---------------------------------------------------------------------------
+
+
+def test_the_posture_moves_what_no_spring_of_the_tool_holds() -> None:
+    """An axis without stiffness is turned to the posture, and the tool stays where it is."""
+    soft = SoftTool(stiffness=[500.0, 500.0, 500.0, 0.0, 0.0, 0.0], posture=(2.0,) * 6)
+    start = soft.pose
+    posture = soft.q.copy()
+    posture[5] += 0.8
+    soft.bend(posture.tolist())
+    soft.go(4.0)
+    assert soft.q[5] == pytest.approx(posture[5], abs=0.02)
+    assert np.abs(soft.off(start)[:3]).max() < 1e-3
+
+
+@pytest.mark.parametrize("end", ["out of reach", "pulled"])
+def test_an_arm_that_was_stretched_comes_back_with_its_elbow_on_the_same_side(end: str) -> None:
+    soft = SoftTool(q=(0.0, -0.6, 0.6, -1.57, -1.57, 0.0), posture=(2.0,) * 6, stiffness=(500.0,) * 3 + (0.0,) * 3)
+    start = soft.pose
+    elbow = [float(soft.q[2])]
+    fastest = 0.0
+
+    def watch(seconds: float) -> None:
+        nonlocal fastest
+        for _ in range(round(seconds * 500)):
+            soft.go()
+            elbow.append(float(soft.q[2]))
+            fastest = max(fastest, float(np.abs(soft.qd).max()))
+
+    radial = np.array(start[:3]) / np.linalg.norm(start[:3])
+    if end == "pulled":
+        soft.controller.push([*(45.0 * radial), 0, 0, 0])
+        watch(2.0)
+        soft.controller.push([0.0] * 6)
+    else:
+        soft.lead([*(np.array(start[:3]) + 0.3 * radial), *start[3:]])
+        watch(3.0)
+        soft.lead(start)
+    assert min(elbow) < 0.25
+    watch(4.0)
+    assert not soft.is_stopped
+    assert fastest < 1.5
+    assert elbow[-1] > 0.3
+    assert np.abs(soft.off(start)[:3]).max() < 0.02
+
+
+# -- what bounds it -----------------------------------------------------------------------------------------
+
+
+def test_the_tool_gets_no_faster_than_it_may_where_a_contact_ends() -> None:
+    soft = SoftTool(damping=[0.0] * 6, tool_speed=(0.15,) * 3 + (0.8,) * 3)
+    wall = soft.controller.world.add(Plane(soft.pose[:3], (0.0, -1.0, 0.0)))
+    goal = soft.pose
+    goal[1] += 0.2
+    soft.lead(goal, 1.5)
+    assert abs(soft.off(soft.start)[1]) < 0.01
+    soft.controller.world.remove(wall)
+    fastest = 0.0
+    for _ in range(400):
+        soft.go()
+        fastest = max(fastest, float(np.abs(soft.jacobian @ soft.qd)[:3].max()))
+    assert 0.09 < fastest < 0.15
+    assert not soft.is_stopped
+
+
+def test_force_is_bounded_however_far_the_target_is() -> None:
+    soft = SoftTool(force=(20.0,) * 3 + (5.0,) * 3, torque=(60.0, 60.0, 60.0, 14.0, 14.0, 14.0))
+    x, y, z = soft.pose[:3]
+    soft.controller.world.add(Plane((x, y, z)))
+    goal = soft.pose
+    goal[2] -= 0.3
+    soft.lead(goal, 3.0)
+    assert soft.arm.wrench[2] == pytest.approx(20.0, abs=1.5)
+
+
+def test_a_joint_is_turned_back_before_the_end_of_its_range() -> None:
+    high = float(model("UR5e").position_limits[2, 1])
+    soft = SoftTool(q=[0.0, -1.5, high - 0.3, -2.0, -1.57, 0.3], stiffness=[0.0] * 6, posture=(0.0,) * 6)
+    soft.controller.world.push_joints([0, 0, 12.0, 0, 0, 0])
+    highest = 0.0
+    for _ in range(500):
+        soft.go()
+        highest = max(highest, float(soft.q[2]))
+    assert high - 2 * MARGIN < highest < high
+    assert not soft.is_stopped
+
+
+def test_an_arm_that_was_moved_while_its_program_was_paused_stays_there() -> None:
+    soft = SoftTool()
+    soft.lead(soft.pose, 0.3)
+    pendant = soft.controller.pendant
+    assert pendant.pause()
+    soft.go(0.3)
+    elsewhere = turned(soft.q, 0.2)
+    assert pendant.jog(elsewhere.tolist())
+    soft.go(1.5)
+    assert pendant.play()
+    soft.go(1.0)
+    np.testing.assert_allclose(soft.q, elsewhere, rtol=0.0, atol=2e-3)
+    assert soft.is_running
+
+
+@pytest.mark.parametrize("end", ["told", "silent"])
+def test_its_end_in_a_contact_is_no_leap(end: str) -> None:
+    soft = SoftTool(stiffness=(2000.0,) * 3 + (50.0,) * 3)
+    x, y, z = soft.pose[:3]
+    soft.controller.world.add(Plane((x, y, z)))
+    goal = soft.pose
+    goal[2] -= 0.01
+    soft.lead(goal, 2.0)
+    force, height = soft.arm.wrench[2], soft.pose[2]
+    assert 5.0 < force < 100.0
+    if end == "told":
+        soft.end(0.002)
+    forces, places, fastest = [], [], 0.0
+    for _ in range(600):
+        soft.silent(0.002)
+        forces.append(soft.arm.wrench[2])
+        places.append(soft.pose[2])
+        fastest = max(fastest, float(np.abs(soft.qd).max()))
+    assert not soft.is_running
+    assert max(forces) < 1.02 * force
+    assert max(places) - height < force / 20_000.0 + 0.0005
+    assert fastest < 0.02
+    assert not soft.is_stopped
+
+
+def slid(intervals: Sequence[tuple[float, bool]]) -> tuple[float, float]:
+    """Led sideways over a table at 0.1 m/s: the largest force of the last half, and its mean.
+
+    Args:
+        intervals: s between two targets, and whether no word comes meanwhile.
+    """
+    soft = SoftTool(q=(0.5, *READY[1:]), stiffness=(1500.0,) * 3 + (50.0,) * 3)
+    x, y, z = soft.pose[:3]
+    soft.controller.world.add(Plane((x, y, z), friction=0.3))
+    goal, seconds = soft.pose, sum(seconds for seconds, _ in intervals)
+    goal[2] -= 0.01
+    soft.lead(goal, 2.0)
+    forces, past = [], 0.0
+    for interval, is_busy in intervals:
+        goal[1] += 0.1 * interval
+        soft.lead(goal)
+        for cycle in range(round(interval * 500)):
+            if cycle:
+                (soft.silent if is_busy else soft.go)(0.002)
+            past += 0.002
+            if past > 0.5 * seconds:
+                forces.append(math.hypot(*soft.arm.wrench[:3]))
+    assert soft.is_running
+    assert not soft.is_stopped
+    return max(forces), float(np.mean(forces))
+
+
+def test_targets_at_10_hz_with_gaps_press_no_harder_than_steady_ones() -> None:
+    _, steady = slid([(0.004, False)] * 450)
+    draw = np.random.default_rng(3)
+    rough = [(0.2, True) if draw.random() < 0.2 else (float(draw.uniform(0.08, 0.12)), False) for _ in range(16)]
+    assert sum(is_busy for _, is_busy in rough) >= 3
+    largest, mean = slid(rough)
+    assert largest < 1.2 * steady
+    assert mean == pytest.approx(steady, rel=0.1)
+
+
+@pytest.mark.parametrize("in_tool", [False, True])
+def test_a_cycle_has_at_most_twice_the_list_operations_of_the_vendors_example(in_tool: bool) -> None:
+    example = Controller("UR5e", "5.25", motion=Still(), files={"circle.urp": circle(HORIZONTAL)})
+    example.step(10)
+    example.dashboard.reply("load circle.urp")
+    example.dashboard.reply("play")
+    example.step(200)
+    steps, lists, dynamics = hardest_cycle(example.step, 20)
+    soft = SoftTool(in_tool=in_tool)
+    goal = soft.pose
+    cost = hardest_cycle(lambda: soft.lead(goal), 20)
+    assert cost[1] <= 2 * lists
+    assert cost[2] <= dynamics
+    # Its loops over axes and joints are what is more than there.
+    assert cost[0] <= 4 * steps
+
+
+# -- energy --------------------------------------------------------------------------------------------------
+
+
+class ToolWorld(World):
+    """A random arm whose tool is on random springs in random axes, among the things of `World`."""
+
+    def soften(self, draw: np.random.Generator, name: str, scale: float, q: Sequence[float]) -> SoftTool:
+        stiffness = np.array(STIFFNESS) * scale * draw.uniform(0.0, 3.0, 6)
+        stiffness[draw.random(6) < 0.1] = 0.0
+        return SoftTool(
+            name,
+            q=q,
+            in_tool=bool(draw.integers(2)),
+            stiffness=stiffness.tolist(),
+            damping=draw.uniform(0.0, 1.5, 6).tolist(),
+            torque=(np.array(TORQUE) * scale * draw.uniform(0.3, 1.0, 6)).tolist(),
+            error=(draw.uniform(0.2, 1.0, 6) * (0.1, 0.1, 0.1, 0.6, 0.6, 0.6)).tolist(),
+            force=(draw.uniform(0.1, 1.0, 6) * (80.0, 80.0, 80.0, 8.0, 8.0, 8.0)).tolist(),
+            posture=draw.uniform(0.0, 3.0, 6).tolist(),
+            friction_compensation=bool(draw.integers(2)),
+        )
+
+    def run(self, seconds: float) -> tuple[FloatArray, float]:
+        soft = self.soft
+        assert isinstance(soft, SoftTool)
+        arm, done, largest, energies, last = soft.arm, 0.0, 0.0, [], np.zeros(6)
+        aim, posture = soft.start, self.aim
+        stored = soft.stored(aim, posture)
+        soft.controller.push(self.wrench.tolist())
+        for cycle in range(round(seconds * 500)):
+            if cycle >= self.pushed * 500:
+                soft.controller.push([0.0] * 6)
+            before, outside = soft.q, np.array(arm.external_torques)
+            soft.go()
+            if soft.is_stopped:
+                assert (np.abs(outside) > 0.5 * np.array(soft.springs.braking)).any()
+                break
+            way, then = soft.q - before, soft.stored(aim, posture)
+            moving = 0.5 * float(soft.qd @ arm.dynamics.mass_matrix(before + 0.5 * way) @ soft.qd)
+            there = moving + 0.5 * (stored + then)
+            done += 0.5 * float(outside @ (last + way))
+            energies.append(there - done)
+            largest, last, stored = max(largest, there), way, then
+        return np.array(energies), largest
+
+
+@pytest.mark.property
+@settings(max_examples=max(settings.default.max_examples // 2, 10) if settings.default else 10)
+@given(st.integers(0, 2**31))
+def test_energy_never_grows_by_itself(seed: int) -> None:
+    world = ToolWorld(seed)
+    energies, largest = world.run(0.5)
+    assert world.soft.is_running
+    grown = float((energies - np.minimum.accumulate(energies)).max())
+    assert grown <= 0.001 * largest + 1e-5, (seed, grown, largest)
+
+
