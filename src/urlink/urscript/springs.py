@@ -1,10 +1,12 @@
-"""The programs of an impedance: springs and dampers between the arm and an aim, by torques that the program computes.
+"""The programs of an impedance: springs and dampers between the arm and an aim, computed in each cycle by the robot.
 
-Their text is in `aim.script`, `springs.script`, and `springs_of_joints.script` or `springs_of_tool.script`, for who
-wants to read what runs on the robot. It is put into a loop by words (`links.word_loop`). A word holds the target and its
-number, by which a new one is known, 0 before the first; with `GAINS` in the place of what to do, the stiffness of each
-axis in thousands and its damping ratio; with `POSTURE`, joint positions. Lists are computed with as a whole: whatever
-has ``direct_torque`` does.
+Their text is in files beside this one, for who wants to read what runs on the robot: `springs.script` with
+`springs_of_joints.script` or `springs_of_tool.script`, whose torques are those of ``direct_torque``, and
+`admittance.script` for arms that have a force sensor only; in each, `aim.script` follows the targets, and `tool.script`
+finds the tool. They are put into a loop by words (`links.word_loop`). A word holds the target and its number, by which
+a new one is known, 0 before the first; with `GAINS` in the place of what to do, the stiffness of each axis in thousands
+and its damping ratio; with `POSTURE`, joint positions and the number of their target. Lists are computed with as a
+whole: whatever has ``direct_torque`` does, and so do others from 5.10 on.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ from ..firmware import Firmware
 from .links import InputRegisters, ReverseSocket, missable, word_loop
 from .text import indented, number, vector
 
-__all__ = ["GAINS", "LOOSE", "MARGIN", "POSTURE", "TOP", "Springs", "ToolSprings", "impedance"]
+__all__ = ["GAINS", "LOOSE", "MARGIN", "POSTURE", "TOP", "Springs", "ToolSprings", "admittance", "impedance"]
 
 #: What to do, beside `STOP`, `FOLLOW` and `WAIT`: take gains, or a posture.
 GAINS, POSTURE = -1, -2
@@ -45,6 +47,14 @@ _FADING = 0.2
 _DECELERATION = "stopj(4.0)"
 #: The speed slider does not scale torques; so it scales the way to the target.
 _SLIDER = 'get_rtde_value("target_speed_fraction")'
+#: The branch for words that have a posture.
+_TAKE_POSTURE = f"""
+    elif wanted == {POSTURE}:
+      take_posture(goal, speed[0])
+"""
+#: kg and kg m², the mass of the tool of an arm that is led by the force that it measures; 1/s in which its speed dies
+#: away without any spring; m/s² and rad/s². Chosen: it rests on things of 20 kN/m, with what a cycle comes late.
+MASS, SETTLING, _HARDEST = (10.0, 10.0, 10.0, 0.3, 0.3, 0.3), 20.0, 5.0
 #: From the axes of the base to those of the aim.
 _TOOL_AXES = """\
   x = pose_trans(aimed, p[1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
@@ -52,8 +62,13 @@ _TOOL_AXES = """\
   z = pose_trans(aimed, p[0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
   axes = [[x[0], x[1], x[2], 0.0, 0.0, 0.0], [y[0], y[1], y[2], 0.0, 0.0, 0.0], [z[0], z[1], z[2], 0.0, 0.0, 0.0], \
 [0.0, 0.0, 0.0, x[0], x[1], x[2]], [0.0, 0.0, 0.0, y[0], y[1], y[2]], [0.0, 0.0, 0.0, z[0], z[1], z[2]]]
-  jacobian = axes * jacobian
-  away = axes * away"""
+  away = axes * away
+  aim_rate = axes * aim_rate"""
+#: The arm was moved while its program was paused: its posture is where it is.
+_STAYS = """\
+  posture = get_actual_joint_positions()
+  posture_told = posture
+  left = target_number"""
 
 
 @dataclass(frozen=True)
@@ -108,9 +123,10 @@ def impedance(firmware: Firmware, link: ReverseSocket | InputRegisters, springs:
     """Draw the arm to the aim that the words lead; at the end the springs are let go of, and the arm stands."""
     cycle, tool = 1.0 / firmware.rate, springs.tool
     if tool is None:
-        law, most, ramp_speed = _text("springs_of_joints", error=vector(springs.error), loose=number(LOOSE)), springs.torque, springs.speed
+        law = _text("springs_of_joints", error=vector(springs.error), loose=number(LOOSE))
+        most, fastest = springs.torque, springs.speed
     else:
-        law, most, ramp_speed = _of_tool(springs, tool, cycle), springs.braking, tool.speed
+        law, most, fastest = _of_tool(springs, tool, cycle), springs.braking, tool.speed
     program = _text(
         "springs",
         speed=vector([TOP * each for each in springs.speed]),
@@ -121,35 +137,84 @@ def impedance(firmware: Firmware, link: ReverseSocket | InputRegisters, springs:
         moved=number(_MOVED),
         approach=number(_APPROACH),
         grip=number(_GRIP),
-        aim=_aim(firmware, springs.stiffness, springs.damping, ramp_speed, _SLIDER, law),
+        aim=_aim(firmware, springs.stiffness, springs.damping, fastest, _SLIDER, law),
     )
     call = f"direct_torque(torques(), friction_comp={'True' if springs.friction_compensation else 'False'})"
-    take_posture = "" if tool is None else f"""
-        elif wanted == {POSTURE}:
-          take_posture(goal)
+    told = _TAKE_POSTURE if tool is not None else ""
+    return _led(firmware, link, program, call, told, _DECELERATION, springs.watchdog)
+
+
+def admittance(
+    firmware: Firmware,
+    link: ReverseSocket | InputRegisters,
+    *,
+    stiffness: Sequence[float],
+    damping: Sequence[float],
+    error: Sequence[float],
+    tool: ToolSprings,
+    watchdog: float,
+) -> list[str]:
+    """Move the tool as a mass on such springs would move, by the force that the wrist measures.
+
+    Args:
+        stiffness, damping, error, watchdog: as of `Springs`.
+        tool: without its posture.
     """
-    told = f"""
+    cycle = 1.0 / firmware.rate
+    law = _place(tool, "")
+    program = _text(
+        "admittance",
+        mass=vector(MASS),
+        error=vector(error),
+        force=vector(tool.force),
+        tool_speed=vector(tool.speed),
+        sooner=vector([each * cycle for each in (_HARDEST,) * 6]),
+        settle=number(SETTLING),
+        cycle=number(cycle),
+        moved=number(_MOVED),
+        turned="  felt = axes * felt" if tool.in_tool else "",
+        speeds="transpose(axes) * speeds" if tool.in_tool else "speeds",
+        aim=_aim(firmware, stiffness, damping, tool.speed, "1.0", law),
+    )
+    call = f"speedl(tool_speeds(), {number(_HARDEST)}, {number(cycle)})"
+    return _led(firmware, link, program, call, "", f"stopl({number(_HARDEST)})", watchdog)
+
+
+def _led(
+    firmware: Firmware,
+    link: ReverseSocket | InputRegisters,
+    program: str,
+    call: str,
+    told: str,
+    brake: str,
+    watchdog: float,
+) -> list[str]:
+    """A program that does `call` in each cycle, while words lead its aim; then its springs fade, and it brakes.
+
+    Args:
+        told: the branch for words of another kind.
+    """
+    take = f"""
         if wanted == {GAINS}:
           take_gains(goal, speed)
-{indented(take_posture)}
+{indented(told)}
         else:
           take_target(goal, speed[0])
         end
         missed = 0
         {call}
     """
-    fading = missable(_FADING, firmware.rate)
     end = f"""
         steps_left = 0
         while hold > 0.0:
-          hold = bounded(hold - {number(1.0 / fading)}, 0.0, 1.0)
+          hold = bounded(hold - {number(1.0 / missable(_FADING, firmware.rate))}, 0.0, 1.0)
           {call}
         end
-        {_DECELERATION}
+        {brake}
     """
-    most_missed = missable(springs.watchdog, firmware.rate)
+    most_missed = missable(watchdog, firmware.rate)
     start = "stay()\nfind_dampers()\nmissed = 0"
-    loop = word_loop(firmware, link, start, told, call, end, watchdog=springs.watchdog, most_missed=most_missed)
+    loop = word_loop(firmware, link, start, take, call, end, watchdog=watchdog, most_missed=most_missed)
     return [*program.splitlines(), *loop]
 
 
@@ -197,9 +262,19 @@ def _of_tool(springs: Springs, tool: ToolSprings, cycle: float) -> str:
         top=number(TOP),
         grip=number(_GRIP),
         blend=number(cycle / _BLENDING),
-        axes=_TOOL_AXES if tool.in_tool else "",
-        aim_rate="axes * aim_speed" if tool.in_tool else "aim_speed",
+        turned="  jacobian = axes * jacobian" if tool.in_tool else "",
+        tool=_place(tool, _STAYS),
     )
+
+
+def _place(tool: ToolSprings, here: str) -> str:
+    """The place of the tool.
+
+    Args:
+        here: what else is where the arm is when it stays there.
+    """
+    frame, axes = ("axes = [away, away, away, away, away, away]", _TOOL_AXES) if tool.in_tool else ("", "")
+    return _text("tool", here=here, frame=frame, axes=axes)
 
 
 def _text(name: str, **values: str) -> str:

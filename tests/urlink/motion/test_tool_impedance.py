@@ -54,7 +54,7 @@ class SoftTool(Soft):
 
     def bend(self, q: Sequence[float]) -> None:
         """Another posture."""
-        self._say(q, [0.0] * 6, 0.002, POSTURE)
+        self._say(q, [-1.0, 0, 0, 0, 0, 0], 0.002, POSTURE)
 
     def off(self, pose: Sequence[float]) -> FloatArray:
         """(6,) m and rad from the pose of the tool to another one, in the base frame."""
@@ -431,5 +431,3 @@ def test_energy_never_grows_by_itself(seed: int) -> None:
     assert world.soft.is_running
     grown = float((energies - np.minimum.accumulate(energies)).max())
     assert grown <= 0.001 * largest + 1e-5, (seed, grown, largest)
-
-
