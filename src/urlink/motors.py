@@ -23,7 +23,7 @@ from .models import Model, model
 from .parameters import number, numbers, parameters
 from .vectors import FloatArray
 
-__all__ = ["FULL_SPEED", "Motors", "friction", "motors_of"]
+__all__ = ["FULL_SPEED", "Motors", "friction", "joint_sizes", "motors_of"]
 
 #: rad/s up to which Coulomb friction grows with the speed.
 FULL_SPEED = number("friction_full_speed")
@@ -74,6 +74,13 @@ def friction(coulomb: float, viscous: float, qd: float) -> float:
     return coulomb * min(max(qd / FULL_SPEED, -1.0), 1.0) + viscous * qd
 
 
+def joint_sizes(name: str) -> list[str]:
+    """The sizes of the joints of an arm, as the table of parameters names them: "size 3", or "433 Nm"."""
+    return [
+        f"size {size}" if len(size) == 1 else f"{size} Nm" for size in parameters()["joint_sizes", name].value.split()
+    ]
+
+
 def motors_of(arm: Model | str) -> Motors:
     """The motors of an arm, as far as they are known.
 
@@ -81,9 +88,7 @@ def motors_of(arm: Model | str) -> Motors:
         UnknownModel: no arm is called that.
     """
     name = (arm if isinstance(arm, Model) else model(arm)).name
-    sizes = [
-        f"size {size}" if len(size) == 1 else f"{size} Nm" for size in parameters()["joint_sizes", name].value.split()
-    ]
+    sizes = joint_sizes(name)
 
     def of(parameter: str) -> tuple[float, ...]:
         # That of this very arm, if it was logged.

@@ -178,8 +178,7 @@ def _steps(name: str, packets: Came) -> NDArray[np.float64]:
 def _listened(evidence: Evidence, name: str) -> Came:
     """The packets that came while nothing else was done."""
     packets: Came = getattr(evidence, name)
-    then = [note.at for note in evidence.said("stage") if note.said["number"] > 0]
-    return packets if not then else packets.before(then[0])
+    return packets.before(evidence.stage(0)[1])
 
 
 def _rate(name: str) -> Check:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -169,6 +170,11 @@ class Evidence:
         """The last note about a step; None where there is none."""
         found = self.said(step)
         return found[-1].said if found else None
+
+    def stage(self, number: int) -> tuple[float, float]:
+        """When a stage began and when the next one did, s, monotonic: inf where it has not begun, or was the last."""
+        began = {note.said["number"]: note.at for note in self.said("stage")}
+        return began.get(number, math.inf), min((at for n, at in began.items() if n > number), default=math.inf)
 
     def received(self, interface: str) -> list[Wire]:
         """What came on each connection to an interface."""

@@ -18,12 +18,12 @@ from linkcore.handle import Motion
 
 from ..errors import SafetyStop
 from ..firmware import Firmware
-from ..identification.exercise import Guard, input_is_on
+from ..identification.exercise import Guard
 from ..interfaces.primary.robot_state import RobotModeData
 from ..motion.trajectory import Trajectory
 from ..robot import Robot
 from .logbook import Logbook
-from .person import Person
+from .person import Person, is_held_by
 from .standing import Told, try_each
 
 __all__ = ["BOX", "FOLLOWED", "SPEED", "SWING", "WATCHDOG", "WRIST", "move"]
@@ -55,8 +55,7 @@ def move(robot: Robot, book: Logbook, person: Person, dead_man: int | None, is_s
     if robot.firmware < _SHOWS_SLIDER:
         book.note("moving", skipped="this firmware does not show its slider")
         return
-    is_held = input_is_on(dead_man) if dead_man is not None else lambda state: person.holds()
-    guard = Guard(robot, BOX, is_held, lambda why: book.note("guard", why=why))
+    guard = Guard(robot, BOX, is_held_by(person, dead_man), lambda why: book.note("guard", why=why))
     if not guard.is_held(robot.realtime.wait(_SOON)):
         raise Cancelled("the dead man's input is not held")
     before = robot.primary.of(RobotModeData).wait(_SOON).target_speed_fraction

@@ -183,10 +183,9 @@ def _local(evidence: Evidence, said: Told) -> Measured:
 
 
 def _stands(evidence: Evidence) -> Measured:
-    begins = [note.at for note in evidence.said("stage") if note.said["number"] == 1]
-    ends = [note.at for note in evidence.said("stage") if note.said["number"] > 1]
+    begin, end = evidence.stage(1)
     arrived = evidence.realtime.arrived
-    during = (arrived >= begins[0]) & (arrived <= (ends[0] if ends else math.inf))
+    during = (arrived >= begin) & (arrived <= end)
     q = evidence.realtime.column(lambda state: state.q_actual)
     if q is None or not during.any():
         raise NotTried("no packet of the real-time interface came")

@@ -7,9 +7,11 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Literal, Protocol
 
+from ..identification.exercise import input_is_on
+from ..interfaces.realtime.packets import RealtimeState
 from ..simulator import Controller
 
-__all__ = ["DEEDS", "AtTheTerminal", "Deed", "Nobody", "OfTheSimulator", "Person"]
+__all__ = ["DEEDS", "AtTheTerminal", "Deed", "Nobody", "OfTheSimulator", "Person", "is_held_by"]
 
 Deed = Literal["local", "remote", "protective-stop", "unlock"]
 
@@ -32,6 +34,11 @@ class Person(Protocol):
 
     def holds(self) -> bool:
         """The arm may move, where no digital input tells it."""
+
+
+def is_held_by(person: Person, dead_man: int | None) -> Callable[[RealtimeState], bool]:
+    """Whether the arm may move, by a state: the dead man's input is on, or the person holds it where that is None."""
+    return input_is_on(dead_man) if dead_man is not None else lambda state: person.holds()
 
 
 class Nobody:

@@ -21,6 +21,7 @@ from .evidence import Evidence
 from .obedience import OBEDIENCE
 from .physics import PHYSICS
 from .requirements import Check, NotTried, Requirement
+from .swings import SWINGS
 from .wrist import WRIST_CHECKS
 
 __all__ = ["CHECKS", "State", "Verdict", "as_html", "as_text", "is_accepted", "judge"]
@@ -28,7 +29,7 @@ __all__ = ["CHECKS", "State", "Verdict", "as_html", "as_text", "is_accepted", "j
 State = Literal["held", "not held", "not tried"]
 
 #: requirement -> what measures it
-CHECKS: Mapping[str, Check] = {**ARRIVALS, **AGREEMENT, **PHYSICS, **ANSWERS, **OBEDIENCE, **WRIST_CHECKS}
+CHECKS: Mapping[str, Check] = {**ARRIVALS, **AGREEMENT, **PHYSICS, **ANSWERS, **OBEDIENCE, **WRIST_CHECKS, **SWINGS}
 
 
 @dataclass(frozen=True)
@@ -40,12 +41,14 @@ class Verdict:
         state: whether it is held.
         value: what was measured, in the unit of the limit; None where it was not tried.
         seen: in words; why, where it was not tried.
+        contradicts: parameters that are refuted, each with what was measured.
     """
 
     requirement: Requirement
     state: State
     value: float | None
     seen: str
+    contradicts: tuple[str, ...] = ()
 
 
 def judge(evidence: Evidence, requirements: Mapping[str, Requirement]) -> list[Verdict]:
@@ -68,7 +71,7 @@ def _verdict(
         # Such as a position that is no number, which is named elsewhere.
         return Verdict(required, "not tried", None, f"it cannot be judged: {error}")
     # Not "greater than": a value that is not a number is not held.
-    return Verdict(required, "held" if found.value <= required.limit else "not held", found.value, found.seen)
+    return Verdict(required, "held" if found.value <= required.limit else "not held", *found)
 
 
 _WIDTH = 100
@@ -126,6 +129,7 @@ def as_text(evidence: Evidence, verdicts: Sequence[Verdict], site: Mapping[str, 
         state = "NOT HELD" if each.state == "not held" else each.state
         lines.append(f"{state:10} {each.requirement.name:18} {_measured(each)}".rstrip())
         lines.append(f"           {printable(each.seen)}")
+        lines += [f"           CONTRADICTS the parameter {printable(said)}" for said in each.contradicts]
         if each.state == "not held":
             lines.append(f"           measured: {each.requirement.what}")
             lines.append(f"           required because {each.requirement.why} ({each.requirement.source})")
@@ -167,5 +171,6 @@ def _row(each: Verdict, cell: Any) -> str:
     required: Requirement = each.requirement
     state = f'<td class="{each.state.replace(" ", "-")}">{each.state}</td>'
     limit = f"{required.what}; because {required.why} ({required.source})"
-    cells = f"{cell(required.stage)}{cell(required.name)}{state}{cell(_measured(each))}{cell(each.seen)}{cell(limit)}"
+    seen = "; ".join((each.seen, *(f"CONTRADICTS the parameter {said}" for said in each.contradicts)))
+    cells = f"{cell(required.stage)}{cell(required.name)}{state}{cell(_measured(each))}{cell(seen)}{cell(limit)}"
     return f"<tr>{cells}</tr>\n"

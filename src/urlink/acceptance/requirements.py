@@ -71,10 +71,12 @@ class Measured(NamedTuple):
     Attributes:
         value: what was measured; compared with the limit.
         seen: in words.
+        contradicts: parameters of `urlink.parameters` that are refuted by it, each with what was measured.
     """
 
     value: float
     seen: str
+    contradicts: tuple[str, ...] = ()
 
 
 class NotTried(Exception):

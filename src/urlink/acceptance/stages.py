@@ -6,6 +6,7 @@ import importlib.metadata
 import platform
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 
@@ -19,8 +20,9 @@ from ..robot import Robot, connect, simulated
 from .listening import listen
 from .logbook import Logbook
 from .moving import move
-from .person import Nobody, OfTheSimulator, Person
+from .person import Nobody, OfTheSimulator, Person, is_held_by
 from .standing import stand
+from .swinging import swing
 
 __all__ = ["STAGES", "run"]
 
@@ -30,6 +32,8 @@ STAGES: Mapping[int, str] = MappingProxyType(
         0: "reads: connects to every interface, listens, and asks what changes nothing",
         1: "moves nothing: sets slider, TCP and payload and puts them back, runs programs that sleep",
         2: "MOVES wrist 3 by 3 degrees while the dead man's input is on; somebody stands at the emergency stop",
+        3: "MOVES one joint after the other by 17 degrees to either side, each after it has asked you, for `identify`; "
+        "the dead man's input is on, somebody stands at the emergency stop",
     }
 )
 
@@ -51,9 +55,10 @@ def run(
         address: of a robot or of the simulator.
         path: of the logbook, a file that does not exist yet.
         stages: their numbers, in this order.
-        consent: asked before each stage with its number and what it does; returns why it may not be run, or "".
+        consent: asked before each stage, and each joint of stage 3, with the stage's number and what it does; returns
+            why it may not be run, or "".
         person: who does what no program can; None for nobody, and for a simulated arm one that does it at once.
-        dead_man: number of the digital input that is on while the arm may move in stage 2.
+        dead_man: number of the digital input that is on while the arm may move in stages 2 and 3.
         seconds: for which stage 0 listens.
         timeout: s, for a connection to be made.
 
@@ -77,7 +82,7 @@ def run(
             _about(book)
             with connect(str(place), timeout=timeout) as robot:
                 book.note("identity", said_so=robot.identity.said_so, **robot.identity.description())
-                run_on = _Run(robot, place, book, person or Nobody(), dead_man, seconds)
+                run_on = _Run(robot, place, book, person or Nobody(), dead_man, seconds, consent)
                 for number in stages:
                     run_on.stage(number, consent(number, STAGES[number]))
         return (place.host, local_address(place.host))
@@ -97,6 +102,7 @@ class _Run:
         person: Person,
         dead_man: int | None,
         seconds: float,
+        consent: Callable[[int, str], str],
     ) -> None:
         self._book = book
         self._ended = ""
@@ -104,6 +110,7 @@ class _Run:
             0: lambda: listen(robot, place, book, seconds),
             1: lambda: stand(robot, place, book, person),
             2: lambda: move(robot, book, person, dead_man, isinstance(person, OfTheSimulator)),
+            3: lambda: swing(robot, book, is_held_by(person, dead_man), partial(consent, 3)),
         }
 
     def stage(self, number: int, refused: str) -> None:

@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arm_file import Estimate
 from ..parameters import parameters
 from .arrivals import moments
 from .evidence import Evidence
 from .moving import FOLLOWED, SPEED, WATCHDOG, WRIST
 from .obedience import held_up, span
 from .requirements import Check, Measured, NotTried
+from .swings import contradictions
 
 __all__ = ["WRIST_CHECKS"]
 
@@ -69,11 +71,11 @@ def _moving(evidence: Evidence) -> tuple[Mapping[str, Any], NDArray[np.float64]]
     said = evidence.last("moving")
     if said is None or said.get("skipped"):
         raise NotTried("it did not begin" if said is None else said["skipped"])
-    at = evidence.said("moving")[-1].at
-    q = evidence.realtime.column(lambda state: state.q_actual)
+    at, end = evidence.said("moving")[-1].at, evidence.stage(2)[1]
+    q, arrived = evidence.realtime.column(lambda state: state.q_actual), evidence.realtime.arrived
     if q is None:
         raise NotTried("no packet of the real-time interface came")
-    return said, np.abs(q[evidence.realtime.arrived >= at] - np.array(said["start"]))
+    return said, np.abs(q[(arrived >= at) & (arrived <= end)] - np.array(said["start"]))
 
 
 def _box(evidence: Evidence) -> Measured:
@@ -158,9 +160,7 @@ def _lag(evidence: Evidence) -> Measured:
     cycles = 2.0 / (evidence.firmware.rate if evidence.firmware is not None else 500)
     share = (lag - cycles) / moved.said["lookahead"]
     seen = f"{lag * 1e3:.1f} ms, that is two cycles and {share:.2f} of the look-ahead time"
-    if assumed.low is not None and assumed.high is not None and not assumed.low <= share <= assumed.high:
-        seen += f"; this contradicts the parameter {assumed.name}, {assumed.low:g} to {assumed.high:g}"
-    return Measured(lag, seen)
+    return Measured(lag, seen, contradictions([(assumed, Estimate(share, share, share))]))
 
 
 WRIST_CHECKS: Mapping[str, Check] = {

@@ -21,8 +21,9 @@ __all__ = ["add_parser"]
 _DESCRIPTION = """\
 Test a controller and this library together, and print a page that can be signed.
 
-Stage 0 only reads, stage 1 moves nothing, stage 2 MOVES wrist 3 by some degrees. Each stage is begun with your
-consent: --yes gives it for the stages that --stage names; a simulated arm needs none. Each requirement has a
+Stage 0 only reads, stage 1 moves nothing, stage 2 MOVES wrist 3 by some degrees, stage 3 MOVES each joint alone
+by 17 degrees to either side. Each stage, and each joint of stage 3, is begun with your consent: --yes gives it for
+the stages that --stage names; a simulated arm needs none. Each requirement has a
 verdict: held, NOT HELD, or not tried and why. The status is 0 where all that was tried is held."""
 
 _EXAMPLES = (

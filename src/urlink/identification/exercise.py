@@ -2,7 +2,8 @@
 
 Each joint swings alone about where it stands, first as fast as the tool may go, by which rotor, friction and the ramp
 of programs show, and then slowly; at last all of them together, which turns the weight of the tool in other ways. It is
-a `movej` after the other, each in a program of its own and between points that are planned before.
+a `movej` after the other, each in a program of its own and between points that are planned before. It can be planned
+for a single joint, too.
 """
 
 from __future__ import annotations
@@ -101,7 +102,7 @@ class Guard:
     It goes by this computer and the network: a courtesy, and no safety function.
 
     Args:
-        box: rad by which any joint may be away from where it stands now.
+        box: rad by which any joint may be away from where it stands now, or six of them, one for each.
         is_held: whether the arm may move, by a state.
         told: called with why it has stopped the arm.
     """
@@ -109,7 +110,7 @@ class Guard:
     def __init__(
         self,
         robot: Robot,
-        box: float,
+        box: float | FloatArray,
         is_held: Callable[[RealtimeState], bool] = lambda state: True,
         told: Callable[[str], object] = lambda why: None,
     ) -> None:
@@ -123,9 +124,9 @@ class Guard:
     def __call__(self, state: RealtimeState) -> None:
         if self.tripped:
             return
-        away = float(np.abs(state.q_actual - self.start).max())
-        if away > self._box:
-            self._trip(f"a joint was {math.degrees(away):.1f} degrees away from where it stood")
+        away = np.abs(state.q_actual - self.start)
+        if (outside := away > self._box).any():
+            self._trip(f"a joint was {math.degrees(float(away[outside].max())):.1f} degrees away from where it stood")
         elif not self.is_held(state):
             self._trip("the dead man's input was let go of")
 
@@ -140,7 +141,7 @@ class Guard:
             raise Cancelled(f"stopped: {self.tripped}")
 
 
-def plan(arm: Arm, start: FloatArray, tcp: FloatArray, swing: float = SWING) -> Exercise:
+def plan(arm: Arm, start: FloatArray, tcp: FloatArray, swing: float = SWING, joint: int | None = None) -> Exercise:
     """Plan it.
 
     Args:
@@ -148,12 +149,13 @@ def plan(arm: Arm, start: FloatArray, tcp: FloatArray, swing: float = SWING) -> 
         start: (6,) rad, where the arm stands.
         tcp: (6,) pose of the TCP in the frame of the flange.
         swing: rad to either side. Less than 0.1 does not tell the calibration.
+        joint: that alone swings, 0 to 5; None for each alone and then all of them together.
 
     Raises:
         BadValue: a joint would leave its position limits; the message names it.
     """
     legs, where, at = [], [], start
-    for goal, fastest, rest in _goals(start, swing):
+    for goal, fastest, rest in _goals(start, swing, joint):
         arm.model.check_joints(goal)
         way = at + np.linspace(0.0, 1.0, _POINTS)[:, np.newaxis] * (goal - at)
         points = _points(arm, way, tcp)
@@ -170,8 +172,8 @@ def plan(arm: Arm, start: FloatArray, tcp: FloatArray, swing: float = SWING) -> 
     return Exercise(start, swing, tuple(legs), swept.min(axis=0), swept.max(axis=0))
 
 
-def plan_from_here(robot: Robot, swing: float = SWING) -> Exercise:
-    """Plan it from where the arm stands, with its TCP.
+def plan_from_here(robot: Robot, swing: float = SWING, joint: int | None = None) -> Exercise:
+    """Plan it from where the arm stands, with its TCP; the arguments are those of `plan`.
 
     Raises:
         BadValue: see `plan`.
@@ -180,7 +182,7 @@ def plan_from_here(robot: Robot, swing: float = SWING) -> Exercise:
     """
     state = robot.realtime.wait(_SOON)
     arm = robot.kinematics
-    return plan(arm, state.q_target.copy(), shown_tcp(arm, state), swing)
+    return plan(arm, state.q_target.copy(), shown_tcp(arm, state), swing, joint)
 
 
 def exercise(
@@ -230,14 +232,16 @@ def slider_of(robot: Robot) -> float:
     return float(robot.primary.of(RobotModeData).wait(_SOON).target_speed_fraction or 0.0)
 
 
-def _goals(start: FloatArray, swing: float) -> Iterator[tuple[FloatArray, float, float]]:
+def _goals(start: FloatArray, swing: float, alone: int | None) -> Iterator[tuple[FloatArray, float, float]]:
     """Goals, the fastest speed on the way there, and the rest after it."""
-    for joint in range(6):
+    for joint in range(6) if alone is None else (alone,):
         for speed, part in ((_FAST, 1.0), (_SLOW, _SHORT)):
             for side in (1.0, -1.0, 0.0):
                 goal = start.copy()
                 goal[joint] += side * part * swing
                 yield goal, speed, 0.0 if side else _REST
+    if alone is not None:
+        return
     together = np.array([1.0, 1.0, -1.0, 1.0, -1.0, 1.0])
     for sides in (together, -together, together[::-1], 0.0 * together):
         yield start + swing * sides, _FAST, 0.0 if sides.any() else _ENDS

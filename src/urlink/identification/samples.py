@@ -15,10 +15,10 @@ from linkcore.errors import BadRecording
 from ..data.recording import load
 from ..vectors import FloatArray
 
-__all__ = ["Samples", "read_samples"]
+__all__ = ["COLUMNS", "Samples", "read_samples"]
 
 #: RTDE's name of a column -> that of the real-time interface.
-_REALTIME = {
+COLUMNS = {
     "timestamp": "time",
     "target_q": "q_target",
     "target_qd": "qd_target",
@@ -94,10 +94,10 @@ def read_samples(path: str | os.PathLike[str]) -> Samples:
     recording = load(path)
     if "rtde" in recording.channels and {"target_q", "target_qdd"} <= set(recording.rtde.fields):
         table = recording.rtde
-        names = {name: name for name in (*_REALTIME, "runtime_state") if name in table.fields}
+        names = {name: name for name in (*COLUMNS, "runtime_state") if name in table.fields}
     elif "realtime" in recording.channels:
         table = recording.realtime
-        names = {ours: theirs for ours, theirs in _REALTIME.items() if theirs in table.fields}
+        names = {ours: theirs for ours, theirs in COLUMNS.items() if theirs in table.fields}
     else:
         raise BadRecording(f"{path}: neither the real-time interface nor targets of RTDE; record one of them")
     columns = {ours: np.asarray(table[theirs], dtype=np.float64) for ours, theirs in names.items()}

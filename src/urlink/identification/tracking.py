@@ -101,8 +101,8 @@ def start_rate(samples: Samples) -> Estimate:
     rates_ = np.array(rates)
     middle = float(np.median(rates_))
     spread = 1.4826 * float(np.median(np.abs(rates_ - middle)))
-    # In which part of a cycle of 2 ms the ramp begins is not told: half of one in the 80 ms that it costs.
-    unsure = 0.001 * middle * middle
+    # In which part of a cycle, of 2 or 8 ms, the ramp begins is not told: half of one in the 80 ms that it costs.
+    unsure = 0.5 * float(np.clip(np.median(np.diff(times)), 0.002, 0.008)) * middle * middle
     found = Estimate.around(middle, spread / np.sqrt(len(rates)))
     return Estimate(middle, float(found.low - unsure), float(found.high + unsure))
 

@@ -1,8 +1,9 @@
 """`urlink accept` many times: ``python -m tests.urlink.acceptance sound --runs 200``, and ``faults --faults 10000``.
 
 ``sound`` runs every stage against sound controllers, one firmware row after the other with an arm that is drawn: what
-is not held is a false alarm. In simulated time, or with ``--real`` in real time beside a process that computes without
-end. ``faults`` runs stage 2 while faults are injected, and looks how far any joint leaves its start.
+is not held, and what contradicts a parameter, is a false alarm. In simulated time, or with ``--real`` in real time
+beside a process that computes without end. ``faults`` runs stage 2 while faults are injected, and looks how far any
+joint leaves its start.
 
 ``--first`` and ``--runs 1`` repeat one run; the same seed is the same run in simulated time.
 """
@@ -58,6 +59,7 @@ def verdicts(seed: int, is_real: bool) -> tuple[Counter[State], list[str]]:
         evidence = Evidence(path)
         found = judge(evidence, requirements())
     alarms = [f"{each.requirement.name}: {each.seen}" for each in found if each.state == "not held"]
+    alarms += [f"{each.requirement.name} contradicts {said}" for each in found for said in each.contradicts]
     alarms += [
         f"stage {note.said['number']} ended early: {note.said['error']}" for note in evidence.said("stage-ended")
     ]

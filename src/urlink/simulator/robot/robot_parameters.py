@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from linkcore.arguments import check_number
 from linkcore.errors import BadValue
 from urlink.models import Model
+from urlink.motors import joint_sizes
 from urlink.parameters import is_assumed, number, numbers, parameters
 
 if TYPE_CHECKING:
@@ -73,6 +74,12 @@ class Voltage(NamedTuple):
 
 #: Of the supply of each joint.
 JOINT_VOLTAGE = Voltage(number("joint_voltage"), number("joint_voltage_drop"), number("voltage_step"))
+
+
+def force_size(name: str) -> str:
+    """The size of the base of an arm, of which the noise of its force is known: "size 4" for those that are larger."""
+    size = joint_sizes(name)[0]
+    return size if ("force_noise", size) in parameters() else "size 4"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -147,6 +154,5 @@ class SensorParameters:
     @classmethod
     def of(cls, model: Model) -> SensorParameters:
         """Those of a model, as far as they are known."""
-        size = f"size {parameters()['joint_sizes', model.name].value.split()[0]}"
-        known = size if ("force_noise", size) in parameters() else "size 4"
-        return cls(force_noise=number("force_noise", known), torque_noise=number("torque_noise", known))
+        size = force_size(model.name)
+        return cls(force_noise=number("force_noise", size), torque_noise=number("torque_noise", size))

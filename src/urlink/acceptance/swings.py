@@ -1,0 +1,218 @@
+"""Checks of how the joints have swung in stage 3, and what that contradicts of the table of parameters."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from linkcore.errors import BadRecording, BadValue
+
+from ..arm_file import MOTORS, ArmFile, Estimate
+from ..identification.identified import identify
+from ..identification.samples import COLUMNS, Samples
+from ..motors import joint_sizes
+from ..parameters import Parameter, numbers, parameters
+from ..simulator.robot.robot_parameters import force_size
+from ..vectors import JOINTS, FloatArray
+from .arrivals import moments
+from .evidence import Evidence
+from .requirements import Check, Measured, NotTried
+from .swinging import step_of
+
+__all__ = ["SWINGS", "contradictions"]
+
+#: A row of one arm that gives no interval, and is not of joints that were measured, is taken within this factor: the
+#: widest that such a row names in its source.
+_FACTOR = 1.5
+#: The current of wrist 3 is mostly friction, of which the model tells less: by so much less its rest counts.
+_WRIST_3 = 0.1
+#: What is left of a fit is rounded to this many digits, below which it differs from one computer to another.
+_DIGITS = 9
+
+Span = tuple[float, float]
+
+
+def contradictions(found: Iterable[tuple[Parameter, Estimate]]) -> tuple[str, ...]:
+    """Which parameters are refuted: those whose interval and the measured one have nothing in common."""
+    return tuple(
+        f"{row.name}{f' of {row.of}' if row.of else ''}: measured {_text(each)}{f' {row.unit}' if row.unit else ''}, "
+        f"and the table has {row.low:g} to {row.high:g} ({row.evidence}: {row.source})"
+        for row, each in found
+        if each.is_known and row.low is not None and row.high is not None
+        if each.high < row.low or each.low > row.high
+    )
+
+
+def _text(each: Estimate) -> str:
+    return f"{each.value:.4g}" if each.low == each.high else f"{each.value:.4g} ({each.low:.4g} to {each.high:.4g})"
+
+
+def _rows(name: str, arm: str) -> list[Parameter]:
+    """The rows that a parameter of the joints has for an arm, each with the interval of its joint."""
+    of_size = [parameters()[name, size] for size in joint_sizes(arm)]
+    own = parameters().get((name, arm))
+    if own is None:
+        return of_size
+    found = []
+    for value, size in zip(numbers(name, arm), of_size, strict=True):
+        # The interval of a size is that of the arms that were measured: it holds for this arm if it was one of them.
+        low, high = size.low or 0.0, size.high or math.inf
+        if not low <= value <= high:
+            low, high = value / _FACTOR, value * _FACTOR
+        found.append(replace(own, value=str(value), low=low, high=high))
+    return found
+
+
+class _Swings:
+    """What was recorded of the joints that have swung.
+
+    Attributes:
+        joints: their numbers.
+        times, arrived: of each packet of the stage, s by the clocks of both sides.
+        away: (n, 6) rad from where each joint stood at the beginning of the stage.
+        spans: number of a joint -> when it began to swing and when it had, s, monotonic.
+    """
+
+    def __init__(self, evidence: Evidence) -> None:
+        began = evidence.last("swinging")
+        if began is None or began.get("skipped"):
+            raise NotTried("it did not begin" if began is None else began["skipped"])
+        said = {joint: evidence.said(step_of(joint)) for joint in range(6)}
+        self.spans: dict[int, Span] = {}
+        for joint, notes in said.items():
+            if len(notes) == 2 and notes[1].said["error"] is None:
+                self.spans[joint] = (notes[0].at, notes[1].at)
+        self.joints = sorted(self.spans)
+        begin, end = evidence.said("swinging")[-1].at, evidence.stage(3)[1]
+        packets = evidence.realtime
+        self.there: NDArray[np.bool_] = (packets.arrived >= begin) & (packets.arrived <= end)
+        q = packets.column(lambda state: state.q_actual)
+        if q is None or not self.there.any():
+            raise NotTried("no packet of the real-time interface came")
+        self.arrived = packets.arrived[self.there]
+        self.away: FloatArray = np.abs(q[self.there] - np.array(began["start"]))
+
+    def names(self, values: Iterable[float], form: Callable[[float], str]) -> str:
+        """A value of each joint that has swung, in words."""
+        return ", ".join(f"{JOINTS[joint]} {form(value)}" for joint, value in zip(self.joints, values, strict=True))
+
+
+def _box(evidence: Evidence) -> Measured:
+    swings = _Swings(evidence)
+    most = swings.away.max(axis=0)
+    return Measured(float(most.max()), f"the {JOINTS[int(most.argmax())]}, by {math.degrees(most.max()):.2f} degrees")
+
+
+def _alone(evidence: Evidence) -> Measured:
+    swings = _Swings(evidence)
+    worst = Measured(-1.0, "")
+    for joint, (begin, end) in swings.spans.items():
+        during = swings.away[(swings.arrived >= begin) & (swings.arrived <= end)]
+        others = np.delete(during, joint, axis=1)
+        if others.size and others.max() > worst.value:
+            seen = f"another joint by {others.max() * 1e6:.0f} µrad while the {JOINTS[joint]} swung"
+            worst = Measured(float(others.max()), seen)
+    if not worst.seen:
+        raise NotTried("no joint has swung")
+    return worst
+
+
+@lru_cache(maxsize=1)
+def _identified(evidence: Evidence) -> tuple[_Swings, ArmFile]:
+    """What the stage tells of the arm.
+
+    Raises:
+        NotTried: it tells nothing, and why.
+    """
+    swings, known = _Swings(evidence), evidence.identity
+    if not swings.joints:
+        raise NotTried("no joint has swung")
+    if known is None or known.arm is None:
+        raise NotTried("it is not known which arm this is")
+    columns = {}
+    for ours, theirs in COLUMNS.items():
+        column = evidence.realtime.column(lambda state, name=theirs: getattr(state, name))  # type: ignore[misc]
+        if column is not None:
+            columns[ours] = column[swings.there]
+    columns["timestamp"] = moments("realtime", evidence.realtime)[swings.there]
+    try:
+        return swings, identify(Samples(Path("the logbook"), columns, known.arm.name, swings.arrived))
+    except (BadRecording, BadValue) as error:
+        raise NotTried(f"nothing is told by it: {error}") from None
+
+
+def _judged(judged: Callable[[_Swings, ArmFile], Measured]) -> Check:
+    return lambda evidence: judged(*_identified(evidence))
+
+
+def _of_joints(swings: _Swings, found: ArmFile, *names: str) -> Iterator[tuple[Parameter, Estimate]]:
+    for name in names:
+        rows = _rows(name, found.model)
+        for joint in swings.joints:
+            yield replace(rows[joint], of=f"{rows[joint].of}, the {JOINTS[joint]}"), found.estimates[name][joint]
+
+
+def _of_arm(found: ArmFile, *names: str) -> Iterator[tuple[Parameter, Estimate]]:
+    for name in names:
+        if name in found.estimates:
+            of = force_size(found.model) if (name, "") not in parameters() else ""
+            yield parameters()[name, of], found.estimates[name][0]
+
+
+def _explained(swings: _Swings, r2: tuple[float, ...], last: float = 1.0) -> tuple[float, str]:
+    """The largest part that is left of a quantity, and what is explained of each joint, in words."""
+    left = np.array([round(1.0 - r2[joint], _DIGITS) * (last if joint == 5 else 1.0) for joint in swings.joints])
+    if np.isnan(left).any():
+        raise NotTried("a joint that has swung shows no moment or current that varies")
+    return float(left.max()), swings.names((r2[joint] for joint in swings.joints), "{:.5f}".format)
+
+
+def _moments(swings: _Swings, found: ArmFile) -> Measured:
+    left, seen = _explained(swings, found.torque_r2)
+    rotors = MOTORS["rotor_inertias"]
+    return Measured(left, f"explained by masses and rotors: {seen}", contradictions(_of_joints(swings, found, rotors)))
+
+
+def _currents(swings: _Swings, found: ArmFile) -> Measured:
+    left, seen = _explained(swings, found.current_r2, _WRIST_3)
+    names = (MOTORS[field] for field in ("torque_constants", "coulomb", "viscous"))
+    return Measured(
+        left, f"explained by moments and friction: {seen}", contradictions(_of_joints(swings, found, *names))
+    )
+
+
+def _lag(swings: _Swings, found: ArmFile) -> Measured:
+    return _one(found, "tracking_lag", lambda lag: lag, "s behind the targets")
+
+
+def _ramp(swings: _Swings, found: ArmFile) -> Measured:
+    return _one(found, "start_rate", lambda rate: 0.5 / rate, "1/s, with which the scaling of a program rises")
+
+
+def _noise(swings: _Swings, found: ArmFile) -> Measured:
+    others = ("position_offset", "current_noise_at_rest", "current_noise", "stiction", "force_noise", "torque_noise")
+    return _one(found, "position_noise", lambda noise: noise, "rad at rest, standard deviation", *others)
+
+
+def _one(found: ArmFile, name: str, judged: Callable[[float], float], seen: str, *others: str) -> Measured:
+    (each,) = found.estimates[name]
+    if not each.is_known:
+        raise NotTried(f"{name} is not told; it needs {each.needs}")
+    return Measured(abs(judged(each.value)), f"{_text(each)} {seen}", contradictions(_of_arm(found, name, *others)))
+
+
+SWINGS: Mapping[str, Check] = {
+    "swing-box": _box,
+    "swing-alone": _alone,
+    "swing-moments": _judged(_moments),
+    "swing-currents": _judged(_currents),
+    "swing-lag": _judged(_lag),
+    "swing-ramp": _judged(_ramp),
+    "swing-noise": _judged(_noise),
+}
