@@ -18,13 +18,17 @@ _NONE = "-"
 
 
 class LifeDirective(SphinxDirective):
-    """A row for each event, a column for each phase: the phase after it, and in brackets what subscribers are told."""
+    """A row for each event, a column for each phase: the phase after it, and in brackets what subscribers are told.
+
+    Where an event needs another one before it, a last column has that.
+    """
 
     required_arguments = 1
 
     def run(self) -> list[nodes.Node]:
         """The life of a `connection` or of a `handle`."""
         after: dict[tuple[Any, Any], str]
+        before: dict[Any, str] = {}
         all_phases: type[Enum]
         events: type[Enum]
         if self.arguments[0] == "connection":
@@ -38,12 +42,21 @@ class LifeDirective(SphinxDirective):
             module = handle
             all_phases, events = handle.Phase, handle.Event
             after = {key: phase.value for key, phase in handle.TRANSITIONS.items()}
+            before = {event: earlier.value for event, earlier in handle.AFTER.items()}
         else:
             raise self.error(f"there is no life of {self.arguments[0]}; expected connection or handle")
         self.env.note_dependency(str(Path(module.__file__)))
         phases = [phase for phase in all_phases if any(key[0] is phase for key in after)]
-        head = ("event", *(f"in {phase.value}" for phase in phases))
-        rows = [(event.value, *(after.get((phase, event), _NONE) for phase in phases)) for event in events]
+        needs = ("only after",) if before else ()
+        head = ("event", *(f"in {phase.value}" for phase in phases), *needs)
+        rows = [
+            (
+                event.value,
+                *(after.get((phase, event), _NONE) for phase in phases),
+                *(before.get(event, _NONE) for _ in needs),
+            )
+            for event in events
+        ]
         return [table(head, rows)]
 
 

@@ -1,18 +1,28 @@
 """What something that runs on a robot is held by, and the one state machine of its life.
 
-========== ========= ============ ===================================
-event      in SENT   in RUNNING   in DONE, CANCELLED, FAILED
-========== ========= ============ ===================================
-BEGIN      RUNNING   -            -
-FINISH     DONE      DONE         -
-CANCEL     CANCELLED CANCELLED    -
-FAIL       FAILED    FAILED       -
-========== ========= ============ ===================================
+========== ========= ============ ========= ===================================
+event      in SENT   in RUNNING   after     in DONE, CANCELLED, FAILED
+========== ========= ============ ========= ===================================
+SEND       SENT      -            -         -
+BEGIN      RUNNING   -            -         -
+LINK       SENT      RUNNING      SEND      -
+LOSE       SENT      RUNNING      SEND      -
+BRAKE      SENT      RUNNING      SEND      -
+REPORT     -         RUNNING      -         -
+STOP       SENT      RUNNING      -         -
+SETTLE     -         RUNNING      REPORT    -
+FINISH     DONE      DONE         -         -
+CANCEL     CANCELLED CANCELLED    -         -
+FAIL       FAILED    FAILED       -         -
+========== ========= ============ ========= ===================================
 
-There is no transition back, and what ends it first is what it ends with. docs/architecture.md shows the table.
+Each happens once, also where two connections report it, but REPORT: of several the last holds. There is no transition
+back, and what ends it first is what it ends with. An event that cannot happen raises; after the end all are without
+effect. docs/architecture.md shows the table. A phase does not say all: what the primary connection reports of a program
+(BEGIN, REPORT, STOP) and what its link does (LINK, LOSE, BRAKE) come over two connections, in any order.
 
-`Lifecycle` is the library's side of it, `Handle` what users hold. Both work without a lock: what has ended a life is
-put into a dictionary with `setdefault`, which is one step for threads and for signal handlers alike.
+`Lifecycle` is the library's side of it, `Handle` what users hold. Both work without a lock: each event is put into a
+dictionary with `setdefault`, which is one step for threads and for signal handlers alike.
 
 A life that has ended is in no reference cycle, since a program may have switched the garbage collector off. So it lets
 go of its handle and of its brake then. Its error is kept, and handed out, as copies that have never been raised: an
@@ -24,12 +34,13 @@ from __future__ import annotations
 import contextlib
 import enum
 import logging
+import math
 from collections import deque
 from collections.abc import Callable, Generator, Mapping
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeout
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from .arguments import check_callable, check_seconds
 from .errors import Cancelled, LinkError, LinkTimeout, unraised
@@ -39,7 +50,7 @@ from .threads import CallbackThread
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-__all__ = ["TRANSITIONS", "Event", "Handle", "Lifecycle", "Motion", "Phase"]
+__all__ = ["AFTER", "TRANSITIONS", "Event", "Handle", "Lifecycle", "Mark", "Motion", "Phase"]
 
 _log = logging.getLogger(__name__)
 
@@ -57,30 +68,51 @@ class Phase(enum.Enum):
 class Event(enum.Enum):
     """What can happen to it."""
 
-    BEGIN = "begin"
+    SEND = "send"  # it leaves this computer, or its thread is started
+    BEGIN = "begin"  # the robot has begun it
+    LINK = "link"  # its program takes what it is sent
+    LOSE = "lose"  # the link to its program is lost
+    BRAKE = "brake"  # nothing more is sent to it but what ends it
+    REPORT = "report"  # its program has reported how it ends
+    STOP = "stop"  # the controller has ended it, and the reason is not known yet
+    SETTLE = "settle"  # its program has ended, and the arm is still on its way
     FINISH = "finish"
     CANCEL = "cancel"
     FAIL = "fail"
 
 
-#: (phase, event) -> the phase after it; nothing happens where there is none.
+_LIVE = (Phase.SENT, Phase.RUNNING)
+_ENDS = {Event.FINISH: Phase.DONE, Event.CANCEL: Phase.CANCELLED, Event.FAIL: Phase.FAILED}
+
+#: (phase, event) -> the phase after it. What is missing cannot happen; in the other phases nothing has an effect.
 TRANSITIONS: Mapping[tuple[Phase, Event], Phase] = MappingProxyType(
     {
+        (Phase.SENT, Event.SEND): Phase.SENT,
         (Phase.SENT, Event.BEGIN): Phase.RUNNING,
-        **{
-            (phase, event): after
-            for phase in (Phase.SENT, Phase.RUNNING)
-            for event, after in (
-                (Event.FINISH, Phase.DONE),
-                (Event.CANCEL, Phase.CANCELLED),
-                (Event.FAIL, Phase.FAILED),
-            )
-        },
+        **{(phase, event): phase for phase in _LIVE for event in (Event.LINK, Event.LOSE, Event.BRAKE, Event.STOP)},
+        (Phase.RUNNING, Event.REPORT): Phase.RUNNING,
+        (Phase.RUNNING, Event.SETTLE): Phase.RUNNING,
+        **{(phase, event): after for phase in _LIVE for event, after in _ENDS.items()},
     }
 )
+#: event -> the one that has to have happened before it.
+AFTER: Mapping[Event, Event] = MappingProxyType(
+    {Event.LINK: Event.SEND, Event.LOSE: Event.SEND, Event.BRAKE: Event.SEND, Event.SETTLE: Event.REPORT}
+)
 
-#: Key of what has ended a life.
-_END = "end"
+
+class Mark(NamedTuple):
+    """That an event has happened.
+
+    Attributes:
+        event: which.
+        at: when, s on the clock of what has noticed it; NaN where that has none.
+        error: what it brought.
+    """
+
+    event: Event
+    at: float
+    error: Exception | None
 
 
 class Lifecycle:
@@ -108,8 +140,8 @@ class Lifecycle:
         self.handle: Handle | None = None
         self._callbacks = callbacks
         self._waiting = waiting
-        self._is_running = False
-        self._end: dict[str, tuple[Phase, Exception | None]] = {}
+        #: by event; what has ended it under None, whichever it was
+        self._marks: dict[Event | None, Mark] = {}
         self._future: Future[None] = Future()
         # So that a task that is cancelled while it awaits cannot cancel the future instead of the motion.
         self._future.set_running_or_notify_cancel()
@@ -122,15 +154,19 @@ class Lifecycle:
     @property
     def phase(self) -> Phase:
         """How far it has got."""
-        end = self._end.get(_END)
+        end = self._marks.get(None)
         if end is not None:
-            return end[0]
-        return Phase.RUNNING if self._is_running else Phase.SENT
+            return _ENDS[end.event]
+        return Phase.RUNNING if Event.BEGIN in self._marks else Phase.SENT
+
+    def happened(self, event: Event) -> Mark | None:
+        """That this has happened, which is not an end; None if it has not, or only after the end."""
+        return self._marks.get(event)
 
     @property
     def is_over(self) -> bool:
         """It has ended, whichever way."""
-        return _END in self._end
+        return None in self._marks
 
     @property
     def is_wanted(self) -> bool:
@@ -140,22 +176,22 @@ class Lifecycle:
     @property
     def error(self) -> Exception | None:
         """What ended it before its time: a copy, which may be raised."""
-        end = self._end.get(_END)
-        return None if end is None or end[1] is None else unraised(end[1])
+        end = self._marks.get(None)
+        return None if end is None or end.error is None else unraised(end.error)
 
     # -- what happens --------------------------------------------------------------------------------
 
-    def begin(self) -> bool:
-        """The robot has begun it. As all of these: False where the table has no such transition."""
-        return self._apply(Event.BEGIN)
+    def begin(self, at: float = math.nan) -> bool:
+        """The robot has begun it. As all of these: False where it has happened before, or it is over."""
+        return self.fire(Event.BEGIN, at=at)
 
     def finish(self) -> bool:
         """It has come to its own end."""
-        return self._apply(Event.FINISH)
+        return self.fire(Event.FINISH)
 
     def cancel(self, why: str, *, brake: bool = False) -> bool:
         """It was given up here; with `brake` the robot is stopped."""
-        return self._apply(Event.CANCEL, Cancelled(f"{self.name} was {why}"), brake)
+        return self.fire(Event.CANCEL, Cancelled(f"{self.name} was {why}"), brake)
 
     def give_up(self) -> bool:
         """The task that awaited it was cancelled."""
@@ -163,19 +199,34 @@ class Lifecycle:
 
     def fail(self, error: Exception, *, brake: bool = False) -> bool:
         """It cannot go on; with `brake` the robot is stopped."""
-        return self._apply(Event.FAIL, error, brake)
+        return self.fire(Event.FAIL, error, brake)
 
-    def _apply(self, event: Event, error: Exception | None = None, brake: bool = False) -> bool:
-        after = TRANSITIONS.get((self.phase, event))
-        if after is None:
+    def fire(self, event: Event, error: Exception | None = None, brake: bool = False, *, at: float = math.nan) -> bool:
+        """Something has happened. False where it has happened before, or it is over.
+
+        Args:
+            event: what.
+            error: what it brought; kept as a copy.
+            brake: the robot is stopped; for what ends it.
+            at: see `Mark`.
+
+        Raises:
+            RuntimeError: it cannot happen now.
+        """
+        phase = self.phase
+        if phase not in _LIVE or (event in self._marks and event is not Event.REPORT):
             return False
-        if after is Phase.RUNNING:
-            self._is_running = True
+        before = AFTER.get(event)
+        if (phase, event) not in TRANSITIONS or not (before is None or before in self._marks):
+            raise RuntimeError(f"{self.name}: {event.value!r} cannot happen while it is {phase.value}")
+        mine = Mark(event, at, None if error is None else unraised(error))
+        if event is Event.REPORT:
+            self._marks[event] = mine
             return True
-        error = None if error is None else unraised(error)
-        mine = (after, error)
+        if event not in _ENDS:
+            return self._marks.setdefault(event, mine) is mine
         try:
-            if self._end.setdefault(_END, mine) is not mine:
+            if self._marks.setdefault(None, mine) is not mine:
                 return False
             if brake:
                 regardless(self.brake)
@@ -185,13 +236,13 @@ class Lifecycle:
         except Exception:
             raise
         except BaseException:  # a second Ctrl-C: what it has interrupted may not have been sent
-            if brake and self._end.get(_END) is mine:
+            if brake and self._marks.get(None) is mine:
                 with contextlib.suppress(LinkError):
                     regardless(self.brake)
             raise
         finally:
-            if self._end.get(_END) is mine:
-                self._settle(error)
+            if self._marks.get(None) is mine:
+                self._settle(mine.error)
         return True
 
     def _settle(self, error: Exception | None) -> None:

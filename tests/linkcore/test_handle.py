@@ -17,13 +17,14 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from linkcore.errors import BadValue, Cancelled, ConnectionLost, LinkTimeout, LocalError
-from linkcore.handle import TRANSITIONS, Event, Handle, Lifecycle, Motion, Phase
+from linkcore.handle import AFTER, TRANSITIONS, Event, Handle, Lifecycle, Mark, Motion, Phase
 from linkcore.threads import CallbackThread
 from tests.waiting import interrupted, until
 
 pytestmark = pytest.mark.simulated_time
 
 OVER = (Phase.DONE, Phase.CANCELLED, Phase.FAILED)
+ENDS = (Event.FINISH, Event.CANCEL, Event.FAIL)
 
 
 @pytest.fixture
@@ -46,36 +47,109 @@ def happen(life: Lifecycle, event: Event) -> bool:
         return life.finish()
     if event is Event.CANCEL:
         return life.cancel("cancelled", brake=True)
-    return life.fail(ConnectionLost("pulled"))
+    if event is Event.FAIL:
+        return life.fail(ConnectionLost("pulled"))
+    return life.fire(event)
 
 
 #: As the module's text has it.
 TABLE = """
-BEGIN      RUNNING   -            -
-FINISH     DONE      DONE         -
-CANCEL     CANCELLED CANCELLED    -
-FAIL       FAILED    FAILED       -
+SEND       SENT      -            -         -
+BEGIN      RUNNING   -            -         -
+LINK       SENT      RUNNING      SEND      -
+LOSE       SENT      RUNNING      SEND      -
+BRAKE      SENT      RUNNING      SEND      -
+REPORT     -         RUNNING      -         -
+STOP       SENT      RUNNING      -         -
+SETTLE     -         RUNNING      REPORT    -
+FINISH     DONE      DONE         -         -
+CANCEL     CANCELLED CANCELLED    -         -
+FAIL       FAILED    FAILED       -         -
 """
 
 
 def test_the_table_is_what_the_module_says() -> None:
-    said = {}
+    said, needed = {}, {}
     for row in TABLE.strip().splitlines():
-        event, *phases = row.split()
-        for before, after in zip((Phase.SENT, Phase.RUNNING), phases, strict=False):
+        event, *phases, before, _ = row.split()
+        for phase, after in zip((Phase.SENT, Phase.RUNNING), phases, strict=True):
             if after != "-":
-                said[before, Event[event]] = Phase[after]
+                said[phase, Event[event]] = Phase[after]
+        if before != "-":
+            needed[Event[event]] = Event[before]
     assert said == TRANSITIONS
+    assert needed == AFTER
     assert TABLE.strip() in str(sys.modules[Lifecycle.__module__].__doc__)
 
 
-@pytest.mark.parametrize("events", list(itertools.product(Event, repeat=3)), ids=str)
-def test_each_order_of_three_events(life: Lifecycle, events: tuple[Event, ...]) -> None:
-    for event in events:
-        before = life.phase
-        after = TRANSITIONS.get((before, event))
-        assert happen(life, event) == (after is not None)
-        assert life.phase is (before if after is None else after)
+class Modelled:
+    """What the table says of any order of events, written once more, with a set of what has happened."""
+
+    def __init__(self) -> None:
+        self.phase = Phase.SENT
+        self.events: set[Event] = set()
+
+    def happen(self, event: Event) -> bool | None:
+        """Whether it has an effect; None if it is to raise."""
+        if self.phase in OVER or (event in self.events and event is not Event.REPORT):
+            return False
+        after, needs = TRANSITIONS.get((self.phase, event)), AFTER.get(event, event)
+        if after is None or needs not in {*self.events, event}:
+            return None
+        self.phase = after
+        self.events.add(event)
+        return True
+
+
+def compare(life: Lifecycle, modelled: Modelled, event: Event) -> None:
+    before, wanted = set(modelled.events), modelled.happen(event)
+    if wanted is None:
+        with pytest.raises(RuntimeError, match=f"job: '{event.value}' cannot happen while it is {life.phase.value}"):
+            happen(life, event)
+        assert modelled.events == before
+    else:
+        assert happen(life, event) == wanted
+    assert life.phase is modelled.phase
+    for each in Event:
+        assert (life.happened(each) is not None) == (each in modelled.events and each not in ENDS)
+
+
+def test_each_order_of_three_events(callbacks: CallbackThread) -> None:
+    for events in itertools.product(Event, repeat=3):
+        life, modelled = Lifecycle("job", callbacks), Modelled()
+        for event in events:
+            compare(life, modelled, event)
+
+
+def test_an_event_keeps_when_it_was_and_what_it_brought(life: Lifecycle) -> None:
+    assert life.fire(Event.SEND)
+    assert life.begin(at=2.0)
+    assert not life.begin(at=3.0)
+    assert life.happened(Event.BEGIN) == (Event.BEGIN, 2.0, None)
+    assert life.fire(Event.LOSE, ConnectionLost("pulled"), at=4.0)
+    assert life.fire(Event.REPORT, at=5.0)
+    assert life.fire(Event.REPORT, ConnectionLost("too"), at=6.0)
+    report = life.happened(Event.REPORT)
+    assert report is not None
+    assert (report.at, str(report.error)) == (6.0, "too")
+    lost = life.happened(Event.LOSE)
+    assert lost is not None
+    assert (lost.at, str(lost.error), life.error) == (4.0, "pulled", None)
+
+
+def test_of_two_threads_that_report_an_event_one_does(life: Lifecycle) -> None:
+    """The other comes after this one has looked at the table, and before it has fired."""
+
+    class Interrupted(dict[Event | None, Mark]):
+        def setdefault(self, key: Event | None, mark: Mark) -> Mark:
+            if key not in self:
+                self[key] = Mark(Event.LOSE, 1.0, None)
+            return self[key]
+
+    life.fire(Event.SEND)
+    life._marks = Interrupted(life._marks)
+    assert not life.fire(Event.LOSE, ConnectionLost("pulled"), at=2.0)
+    assert life.happened(Event.LOSE) == (Event.LOSE, 1.0, None)
 
 
 class Life(RuleBasedStateMachine):
@@ -88,7 +162,7 @@ class Life(RuleBasedStateMachine):
         self.handle = Motion(self.life)
         self.brakes = 0
         self.life.brake = lambda: setattr(self, "brakes", self.brakes + 1)
-        self.phase = Phase.SENT
+        self.modelled = Modelled()
         self.releases = self.wanted_releases = self.wanted_calls = self.wanted_brakes = 0
         self.calls: list[Handle] = []
 
@@ -96,16 +170,13 @@ class Life(RuleBasedStateMachine):
         if not hasattr(self, "callbacks"):
             return
         self.callbacks.close(5)
-        if self.phase in OVER:
+        if self.modelled.phase in OVER:
             assert self.calls == [self.handle] * self.wanted_calls
 
     @rule(event=st.sampled_from(Event))
     def happen(self, event: Event) -> None:
-        after = TRANSITIONS.get((self.phase, event))
-        assert happen(self.life, event) == (after is not None)
-        if after is not None:
-            self.wanted_brakes += event is Event.CANCEL
-            self.phase = after
+        self.wanted_brakes += event is Event.CANCEL and self.modelled.phase not in OVER
+        compare(self.life, self.modelled, event)
 
     @rule()
     def release(self) -> None:
@@ -120,20 +191,20 @@ class Life(RuleBasedStateMachine):
     @rule()
     def cancel(self) -> None:
         self.handle.cancel()
-        if self.phase not in OVER:
-            self.phase, self.wanted_brakes = Phase.CANCELLED, self.wanted_brakes + 1
+        self.wanted_brakes += bool(self.modelled.happen(Event.CANCEL))
 
     @invariant()
     def as_modelled(self) -> None:
         if not hasattr(self, "life"):
             return
-        is_over = self.phase in OVER
-        assert self.handle.phase is self.phase
+        phase = self.modelled.phase
+        is_over = phase in OVER
+        assert self.handle.phase is phase
         assert self.handle.done == self.life.future.done() == is_over
-        assert (self.handle.error is None) == (self.phase not in (Phase.CANCELLED, Phase.FAILED))
+        assert (self.handle.error is None) == (phase not in (Phase.CANCELLED, Phase.FAILED))
         assert self.releases == (self.wanted_releases if is_over else 0)
         assert self.brakes == self.wanted_brakes
-        assert self.handle.progress == (1.0 if self.phase is Phase.DONE else 0.0)
+        assert self.handle.progress == (1.0 if phase is Phase.DONE else 0.0)
 
 
 TestLife = pytest.mark.property(Life.TestCase)

@@ -190,7 +190,7 @@ class Observed:
             (LinkedProgram, "begin", self._link_begins),
             (ReverseLink, "send", self._word),
             (RegisterLink, "send", self._word),
-            (Lifecycle, "_apply", self._apply),
+            (Lifecycle, "fire", self._fire),
             (Handle, "wait", self._wait),
             (FanOut, "publish", self._publish),
             (Connection, "_disconnected", self._disconnected),
@@ -284,18 +284,18 @@ class Observed:
 
         return wrapped
 
-    def _apply(self, apply: Callable[..., bool]) -> Callable[..., bool]:
+    def _fire(self, fire: Callable[..., bool]) -> Callable[..., bool]:
         def wrapped(life: Lifecycle, event: Event, *rest: Any, **named: Any) -> bool:
             before = life.phase
-            has_changed = apply(life, event, *rest, **named)
-            if has_changed:
+            has_happened = fire(life, event, *rest, **named)
+            if life.phase is not before:
                 self.transitions.add((before.value, life.phase.value))
                 for sent in self.programs.values():
                     if sent.life is life:
                         self._step(sent)
-            elif event is not Event.BEGIN and not life.is_over:
+            elif event in (Event.FINISH, Event.CANCEL, Event.FAIL) and not life.is_over:
                 self._fault(f"{life.name} is {life.phase.value} after {event.value}")
-            return has_changed
+            return has_happened
 
         return wrapped
 

@@ -15,6 +15,7 @@ from typing import Any
 
 import urlink
 from linkcore.errors import LinkError, RemoteError
+from linkcore.handle import Event as LifeEvent
 from linkcore.handle import Handle
 from linkcore.simulated import Computer, Deadlock, Simulation, TimeLimit, simulated_time
 from urlink.aio import awaited
@@ -431,7 +432,7 @@ class Run:
             return call.error
         handle = _handle(call.made)
         # A block that was not entered has begun nothing, so that nothing ends.
-        if handle is None or not getattr(handle, "_is_entered", True):
+        if handle is None or not handle._life.happened(LifeEvent.SEND):
             return None
         if ask.what in MOTION:
             handle.cancel()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from functools import cache
+from typing import Any
 
 import pytest
 
@@ -50,16 +51,16 @@ def test_a_defect_is_found(defect: str) -> None:
 
 def test_handles_of_worlds_do_what_those_of_the_model_do(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: set[tuple[str, str]] = set()
-    apply = Lifecycle._apply
+    fire = Lifecycle.fire
 
-    def recorded(life: Lifecycle, event: Event, error: Exception | None = None, brake: bool = False) -> bool:
+    def recorded(life: Lifecycle, event: Event, *rest: Any, **named: Any) -> bool:
         before: Phase = life.phase
-        has_changed = apply(life, event, error, brake)
-        if has_changed:
+        has_happened = fire(life, event, *rest, **named)
+        if life.phase is not before:
             seen.add((before.value, life.phase.value))
-        return has_changed
+        return has_happened
 
-    monkeypatch.setattr(Lifecycle, "_apply", recorded)
+    monkeypatch.setattr(Lifecycle, "fire", recorded)
     places: set[tuple[tuple[str, str], tuple[str, str]]] = set()
     for seed in range(10):
         outcome = run(draw(seed))

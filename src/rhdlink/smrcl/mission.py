@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from linkcore.arguments import check_callable, check_seconds
 from linkcore.errors import BadValue, LinkTimeout, LocalError
-from linkcore.handle import Handle, Lifecycle
+from linkcore.handle import Event, Handle, Lifecycle
 from linkcore.threads import CallbackThread, started
 
 from ..client import Variables
@@ -295,8 +295,6 @@ class MissionRun(Handle):
         super().__init__(Lifecycle(name, self._callback_thread))
         self._execution = execution
         self._owned = owned
-        self._is_cancelled = threading.Event()
-        self._is_begun = False
 
     # -- what it is at -------------------------------------------------------------------------------
 
@@ -370,13 +368,14 @@ class MissionRun(Handle):
 
     def cancel(self) -> None:
         """End it at the robot's next tick, and have the robot stand. Returns at once; `wait` returns when it stands."""
-        self._is_cancelled.set()
-        if not self._is_begun:
+        if self._life.happened(Event.SEND):
+            self._life.fire(Event.BRAKE)
+        else:
             self._close()
             self._life.cancel("cancelled")
 
     def _start(self) -> None:
-        self._is_begun = True
+        self._life.fire(Event.SEND)
         thread = threading.Thread(target=self._run_in_thread, name=f"mission {self.name}", daemon=True)
         try:
             started(thread)
@@ -393,10 +392,9 @@ class MissionRun(Handle):
         self._life.wait(_LEAVE_TIMEOUT)
 
     def _run(self, until: float = math.inf) -> None:
-        self._is_begun = True
-        self._life.begin()
+        self._begin()
         try:
-            while not self._is_cancelled.is_set():
+            while not (self.done or self._life.happened(Event.BRAKE)):
                 if not self._execution.cycle():
                     break
                 if until < math.inf and time.monotonic() > until:
@@ -412,11 +410,15 @@ class MissionRun(Handle):
         failure = self._execution.controller.failure
         self._end(None if failure is None else error_of(failure))
 
+    def _begin(self) -> None:
+        self._life.fire(Event.SEND)
+        self._life.begin()
+
     def _end(self, error: Exception | None) -> None:
         self._close()
         if error is not None:
             self._life.fail(error)
-        elif self._is_cancelled.is_set() and not self._execution.controller.is_finished:
+        elif self._life.happened(Event.BRAKE) and not self._execution.controller.is_finished:
             self._life.cancel("cancelled")
         else:
             self._life.finish()
@@ -442,9 +444,7 @@ class Debugger:
         self._steps = True
         self._passes = False
         self._next: PlanLine | None = None
-        self._is_over = False
-        run._is_begun = True
-        run._life.begin()
+        run._begin()
         self._execution.controller.interpreter.holds = self._holds
 
     def _holds(self, line: PlanLine) -> bool:
@@ -457,12 +457,12 @@ class Debugger:
     @property
     def line(self) -> int | None:
         """The line of the file that comes next; None when the mission is over."""
-        return None if self._is_over or self._next is None else self._next.number
+        return None if self.run.done or self._next is None else self._next.number
 
     @property
     def text(self) -> str:
         """That line."""
-        return "" if self._is_over or self._next is None else self._next.text.strip()
+        return "" if self.run.done or self._next is None else self._next.text.strip()
 
     def step(self) -> int | None:
         """Execute the next line, until the one after it is to begin; its number, or None when the mission is over.
@@ -484,7 +484,7 @@ class Debugger:
         return self._go_on()
 
     def _go_on(self) -> int | None:
-        if self._is_over:
+        if self.run.done:
             return None
         controller = self._execution.controller
         self._passes = self._next is not None
@@ -503,7 +503,6 @@ class Debugger:
         return self.line
 
     def _finish(self) -> None:
-        self._is_over = True
         failure = self._execution.controller.failure
         error = None if failure is None else error_of(failure)
         self.run._end(error)
@@ -512,10 +511,9 @@ class Debugger:
 
     def close(self) -> None:
         """Have the robot stand, and end the mission. Idempotent."""
-        if not self._is_over:
-            self._is_over = True
+        if not self.run.done:
             self._execution.stand()
-            self.run._is_cancelled.set()
+            self.run.cancel()
             self.run._end(None)
 
     def __enter__(self) -> Self:

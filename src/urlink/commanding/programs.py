@@ -12,8 +12,8 @@ program's; else it is the running program's, unless its text is a compiler's.
 from __future__ import annotations
 
 import itertools
-import logging
 import math
+import logging
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ from typing import Any
 
 from linkcore.clock import monotonic
 from linkcore.errors import Cancelled, Closed, ConnectionLost, LinkError, LinkTimeout
-from linkcore.handle import Lifecycle
+from linkcore.handle import Event, Lifecycle
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from linkcore.streaming.subscription import Subscription
@@ -66,7 +66,8 @@ class _Run:
 
     Attributes:
         wrapped: as it was sent.
-        life: its life cycle, behind the handle.
+        life: behind the handle: how far it has got, by `linkcore.handle`, and when. The error of its REPORT is None if
+            it was executed to its end.
         is_motion: it ends as soon as the interlock closes. A program of the user's own that has begun ends when the
             controller says so, since it may only be paused; one that still has to ask for permission ends by a stop.
         moves_late: it may move the arm also if it begins after its life is over: it neither asks for permission nor
@@ -75,11 +76,7 @@ class _Run:
         on_text: called with each line of its `textmsg`, in the reader thread.
         on_finish: called when it has come to its own end.
         sent: when it was.
-        begun: when the controller reported its beginning; None before that.
-        verdict: its outcome once the controller reports its end: an error, or True if it was executed to its end.
-        is_stopped: the controller reported its end, and the cause is not known yet.
-        at: when the verdict was found, or it was stopped.
-        was_seen: the robot mode data has shown it running.
+        was_seen: of the flag in the robot mode data, which lags behind the program: it has shown it running.
     """
 
     wrapped: Wrapped
@@ -90,15 +87,15 @@ class _Run:
     on_text: Callable[[str], object]
     on_finish: Callable[[], object]
     sent: float
-    begun: float | None = None
-    verdict: ScriptError | bool = False
-    is_stopped: bool = False
-    at: float = math.nan
     was_seen: bool = False
 
     @property
     def name(self) -> str:
         return self.wrapped.name
+
+    @property
+    def has_begun(self) -> bool:
+        return self.life.happened(Event.BEGIN) is not None
 
 
 class Programs:
@@ -231,6 +228,7 @@ class Programs:
             self._runs.pop(run.name, None)
             self.ended = self._clock()
 
+        life.fire(Event.SEND)
         life.on_end(end)
         try:
             self._listen()
@@ -278,7 +276,7 @@ class Programs:
     @property
     def permitted(self) -> list[Lifecycle]:
         """Of what is not over, and may move the arm: it has begun, or needs no permission."""
-        runs = [run for run in self._pending() if run.begun is not None or run.wrapped.permission is None]
+        runs = [run for run in self._pending() if run.has_begun or run.wrapped.permission is None]
         return [run.life for run in runs if not run.life.is_over]
 
     def _newest(self) -> _Run | None:
@@ -366,16 +364,14 @@ class Programs:
                 return
             if text == wrapping.finish_marker(run.name):
                 self._begin(run)
-                self._judge(run, True)
-                if run.wrapped.is_secondary:
-                    self._end(run)
+                self._report(run, None)
                 return
             if text == wrapping.expiry_marker(run.name):
                 why = f"was not let go on within {self._start_timeout:g} s, and has ended without moving the arm"
                 run.life.fail(LinkTimeout(f"{run.life.name} {why}"))
                 return
         for run in self._pending():
-            if run.begun is not None and not run.wrapped.is_secondary:
+            if run.has_begun and not run.wrapped.is_secondary:
                 run.on_text(text)
 
     def _permit(self, run: _Run, permission: Permission) -> None:
@@ -392,8 +388,8 @@ class Programs:
             run.life.fail(error)
 
     def _on_exception(self, message: RuntimeExceptionMessage) -> None:
-        awaited = [run for run in self._pending() if run.begun is None]
-        running = [run for run in self._pending() if run.begun is not None]
+        awaited = [run for run in self._pending() if not run.has_begun]
+        running = [run for run in self._pending() if run.has_begun]
         text = message.text.strip("\0\n")
         is_compiler = text.startswith(_COMPILER)
         candidates = awaited or ([] if is_compiler else running)
@@ -402,19 +398,22 @@ class Programs:
             return
         run = candidates[-1]
         place = run.wrapped.place(message.line, message.column)
-        kind = ScriptFailed if run.begun is not None and not is_compiler else CompileError
-        self._judge(run, kind(*place, run.wrapped.words(text)))
-        if run.begun is None or run.wrapped.is_secondary:
-            self._end(run)
+        kind = ScriptFailed if run.has_begun and not is_compiler else CompileError
+        error = kind(*place, run.wrapped.words(text))
+        if run.has_begun:
+            self._report(run, error)
+        else:
+            run.life.fail(error)
 
     def _on_mode(self, mode: RobotModeData) -> None:
         self._mode = mode
         for run in self._pending():
-            if run.wrapped.is_secondary or run.begun is None:
+            begun = run.life.happened(Event.BEGIN)
+            if run.wrapped.is_secondary or begun is None:
                 continue
             if mode.is_program_running or mode.is_program_paused:
                 run.was_seen = True
-            elif run.was_seen or run.verdict or self._was_missed(run.begun):
+            elif run.was_seen or run.life.happened(Event.REPORT) or self._was_missed(begun.at):
                 self._end(run)
         self._check_time()
 
@@ -442,11 +441,12 @@ class Programs:
     def _check_time(self) -> None:
         now = self._clock()
         for run in self._pending():
-            if run.is_stopped and now - run.at > _STOP_LAG:
+            stopped, report = run.life.happened(Event.STOP), run.life.happened(Event.REPORT)
+            if stopped and now - stopped.at > _STOP_LAG:
                 run.life.fail(ProgramStopped(f"{run.life.name} was stopped before its end, from elsewhere"))
-            elif isinstance(run.verdict, ScriptError) and now - run.at > _AFTERMATH:
+            elif report and report.error is not None and now - report.at > _AFTERMATH:
                 self._end(run)
-            elif (run.begun is None or run.wrapped.is_secondary) and now - run.sent > self._start_timeout:
+            elif not (run.has_begun and not run.wrapped.is_secondary) and now - run.sent > self._start_timeout:
                 run.life.fail(self._never_began(run))
 
     def _never_began(self, run: _Run) -> LinkError:
@@ -457,7 +457,7 @@ class Programs:
             runs = "a program runs" if mode.is_program_running else "no program runs"
             situation = f"the robot mode is {mode.robot_mode.name}, {runs}"
         what, hint = "ended", ""
-        if run.begun is None:
+        if not run.has_begun:
             what = "begun"
             hint = f"; {self._what_if(run)}; an e-Series controller takes no programs while it is in local control"
         return LinkTimeout(
@@ -470,21 +470,20 @@ class Programs:
         return list(self._runs.values())
 
     def _begin(self, run: _Run) -> None:
-        if run.begun is not None:
+        if run.has_begun:
             return
-        run.begun = self._clock()
         if not run.wrapped.is_secondary:
             self._replace(run.name, run)
-        run.life.begin()
+        run.life.begin(self._clock())
 
     def _replace(self, name: str, successor: _Run | None) -> None:
         """A program has begun: those sent before it are over, whether told so or not."""
         for run in self._pending():
             if run is successor:
                 return
-            if run.wrapped.is_secondary or (successor is None and run.begun is None):
+            if run.wrapped.is_secondary or (successor is None and not run.has_begun):
                 continue
-            if run.verdict:
+            if run.life.happened(Event.REPORT):
                 self._end(run)
             elif successor is not None:
                 run.life.cancel(f"preempted by {successor.life.name}")
@@ -493,22 +492,26 @@ class Programs:
             else:
                 run.life.fail(ProgramStopped(f"{run.life.name} was replaced by {name}, a program from elsewhere"))
 
-    def _judge(self, run: _Run, verdict: ScriptError | bool) -> None:
-        run.verdict, run.at = verdict, self._clock()
+    def _report(self, run: _Run, error: ScriptError | None) -> None:
+        """A program has reported how it ends; that it has ended is reported by the controller, but of a `sec`."""
+        run.life.fire(Event.REPORT, error, at=self._clock())
+        if run.wrapped.is_secondary:
+            self._end(run)
 
     def _end(self, run: _Run) -> None:
         """The controller has ended a program; why follows from what was heard before."""
-        if isinstance(run.verdict, ScriptError):
-            run.life.fail(run.verdict)
-        elif run.verdict:
+        report = run.life.happened(Event.REPORT)
+        if report and report.error is not None:
+            run.life.fail(report.error)
+        elif report:
             run.on_finish()
         elif (newest := self._newest()) is not None and newest is not run and not run.wrapped.is_secondary:
             run.life.cancel(f"preempted by {newest.life.name}")
         elif (stop := self._monitor.refusal(is_stop=True)) is not None:
             run.life.fail(stop)
-        elif not run.is_stopped:
+        else:
             # The report of the stop may follow.
-            run.is_stopped, run.at = True, self._clock()
+            run.life.fire(Event.STOP, at=self._clock())
 
     def _forget_given_up(self) -> None:
         self._stopping = self._kept = None
@@ -518,8 +521,8 @@ class Programs:
             self._kept = self._stopping  # the controller may have been stopped before it was told
         for run in self._pending():
             # After a stop begins only what was asked for anew.
-            is_held = run.begun is None and run.wrapped.permission is not None and isinstance(error, SafetyStop)
-            if run.is_stopped or is_held:
+            is_held = not run.has_begun and run.wrapped.permission is not None and isinstance(error, SafetyStop)
+            if run.life.happened(Event.STOP) or is_held:
                 run.life.fail(error)
             elif run.is_motion:
                 if isinstance(error, SafetyStop) and not run.wrapped.is_secondary:
@@ -528,7 +531,7 @@ class Programs:
 
     def _what_if(self, run: _Run) -> str:
         """What may still happen to a program that is given up here, for messages."""
-        if run.begun is not None:
+        if run.has_begun:
             return run.left_alone
         return f"if it begins later, {run.left_alone}" if run.moves_late else "it moves nothing if it begins later"
 

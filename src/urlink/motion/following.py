@@ -134,7 +134,7 @@ class Following(ABC):
         farewell: the word that ends the program.
         survives_its_program: whether the motion goes on if the program ends before the arm has arrived.
         progress: the fraction that is over.
-        is_over: whether the arm has arrived and stands still.
+        is_over: whether the arm has arrived and stands still: of the arm, not of the motion, whose BRAKE follows.
     """
 
     def __init__(self, trajectory: Trajectory, tolerances: Tolerances, clock: ProgramClock) -> None:

@@ -14,7 +14,7 @@ from functools import partial
 from typing import Any, Protocol
 
 from linkcore.errors import ConnectionLost, LinkError, LocalError
-from linkcore.handle import Lifecycle, Phase
+from linkcore.handle import Event, Lifecycle, Phase
 from linkcore.streaming.packet_queue import latest
 from linkcore.streaming.subscription import Subscription
 
@@ -51,7 +51,7 @@ class Dialogue(Protocol):
 
     @property
     def is_over(self) -> bool:
-        """Whether no word is left to send."""
+        """Whether no word is left to send: where it is, the BRAKE of the motion's life follows."""
 
     @property
     def survives_its_program(self) -> bool:
@@ -129,16 +129,13 @@ class LinkedProgram:
         self._clock = context.clock
         self._link: Link | None = None
         self._subscription: Subscription | None = None
-        self._lost: tuple[LinkError, float] | None = None
         self._cycle = 1.0 / context.who.identity.firmware.rate
         self._controller = ControllerClock(self._cycle)
-        #: s on the controller's clock from the first state to the newest one, and to the last word
+        #: s on the controller's clock from the first state to the newest one
         self._passed = 0.0
         #: when the newest state was looked at, monotonic s
         self._seen = self._clock()
-        self._concluded: float | None = None
-        self._has_ended = False  # the program has ended by itself, the dialogue is not over
-        self._has_said_farewell = False
+        self._owes_farewell = False  # of the link: what it still has to deliver when it is closed
 
     def begin(self) -> None:
         """Open the link, and send the program.
@@ -211,7 +208,7 @@ class LinkedProgram:
             raise self._life.error
         # Composed before another thread ended the program: a register holds its newest word only. Or before the thread
         # that stops it for a task that was cancelled has come to do so: nothing follows that task but the stop.
-        if (self._concluded is not None or not self._life.is_wanted) and data != self._dialogue.farewell:
+        if (self.is_finishing or not self._life.is_wanted) and data != self._dialogue.farewell:
             return
         assert self._link is not None
         self._link.send(self._dated(data))
@@ -231,22 +228,20 @@ class LinkedProgram:
         Raises:
             LinkError: the word could not be sent.
         """
-        if self._concluded is None:
-            self._concluded = self._passed  # before sending: the program may end before this thread goes on
-            if self._dialogue.farewell:
-                self._has_said_farewell = True
-                self.say(self._dialogue.farewell)
+        # Fired before sending: the program may end before this thread goes on.
+        if self._life.fire(Event.BRAKE, at=self._passed) and self._dialogue.farewell:
+            self._owes_farewell = True
+            self.say(self._dialogue.farewell)
 
     @property
     def is_finishing(self) -> bool:
         """Whether the word that ends the program was sent."""
-        return self._concluded is not None
+        return self._life.happened(Event.BRAKE) is not None
 
     def lose(self, error: LinkError) -> None:
         """Handle a lost connection. The primary interface may still report what stopped the program."""
-        if self._lost is None:
-            lost = ConnectionLost(f"the connection of the program on the robot was lost; it brakes by itself: {error}")
-            self._lost = (lost, self._clock())
+        lost = ConnectionLost(f"the connection of the program on the robot was lost; it brakes by itself: {error}")
+        self._life.fire(Event.LOSE, lost, at=self._clock())
 
     # -- events --------------------------------------------------------------------------------------
 
@@ -266,15 +261,16 @@ class LinkedProgram:
         now = self._clock()
         self._seen = now
         self._passed += self._controller.passed(state.time, now)
-        if self._has_ended:
+        lost, braked = self._life.happened(Event.LOSE), self._life.happened(Event.BRAKE)
+        if self._life.happened(Event.SETTLE):
             self._dialogue.step(b"", state, now)
             if self._dialogue.is_over:
                 self._life.finish()
-        elif self._lost is not None:
-            if now - self._lost[1] > _GRACE:
-                self._life.fail(self._lost[0])
-        elif self._concluded is not None:
-            if self._passed - self._concluded > _END_TIMEOUT and stands(state.qd_actual):
+        elif lost and lost.error is not None:
+            if now - lost.at > _GRACE:
+                self._life.fail(lost.error)
+        elif braked:
+            if self._passed - braked.at > _END_TIMEOUT and stands(state.qd_actual):
                 self._life.finish()
         elif link.is_up or link.poll(self._life.phase is Phase.RUNNING):
             self._talk(link, state, now)
@@ -292,6 +288,7 @@ class LinkedProgram:
             answer = self._dialogue.step(link.received(), state, now)
             if answer:
                 self.say(answer)
+            self._life.fire(Event.LINK)
             self._on_linked()
             if self._dialogue.is_over:
                 self.finish()
@@ -311,24 +308,25 @@ class LinkedProgram:
             error = ToleranceExceeded("the program on the robot says that the first point is too far away")
         else:
             return
-        if self._concluded is None:
+        if not self.is_finishing:
             self._life.fail(error)
 
     def _on_finish(self) -> None:
-        if self._concluded is not None:
+        lost = self._life.happened(Event.LOSE)
+        if self.is_finishing:
             self._life.finish()
         elif self._dialogue.survives_its_program:
             self._dialogue.conclude()
-            self._has_ended = True
-        elif self._lost is not None:
-            self._life.fail(self._lost[0])
+            self._life.fire(Event.SETTLE)
+        elif lost and lost.error is not None:
+            self._life.fail(lost.error)
         else:
             self._life.fail(ProgramStopped(f"the program of {self._life.name} ended before its time"))
 
     def _brake(self) -> None:
         link = self._link
         if link is not None and link.is_up and self._dialogue.farewell:
-            self._has_said_farewell = True
+            self._owes_farewell = True
             self._context.channel.setpoint(lambda: link.send(self._dated(self._dialogue.farewell)), is_stop=True)
         else:
             self._context.programs.stop(self._life)
@@ -341,4 +339,4 @@ class LinkedProgram:
             # Without waiting: this may be the thread of its callback.
             subscription.close(0)
         if self._link is not None:
-            self._link.close(farewell=self._has_said_farewell)
+            self._link.close(farewell=self._owes_farewell)

@@ -13,7 +13,7 @@ from concurrent.futures import TimeoutError as FutureTimeout
 from typing import TYPE_CHECKING
 
 from linkcore.errors import Closed, LinkError, LinkTimeout, LocalError
-from linkcore.handle import Motion
+from linkcore.handle import Event, Motion
 from linkcore.realtime import urgent
 
 from ..interfaces.realtime.packets import RealtimeState
@@ -50,9 +50,8 @@ class LinkedBlock(Motion):
         life = context.programs.life(name)
         super().__init__(life)
         self._context = context
-        self._is_entered = False
         self._block = contextlib.ExitStack()
-        #: resolved once the program has connected, or cannot connect any more
+        #: what `__enter__` waits for: resolved once the program has connected, or cannot connect any more
         self._linked: Future[None] = Future()
         self._program = LinkedProgram(life, context, dialogue, open_link, on_linked=self._link_up)
 
@@ -65,9 +64,8 @@ class LinkedBlock(Motion):
             LocalError: it was used before; or this is a callback that was subscribed with ``inline=True``.
             LinkError: another reason why it cannot begin.
         """
-        if self._is_entered:
+        if not self._life.fire(Event.SEND):
             raise LocalError(f"the {self.name} has been used before; each is good for one block")
-        self._is_entered = True
         self._program.begin()
         try:
             with self._context.section.waiting():
@@ -102,7 +100,7 @@ class LinkedBlock(Motion):
             LocalError: not within the block.
             LinkError: the motion is over; the error says why.
         """
-        if not self._linked.done():
+        if not (self._life.happened(Event.LINK) or self.done):
             raise LocalError(
                 f"a {self.name} is told something within its block: with robot.motion.{self.name}() as {self.name}: ..."
             )

@@ -90,7 +90,7 @@ class PointStream(LinkedBlock):
         feed = self._feed
         life = self._life
         life.on_end(lambda: feed.end(life.error or Closed("the block of the stream was left")))
-        self._is_producing = False
+        self._is_producing = False  # a lock without waiting: a second caller is refused
 
     # -- points ----------------------------------------------------------------------------------------
 
