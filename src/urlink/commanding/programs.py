@@ -12,8 +12,8 @@ program's; else it is the running program's, unless its text is a compiler's.
 from __future__ import annotations
 
 import itertools
-import math
 import logging
+import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
