@@ -134,7 +134,7 @@ def farthest(seed: int, count: int, path: Path) -> tuple[float, list[str]]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2, *(pytest.param(seed, marks=pytest.mark.matrix) for seed in range(3, 40))])
+@pytest.mark.parametrize("seed", [1, 2, *(pytest.param(seed, marks=pytest.mark.matrix(9)) for seed in range(3, 40))])
 def test_no_run_leaves_the_box_whatever_happens(seed: int, tmp_path: Path) -> None:
     away, drawn = farthest(seed, 12, tmp_path / "run.urlog")
     assert away <= LIMIT, drawn

@@ -58,6 +58,7 @@ def comes_to_rest(cell: Cell) -> FloatArray:
     return np.array(cell.controller.arm.setpoint.q)
 
 
+@pytest.mark.matrix(3)
 @pytest.mark.parametrize("way", WAYS)
 def test_goes_on_smoothly_from_where_it_was_paused(cell: Callable[[str, str], Cell], way: str) -> None:
     """At full speed, and ahead of where the last set-point was: it does not go back."""
@@ -96,6 +97,7 @@ def moved_after(cell: Cell, act: Callable[[], object], seconds: float = 1.5) -> 
     return float(np.abs(np.array(cell.path) - here).max())
 
 
+@pytest.mark.matrix(3)
 @pytest.mark.parametrize("way", WAYS)
 def test_an_arm_that_was_jogged_away_is_left_there(cell: Callable[[str, str], Cell], way: str) -> None:
     """The program goes on, and its set-points from before the pause are there; the arm is not led back to them."""
@@ -117,6 +119,7 @@ def test_an_arm_that_was_jogged_away_is_left_there(cell: Callable[[str, str], Ce
     until(lambda: not one.controller.is_running_program, TIMEOUT)
 
 
+@pytest.mark.matrix(5)
 @pytest.mark.parametrize("firmware", ["3.2", "3.15", "5.11", "10.12"])
 @pytest.mark.parametrize("how", ["move_joints", "move_linear", "path"])
 def test_what_the_controller_executes_is_stopped_where_the_arm_was_jogged_away(
@@ -186,6 +189,7 @@ def test_an_arm_that_was_moved_a_little_goes_on_from_there(cell: Callable[[str, 
     assert one.robot.realtime.wait().q_target == pytest.approx(READY, abs=NEAR)
 
 
+@pytest.mark.matrix(5)
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("resumes", [True, False])
 def test_a_safeguard_stop_ends_it_and_nothing_moves_after(
@@ -252,6 +256,7 @@ def test_a_set_point_that_ran_on_in_a_pause_is_refused(cell: Callable[[str, str]
 # -- what users of the vendor's driver report ------------------------------------------------------------
 
 
+@pytest.mark.matrix(2)
 @pytest.mark.parametrize("way", ["streamed at 500 Hz", "registers at 125 Hz", "points at 500 Hz"])
 @pytest.mark.parametrize("how", ["jogged", "freedrive"])
 def test_stopped_at_the_pendant_and_moved(cell: Callable[[str, str], Cell], way: str, how: str) -> None:

@@ -166,6 +166,7 @@ def followed(cell: Cell, **options: Any) -> tuple[Motion, list[TrajectoryFeedbac
     return motion, told, moving(cell.path)
 
 
+@pytest.mark.matrix(3)
 @pytest.mark.parametrize("way", WAYS)
 def test_on_its_path_whatever_the_slider_does(cell: Callable[[str, str], Cell], way: str) -> None:
     """The path at full speed has the lag of ``servoj``; by it the others are measured."""
