@@ -293,8 +293,9 @@ def test_the_joints_alone_are_those_of_the_sample() -> None:
         stop()
         for _ in range(300):
             controller.step()
-            alone = arm.q_actual
+            alone, speeds = arm.q_actual, arm.qd_actual
             assert alone == arm.sample.q_actual == arm.q_actual
+            assert speeds == arm.sample.qd_actual == arm.qd_actual
 
 
 def test_a_tcp_is_six_finite_numbers() -> None:

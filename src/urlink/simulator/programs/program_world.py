@@ -149,7 +149,7 @@ class ProgramWorld:
 
     @property
     def qd_actual(self) -> Sequence[float]:
-        return self._state.arm.sample.qd_actual
+        return self._state.arm.qd_actual
 
     @property
     def q_target(self) -> Sequence[float]:

@@ -267,6 +267,13 @@ class SimulatedArm:
         return self._sensors.positions(self._setpoint, self._cycle, self._rests, self.is_powered)
 
     @property
+    def qd_actual(self) -> list[float]:
+        """The joint speeds of `sample`, rad/s, without computing the rest: a loop with damping reads them as often."""
+        if self._sample is not None:
+            return self._sample.qd_actual
+        return self._sensors.speeds(self._setpoint, self._cycle)
+
+    @property
     def dynamics(self) -> Dynamics:
         """The masses of the published arm, its rotors and its payload, from which the controller computes moments.
 

@@ -153,6 +153,14 @@ class Sensors:
         offset = self._noise(rest, 6, self._of.position_offset)
         return [_stepped(p + o + n, s) for p, o, n, s in zip(q, offset, noise, STEPS, strict=True)]
 
+    def speeds(self, setpoint: Setpoint, cycle: int) -> list[float]:
+        """The actual joint speeds, rad/s."""
+        _, qd, qdd = setpoint
+        if not any(qd):
+            return _ZERO
+        noise = self._noise(cycle, 1, self._of.speed_noise)
+        return [v - self._of.speed_lag * a + n for v, a, n in zip(qd, qdd, noise, strict=True)]
+
     def sample(
         self,
         setpoint: Setpoint,
@@ -184,11 +192,7 @@ class Sensors:
         s = Sample()
         s.q_target, s.qd_target, s.qdd_target = q, qd, qdd
         s.q_actual = self.positions(setpoint, cycle, rest, is_powered)
-        s.qd_actual = _ZERO
-        if any(qd):
-            noise = self._noise(cycle, 1, self._of.speed_noise)
-            s.qd_actual = [v - self._of.speed_lag * a + n for v, a, n in zip(qd, qdd, noise, strict=True)]
-
+        s.qd_actual = self.speeds(setpoint, cycle)
         s.pose_target = self._pose
         s.pose_actual = self._forward(s.q_actual)
         s.speed_target = s.speed_actual = _ZERO
