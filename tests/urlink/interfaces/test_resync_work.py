@@ -144,6 +144,7 @@ WORST = [
 ]
 
 
+@pytest.mark.matrix(5)
 @pytest.mark.parametrize(("kind", "element"), WORST)
 @pytest.mark.parametrize("chunk", [1, 1 << 20], ids=["bytewise", "at once"])
 def test_twice_the_bytes_are_twice_the_work(

@@ -168,6 +168,7 @@ class TestDry:
         assert stream.path[-1] == pytest.approx(HOME, abs=ROUNDING)
         assert stream.feed.time == pytest.approx(1.0)
 
+    @pytest.mark.matrix(4)
     @pytest.mark.parametrize("late", range(1, 200, 7))
     def test_points_that_come_while_it_brakes(self, late: int) -> None:
         stream = Streamed(E_SERIES, way=late % 5)
@@ -196,6 +197,7 @@ class TestDry:
 
 
 class TestReplaced:
+    @pytest.mark.matrix(5)
     @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
     @pytest.mark.parametrize("way", [0.0, 0.005, 0.04])
     @pytest.mark.parametrize("degree", [3, 5])

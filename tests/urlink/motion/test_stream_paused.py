@@ -44,6 +44,7 @@ def points() -> list[TrajectoryPoint]:
     return made
 
 
+@pytest.mark.matrix(3)
 @pytest.mark.parametrize(("arm", "firmware"), FIRMWARES)
 @pytest.mark.parametrize("moved", [0.0, 0.03, -0.03])
 def test_goes_on_smoothly_from_where_it_stands(

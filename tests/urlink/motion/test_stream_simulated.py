@@ -61,6 +61,7 @@ def stands(robot: Robot) -> bool:
     return bool(np.abs(robot.realtime.wait(5).qd_actual).max() < 1e-3)
 
 
+@pytest.mark.matrix(3)
 @pytest.mark.parametrize(
     ("arm", "firmware", "link"),
     [
@@ -117,6 +118,7 @@ def test_its_block_stops_the_arm(connect: Callable[..., Robot], link: LinkName) 
         robot.motion.stream().append(points(4, 5))
 
 
+@pytest.mark.matrix(2)
 @pytest.mark.parametrize(("slider", "link"), [(0.5, "reverse"), (0.2, "reverse"), (0.2, "rtde")])
 def test_the_slider_slows_it_down_on_its_path(connect: Callable[..., Robot], slider: float, link: LinkName) -> None:
     robot = connect()
