@@ -119,6 +119,7 @@ THEN = ("wait", "wait_briefly", "cancel", "leave", "interrupt", "forget")
 #: What happens beside the clients: at the pendant and to the arm, to the network and to computers.
 AT_THE_ROBOT = (
     "protective_stop",
+    "safeguard_stop",
     "emergency_stop",
     "power_off",
     "reboot",
@@ -153,7 +154,7 @@ HAPPENS = (
 )
 
 _KINDS = ("threads",) * 8 + ("asyncio",) * 4 + ("rtde", "dashboard", "ur_rtde", "urx", "foreign", "foreign")
-_STOPS = ("protective_stop", "emergency_stop", "pendant_stop", "pendant_pause")
+_STOPS = ("protective_stop", "safeguard_stop", "emergency_stop", "pendant_stop", "pendant_pause")
 _CABLES = ("cut", "deaf", "mute", "reset", "suspend_client", "suspend_robot", "hold_client")
 
 
@@ -168,6 +169,7 @@ class Ask:
         size: 0 to 1: how far, how fast, which one.
         patience: seconds until `then` is done, where it is not done at once.
         thread: number of the client's thread, or task, that asks.
+        at: seconds after the clients have begun before which it is not asked for.
     """
 
     what: str
@@ -176,6 +178,7 @@ class Ask:
     size: float
     patience: float
     thread: int = 0
+    at: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -220,7 +223,11 @@ class Event:
 
 @dataclass(frozen=True)
 class World:
-    """Everything that a run depends on, beside the order of its threads, which `seed` decides."""
+    """Everything that a run depends on, beside the order of its threads, which `seed` decides.
+
+    Attributes:
+        lines: seconds after the clients have begun for which threads also make way between two lines of the library.
+    """
 
     seed: int
     firmware: str
@@ -228,6 +235,7 @@ class World:
     jitter: float
     clients: tuple[Client, ...]
     events: tuple[Event, ...]
+    lines: float = 0.0
 
     def smaller(self) -> Iterator[World]:
         """The same with one client, event or ask less, and then with simpler and shorter ones."""
@@ -262,9 +270,9 @@ class World:
 
 #: The simplest value of each field that has one.
 _SIMPLE_CLIENT: Mapping[str, object] = {"drift": 0.0, "kind": "threads", "policy": "never", "start": "register"}
-_SIMPLE_ASK: Mapping[str, object] = {"after": 0.0, "patience": 0.0, "size": 1.0, "thread": 0, "then": "wait"}
+_SIMPLE_ASK: Mapping[str, object] = {"after": 0.0, "at": 0.0, "patience": 0.0, "size": 1.0, "thread": 0, "then": "wait"}
 _SIMPLE_EVENT: Mapping[str, object] = {"at": 0.0, "lasts": 0.0, "size": 1.0}
-_SIMPLE_WORLD: Mapping[str, object] = {"latency": 1e-4, "jitter": 0.0, "firmware": "5.10"}
+_SIMPLE_WORLD: Mapping[str, object] = {"lines": 0.0, "latency": 1e-4, "jitter": 0.0, "firmware": "5.10"}
 
 
 def _simpler(thing: T, simple: Mapping[str, object]) -> Iterator[T]:
@@ -292,26 +300,43 @@ def _without(event: Event, client: int, place: int) -> Event:
 
 
 def draw(seed: int) -> World:
-    """The world of a seed: a few kinds of asks and of events, which come again and again."""
+    """The world of a seed: a few kinds of asks and of events, which come again and again.
+
+    In every other world they meet: threads and clients begin the same few things in the same moment, and what happens
+    happens then.
+    """
     chance = random.Random(seed)
-    clients = tuple(_client(chance) for _ in range(chance.choice((1, 1, 2, 2, 3))))
+    meeting = chance.choice((0.0, chance.uniform(0.05, 0.4)))
+    shared = _menu(chance) if meeting else ()
+    numbers = (1, 2, 2, 3) if meeting else (1, 1, 2, 2, 3)
+    clients = tuple(_client(chance, meeting, shared) for _ in range(chance.choice(numbers)))
     menu: Sequence[str] = chance.choice((_STOPS, _CABLES, HAPPENS, HAPPENS, chance.sample(HAPPENS, 3)))
-    events = tuple(_event(chance, menu, clients) for _ in range(chance.choice((0, 1, 1, 2, 3, 4))))
+    events = tuple(_event(chance, meeting, menu, clients) for _ in range(chance.choice((0, 1, 1, 2, 2, 3))))
     firmwares = [str(row.since) for row in RELEASES for _ in range(1 if row.since.is_cb2 else 3)]
     latency, jitter = chance.choice((5e-5, 5e-4, 5e-3)), chance.choice((0.0, 2e-4, 2e-3))
-    return World(seed, chance.choice(firmwares), latency, jitter, clients, events)
+    lines = chance.choice((0.0, meeting + 0.2 * chance.random()))
+    return World(seed, chance.choice(firmwares), latency, jitter, clients, events, lines)
 
 
-def _client(chance: random.Random) -> Client:
+def _menu(chance: random.Random) -> tuple[str, ...]:
+    """What a program with a robot asks for. Calls move nothing, so there are fewer of them."""
+    return tuple(chance.choice(chance.choice((MOTIONS, MOTIONS, BLOCKS, CALLS))) for _ in range(3))
+
+
+def _client(chance: random.Random, meeting: float, shared: tuple[str, ...]) -> Client:
     kind = chance.choice(_KINDS)
-    menu = ASKED[kind]
+    menu, threads = ASKED[kind], 1
     if kind in ("threads", "asyncio"):
-        # Calls move nothing, so there are fewer of them.
-        menu = tuple(chance.choice(chance.choice((MOTIONS, MOTIONS, BLOCKS, CALLS))) for _ in range(4))
-    threads = chance.choice((1, 1, 2, 3)) if kind in ("threads", "asyncio") else 1
-    asks = tuple(_ask(chance, menu, threads) for _ in range(chance.randint(1, 4) + threads - 1))
+        menu = shared or _menu(chance)
+        threads = chance.choice((1, 2, 2, 3) if meeting else (1, 1, 2, 3))
+    asks = [_ask(chance, menu, threads) for _ in range(chance.randint(1, 2 if meeting else 3) + threads - 1)]
+    if meeting:
+        for number, ask in enumerate(asks):
+            after = chance.choice((0.0, 0.001, 0.01, 0.05)) * chance.random()
+            asks[number] = replace(ask, thread=number % threads, at=meeting, after=after)
     policy = chance.choice(("never",) * 6 + ("on_startup", "always"))
-    return Client(asks, chance.uniform(-1e-4, 1e-4), kind, policy, chance.choice(("register",) * 6 + ("flags",)))
+    start = chance.choice(("register",) * 6 + ("flags",))
+    return Client(tuple(asks), chance.uniform(-1e-4, 1e-4), kind, policy, start)
 
 
 def _ask(chance: random.Random, menu: tuple[str, ...], threads: int) -> Ask:
@@ -325,13 +350,14 @@ def _ask(chance: random.Random, menu: tuple[str, ...], threads: int) -> Ask:
     )
 
 
-def _event(chance: random.Random, menu: Sequence[str], clients: tuple[Client, ...]) -> Event:
+def _event(chance: random.Random, meeting: float, menu: Sequence[str], clients: tuple[Client, ...]) -> Event:
     client = chance.randrange(len(clients))
+    ask = chance.choice((None, *range(len(clients[client].asks))))
     return Event(
         chance.choice(menu),
-        chance.choice((0.005, 0.05, 0.3, 1.0)) * chance.random(),
+        chance.choice((0.005, 0.05, 0.3, 1.0)) * chance.random() + (0.0 if ask is not None else meeting),
         chance.choice((0.02, 0.3, 1.0, 3.0)) * chance.random(),
         client,
         chance.random(),
-        chance.choice((None, *range(len(clients[client].asks)))),
+        ask,
     )

@@ -29,6 +29,13 @@ def at_the_robot(event: Event, controller: Controller, watch: Watch, number: int
         faults.clear()
         if what != "protective_stop":
             faults.power_on()
+    elif what == "safeguard_stop":
+        resumes = event.size > 0.5
+        faults.safeguard_stop(resumes)
+        time.sleep(event.lasts)
+        faults.clear()
+        if resumes:
+            watch.resumes()
     elif what == "reboot":
         faults.reboot(downtime=event.lasts)
     elif what == "pendant_stop":

@@ -382,8 +382,8 @@ class Observed:
         return any(at >= moment for at in self._lost.get(computer, ()))
 
     def has_arrived(self, computer: Computer) -> bool:
-        """What it has sent is there."""
-        return not any(end.unacknowledged for end in computer.ends)
+        """What it has sent is there, and was read: a controller that was suspended reads after some cycles."""
+        return not any(end.unacknowledged or (end.peer is not None and end.peer.received) for end in computer.ends)
 
     def _of(self, computer: Computer) -> list[Sent]:
         return [sent for sent in self.programs.values() if sent.computer is computer]
@@ -507,7 +507,7 @@ class Observed:
         assert sent.ended is not None
         closed = self._closed.get(sent.computer, math.inf)
         return any(
-            begun <= sent.ended + _KEPT and sent.ended <= over and closed <= over + _KEPT and self.played[-1:] > [over]
+            begun <= sent.ended + _KEPT and sent.ended <= over + _KEPT and closed <= over + _KEPT and self.played[-1:] > [over]
             for begun, over in self.stopped
         )
 

@@ -40,6 +40,24 @@ BEGUN, ENDED = 20.0, 30.0
 WAIT, WAIT_IN_BLOCK = 20.0, 0.5
 #: s of simulated time for everything.
 LIMIT = 400.0
+#: Between whose lines threads make way: of the library, but for what a process keeps from one world for the next.
+PREEMPTED = (
+    "linkcore.aio",
+    "linkcore.event_loop",
+    "linkcore.handle",
+    "linkcore.net",
+    "linkcore.pending_call",
+    "linkcore.streaming",
+    "linkcore.threads",
+    "urlink.aio",
+    "urlink.commanding",
+    "urlink.compat",
+    "urlink.control",
+    "urlink.group",
+    "urlink.motion",
+    "urlink.robot",
+    "urlink.rtde",
+)
 #: Calls after which the arm may move with no handle that could tell when it ends.
 _LASTING = ("line",)
 _NO_END = {"servoJ", "speedJ", "jogStart", "forceMode", "freedriveMode", "speedj"}
@@ -117,10 +135,15 @@ class Run:
         #: by client, the numbers of those of its asks for which the arm may move
         self.owners: list[set[int]] = [set() for _ in world.clients]
         self._numbers = itertools.count()
+        self._begun = 0.0
         #: those who press what is at the pendant
         self.hands: list[threading.Thread] = []
 
     def everything(self) -> None:
+        self._begun = self.sim.now
+        if self.world.lines:
+            self.sim.preempt(*PREEMPTED)
+            self.sim.at(self._begun + self.world.lines, self.sim.preempt)
         threads = []
         for number, client in enumerate(self.world.clients):
             computer = self.sim.computer(f"client{number}", f"192.168.0.{10 + number}")
@@ -153,6 +176,10 @@ class Run:
         self.watch.observed.check_ends()
         if not self.gone and self.sim.open_sockets:
             self.watch.fault(f"{self.sim.open_sockets} sockets are left")
+
+    def _until(self, ask: Ask) -> float:
+        """Seconds until it is asked for."""
+        return max(self._begun + ask.at - self.sim.now, 0.0) + ask.after
 
     # -- who wants the arm to move -------------------------------------------------------------------------
 
@@ -205,7 +232,7 @@ class Run:
             def asks(which: int) -> None:
                 for place, ask in enumerate(client.asks):
                     if ask.thread == which:
-                        _rest(robot, ask, ask.after)
+                        _rest(robot, ask, self._until(ask))
                         self._happen(number, place)
                         self._ask(number, client, robot, ask, kept)
 
@@ -347,7 +374,7 @@ class Run:
             async def asks(which: int) -> None:
                 for place, ask in enumerate(client.asks):
                     if ask.thread == which:
-                        await asyncio.sleep(ask.after)
+                        await asyncio.sleep(self._until(ask))
                         self._happen(number, place)
                         await self._ask_async(number, client, robot, ask, kept)
 
@@ -458,7 +485,7 @@ class Run:
         self, number: int, client: Client, robot: Any, calls: dict[str, Callable[[Any, Ask, bool], object]]
     ) -> None:
         for place, ask in enumerate(client.asks):
-            time.sleep(ask.after)
+            time.sleep(self._until(ask))
             self._happen(number, place)
             self.watch.note(f"client {number} asks for {ask.what} ({ask.size:.2f}), then {ask.then}")
             owner, lasts = self.begin(number), ask.then in ("forget", "cancel")
@@ -481,7 +508,7 @@ class Run:
 
     def _foreign(self, number: int, client: Client) -> None:
         for place, ask in enumerate(client.asks):
-            time.sleep(ask.after)
+            time.sleep(self._until(ask))
             self._happen(number, place)
             self.watch.note(f"client {number}, a foreign one: {ask.what} ({ask.size:.2f})")
             try:

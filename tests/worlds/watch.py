@@ -123,6 +123,10 @@ class Watch:
         self.wanting.discard(client)
         self._is_admitted = True
 
+    def resumes(self) -> None:
+        """A safeguard stop is over, and the controller goes on with its program by itself."""
+        self.observed.played.append(self._sim.now)
+
     def _look(self) -> None:
         controller, observed = self._controller, self.observed
         setpoint = controller.arm.setpoint

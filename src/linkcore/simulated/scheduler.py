@@ -5,7 +5,8 @@ that the seed has drawn; then it hands over to the next one. When all wait, the 
 the same program with the same seed takes the same steps, however fast or busy the computer is, and an hour in which
 nothing happens costs nothing.
 
-A change of threads between two other steps of Python is not tried.
+Threads change between two lines of a program only where that was asked for (`preemption`), and never between two steps
+of one line, or within a function of C.
 """
 
 from __future__ import annotations
@@ -19,9 +20,13 @@ from _thread import allocate_lock, get_ident
 from collections import deque
 from collections.abc import Callable
 from struct import Struct
-from typing import Protocol
+from types import FrameType
+from typing import Any, Protocol
 
-__all__ = ["Deadlock", "Ended", "Process", "Scheduler", "Task", "TimeLimit", "current"]
+__all__ = ["Deadlock", "Ended", "Process", "Scheduler", "Task", "TimeLimit", "Tracer", "current"]
+
+#: As `sys.settrace` takes it.
+Tracer = Callable[[FrameType, str, Any], Any]
 
 #: Seconds that each step costs. Without it a program that looks at the clock until it is late enough would not end.
 STEP = 1e-7
@@ -68,6 +73,7 @@ class Task:
     __slots__ = (
         "alarm",
         "baton",
+        "before",
         "deadline",
         "endings",
         "error",
@@ -79,6 +85,7 @@ class Task:
         "name",
         "number",
         "process",
+        "tracer",
         "waiters",
     )
 
@@ -105,6 +112,9 @@ class Task:
         #: how often it has gone on after `Ended`
         self.endings = 0
         self.joiners: deque[Task] = deque()
+        #: what its lines are traced by for the scheduler, and what they were before
+        self.tracer: Tracer | None = None
+        self.before: Tracer | None = None
 
 
 class Scheduler:
@@ -142,6 +152,7 @@ class Scheduler:
         self.running: Task | None = None
         #: of the thread that runs
         self.ident = 0
+        self._tracer: Tracer | None = None
 
     # -- tasks -----------------------------------------------------------------------------------------
 
@@ -166,6 +177,8 @@ class Scheduler:
         task.ident = self.ident = get_ident()
         if self.is_ending:
             raise Ended
+        if self._tracer is not None:
+            self._follow(task)
 
     def finish(self, task: Task) -> None:
         """The last thing that the thread of a task does."""
@@ -271,6 +284,7 @@ class Scheduler:
 
     def end(self) -> None:
         """End every other task, one after the other: who waits gets `Ended`."""
+        self.trace_lines(None)
         self.is_ending = True
         mine = get_ident()
         for task in self.tasks:
@@ -280,6 +294,31 @@ class Scheduler:
                 task.baton.release()
                 self._ended.acquire(timeout=_TO_END)
         self.ident = mine
+
+    # -- lines -----------------------------------------------------------------------------------------
+
+    @property
+    def is_between_lines(self) -> bool:
+        """The calling thread is the task that runs, and no call that is due: it may wait."""
+        return self.ident == get_ident() and not self._is_choosing and not self.is_ending
+
+    def trace_lines(self, tracer: Tracer | None) -> None:
+        """Have the lines of all tasks traced from now on; None ends that, and puts back what there was before."""
+        self._tracer = tracer
+        if self.is_between_lines and self.running is not None:
+            self._follow(self.running)
+
+    def _follow(self, task: Task) -> None:
+        """Have the lines of the calling thread traced as those of the others are."""
+        if task.tracer is None:
+            task.before = sys.gettrace()
+        tracer = task.tracer = self._tracer
+        sys.settrace(task.before if tracer is None else tracer)
+        frame = None if tracer is None else sys._getframe()
+        while tracer is not None and frame is not None:
+            if frame.f_trace is None:
+                frame.f_trace = tracer(frame, "call", None)
+            frame = frame.f_back
 
     # -- inside ----------------------------------------------------------------------------------------
 
@@ -300,6 +339,8 @@ class Scheduler:
                 allocate_lock().acquire()
                 task.baton.acquire()
             raise Ended
+        if task.tracer is not self._tracer:
+            self._follow(task)
         if task.error is not None:
             error, task.error = task.error, None
             raise error

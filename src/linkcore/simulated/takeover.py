@@ -24,6 +24,7 @@ from typing import Any
 from ..errors import BadValue, LocalError
 from . import primitives
 from .network import Computer, Network, Route
+from .preemption import Preemption
 from .scheduler import STEP, Scheduler, current, install
 from .sockets import Poll, Selector, Socket, Sockets
 
@@ -161,6 +162,17 @@ class Simulation:
             raise BadValue(f"{text!r}: no such fault; there are {', '.join([*of_cables, *_OF_COMPUTERS])}")
         call: Callable[[], object] = getattr(there, name)
         return call
+
+    def preempt(self, *packages: str) -> None:
+        """Have threads make way from now on between two lines of these packages or modules, too; without one, no more.
+
+        So data races are tried that pass no lock, queue, socket or clock: `sim.preempt("my_cell", "urlink")`. It takes
+        about twice as long meanwhile; `at` begins and ends it at a time of the simulation. The seed decides in which
+        functions threads make way, so more seeds try more. Left alone is what modules call that keep a `threading.Lock`
+        from when they were imported, since that is a real one. A debugger, or coverage by `sys.settrace`, sees nothing
+        of the block meanwhile.
+        """
+        self._scheduler.trace_lines(Preemption(self._scheduler, packages, sys.modules).trace if packages else None)
 
     def stacks(self) -> str:
         """What every thread is doing."""

@@ -1,0 +1,147 @@
+"""Changes of threads between two lines of a program, which pass no lock, queue, socket or clock.
+
+CPython looks at whether another thread is to run where a function begins, after calls, and where a loop goes back. Here
+a thread makes way before a line, of functions that the seed draws: in few of them, but there often, so that a thread
+that looks at something and then sets it is interrupted in between by another one that does the same. Now and then it
+does not run for some milliseconds, as on a busy computer, which is long enough for the other one to be answered by a
+robot.
+
+Lines are counted for each function by itself, and only the first lines of statements that every version of Python
+traces alike. So what a process has done before, such as imports and what is kept in caches, does not move the others.
+"""
+
+from __future__ import annotations
+
+import _thread
+import ast
+import functools
+import math
+import random
+from collections.abc import Callable, Iterator
+from types import CodeType, FrameType, ModuleType
+from typing import Any
+
+from .scheduler import Scheduler, Tracer
+
+__all__ = ["Preemption"]
+
+#: Bounds of the share of functions in which threads make way; the seed draws it.
+_SHARE = (0.02, 0.5)
+#: Bounds of the mean number of lines between two such moments in one function; drawn for each.
+_LINES = (1.0, 50.0)
+#: How often a thread does not run for a while then, bounds of how long, and for how long altogether; s.
+_HELD, _HOLD, _ALL_HOLDS = 0.3, (1e-5, 2e-2), 0.3
+#: Functions of these keep a lock of the interpreter, or run between two steps of the scheduler: what they call is left
+#: alone. So is what a module calls that keeps a lock from when it was imported, which is not a simulated one.
+_WHOLE = ("linkcore.simulated", "importlib", "logging", "functools", "weakref", "_pytest")
+_LOCKS = (_thread.LockType, _thread.RLock)
+#: The first function of each simulated thread, which is of `linkcore.simulated`.
+_FIRST = "_take_part"
+#: Statements whose first line is traced once for each time that they are executed.
+_TRACED = (ast.Assign, ast.AugAssign, ast.AnnAssign, ast.Expr, ast.Return, ast.Raise, ast.Delete, ast.If)
+
+
+class Preemption:
+    """Has threads make way between lines.
+
+    Args:
+        scheduler: whose tasks they are.
+        packages: names of the packages, or modules, whose functions are drawn.
+        modules: the modules by name, as in `sys.modules`.
+    """
+
+    def __init__(self, scheduler: Scheduler, packages: tuple[str, ...], modules: dict[str, ModuleType]) -> None:
+        self._scheduler = scheduler
+        self._packages = packages
+        self._modules = modules
+        self._key = scheduler.random.random()
+        low, high = _SHARE
+        self._share = low * (high / low) ** scheduler.random.random()
+        self._left = _ALL_HOLDS
+        # By the id of a code, which is kept: its function of frames, or None where no thread makes way.
+        self._known: dict[int, tuple[CodeType, Tracer | None]] = {}
+        self._by_name: dict[str, Tracer | None] = {}
+
+    def trace(self, frame: FrameType, event: str, arg: object) -> Tracer | None:
+        """What `sys.settrace` is given: how the lines of a function that begins are traced."""
+        known = self._known.get(id(frame.f_code))
+        if known is None:
+            known = self._known[id(frame.f_code)] = (frame.f_code, self._draw(frame))
+        return known[1]
+
+    def _draw(self, frame: FrameType) -> Tracer | None:
+        module, name = frame.f_globals.get("__name__", ""), frame.f_code.co_name
+        # Comprehensions are functions or not, as the version is; what is deleted is so at any place.
+        if not _is_of(module, self._packages) or name.startswith("<") or name == "__del__":
+            return None
+        key = f"{self._key} {module} {name}"
+        if key not in self._by_name:
+            chance = random.Random(key)
+            self._by_name[key] = self._lines(chance) if chance.random() < self._share else None
+        return self._by_name[key]
+
+    def _lines(self, chance: random.Random) -> Tracer:
+        """Make way at a line now and then, in functions of one name in one module."""
+        low, high = _LINES
+        mean = low * (high / low) ** chance.random()
+        left = [1 + int(chance.expovariate(1.0 / mean))]
+        last = [0]
+
+        def trace(frame: FrameType, event: str, arg: object) -> Tracer:
+            line = frame.f_lineno
+            if event == "return":
+                last[0] = 0
+            if event != "line" or line == last[0] or line not in _statements(frame.f_code.co_filename):
+                return trace
+            last[0] = line
+            left[0] -= 1
+            if left[0] <= 0:
+                left[0] = 1 + int(chance.expovariate(1.0 / mean))
+                self._make_way(frame, chance)
+            return trace
+
+        return trace
+
+    def _make_way(self, frame: FrameType, chance: random.Random) -> None:
+        scheduler = self._scheduler
+        hold, low, high = chance.random(), *map(math.log, _HOLD)
+        seconds = math.exp(low + (high - low) * chance.random())
+        if not scheduler.is_between_lines or any(self._is_whole(each) for each in _callers(frame)):
+            return
+        if hold < _HELD and seconds < self._left:
+            self._left -= seconds
+            scheduler.wait(scheduler.now + seconds)
+        else:
+            scheduler.make_way()
+
+    def _is_whole(self, frame: FrameType) -> bool:
+        module = frame.f_globals.get("__name__", "")
+        if _is_of(module, _WHOLE):
+            return frame.f_code.co_name != _FIRST
+        return _is_of(module, self._packages) and _has_lock(self._modules.get(module))
+
+
+def _callers(frame: FrameType | None) -> Iterator[FrameType]:
+    while frame is not None:
+        yield frame
+        frame = frame.f_back
+
+
+def _is_of(module: str, packages: tuple[str, ...]) -> bool:
+    return any(module == each or module.startswith(f"{each}.") for each in packages)
+
+
+@functools.cache
+def _has_lock(module: ModuleType | None) -> bool:
+    return module is not None and any(isinstance(value, _LOCKS) for value in list(vars(module).values()))
+
+
+@functools.cache
+def _statements(path: str) -> frozenset[int]:
+    """The first lines of statements of a file that are counted."""
+    try:
+        with open(path, "rb") as file:
+            tree = ast.parse(file.read())
+    except (OSError, SyntaxError):
+        return frozenset()
+    return frozenset(node.lineno for node in ast.walk(tree) if isinstance(node, _TRACED))
