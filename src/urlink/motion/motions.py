@@ -35,6 +35,7 @@ from .point_stream import PointStream
 from .register_link import RegisterPort
 from .servo import Servo
 from .setpoints import Servoing
+from .softness import Softness
 from .speed_limit import check_joint_speeds, largest_speeds
 from .torque import Torque
 from .trajectory import Trajectory
@@ -624,54 +625,77 @@ class Motions(AnswersForeignNames):
 
     def impedance(
         self,
+        frame: FrameName = "joints",
         *,
         stiffness: ArrayLike | None = None,
         damping: ArrayLike = 1.0,
         torque: ArrayLike | None = None,
-        speed: ArrayLike = 1.0,
-        error: ArrayLike = 0.2,
+        speed: ArrayLike | None = None,
+        error: ArrayLike | None = None,
+        force: ArrayLike | None = None,
+        posture_stiffness: ArrayLike | None = None,
         friction_compensation: bool = True,
         watchdog: float = 0.5,
         link: LinkName = "reverse",
     ) -> Impedance:
-        """Springs and dampers between the arm and a target, from 5.23 and 10.11 on::
+        """Springs and dampers between the arm and a target::
 
             with robot.motion.impedance(stiffness=[800, 800, 400, 80, 80, 80]) as soft:
                 for q in policy:
                     soft.send(q)
+
+            with robot.motion.impedance("base", stiffness=[600, 600, 100, 30, 30, 30]) as soft:
+                for pose in policy:
+                    soft.send(pose)
 
         The program on the robot computes them in each cycle, and leads the arm evenly from one target to the next,
         however often they come. Where nothing has been sent, the arm is held where it is. No joint is driven faster
         than `speed`, nor over the end of its range; a push that is stronger than what brakes it may. At the end the
         springs are let go of within 0.2 s, and the arm stands.
 
+        From 5.23 and 10.11 on they act by direct torque. From 5.10 on an e-Series arm whose firmware is older yields by
+        the force that its wrist measures, with springs of the tool only: zero the sensor before.
+
         Args:
+            frame: "joints" for springs in the joints. "base" or "tool" for those of the tool, along and about the axes
+                of the base, or of the target; six numbers are then x, y, z, rx, ry, rz.
             stiffness: Nm/rad, of all joints or (6,) of each; 0 for a joint that is only damped. None for that of the
-                vendor's example of impedance control, which it has for UR3e, UR5e and UR10e.
-            damping: ratio, likewise; with 1 a joint would just not swing past its target.
-            torque: Nm of springs and dampers, likewise, up to half of what the joint can exert; None for about those of
-                the vendor's example. A joint that is too fast is braked with up to four times as much.
-            speed: rad/s, likewise; targets are approached with 0.7 of it.
-            error: rad, likewise, by which a spring is stretched at most: beyond, its torque does not grow.
+                vendor's example of impedance control, which it has for UR3e, UR5e and UR10e. Of the tool N/m and
+                Nm/rad; None for 500 and 30.
+            damping: ratio, likewise; with 1 a joint, or the tool along an axis, would just not swing past its target.
+            torque: Nm of springs and dampers in each joint, up to half of what it can exert; None for about those of
+                the vendor's example. A joint that is too fast is braked with up to four times as much. Springs of the
+                tool have so much, and what damps them may have more.
+            speed: rad/s, or of the tool m/s and rad/s; None for 1, or 0.25 and 0.8. Targets are approached with 0.7
+                of it.
+            error: rad, or m and rad, by which a spring is stretched at most: beyond, its force does not grow. None for
+                0.2, or 0.1 and 0.5.
+            force: N and Nm of the springs of the tool at most; None for 50 and 5.
+            posture_stiffness: Nm/rad of springs in the joints, beside those of the tool, to the posture of the target
+                (`Impedance.send`); None for 0.5. They decide where the tool is free to turn, and in singular poses.
             friction_compensation: whether the controller compensates the friction of the joints.
             watchdog: seconds without a word from this computer, which answers each state, after which the robot ends
                 it. It may be longer than your program is ever busy: what the arm does meanwhile is bounded anyway.
             link: see `follow`.
 
         Raises:
-            LocalError: this firmware has no direct torque, or the arm is not known.
+            BadValue: out of range; or of no effect with this frame, or this firmware.
+            LocalError: this firmware has neither direct torque nor a force sensor; or the arm is not known.
         """
-        return Impedance(
-            self._context,
+        check_choice(frame, "frame", get_args(FrameName))
+        softness = Softness(
+            frame,
             stiffness,
             damping,
             torque,
             speed,
             error,
+            force,
+            posture_stiffness,
             friction_compensation,
             watchdog,
-            self._opener(link),
         )
+        return Impedance(self._context, softness, self._opener(link))
 
     def _freedrive(
         self, axes: Sequence[object] | None, frame: Numbers | str, watchdog: float, link: LinkName

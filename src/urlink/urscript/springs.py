@@ -39,6 +39,8 @@ _APPROACH, MARGIN = 5.0, 0.02
 #: 1/s with which a joint that is too fast is braked, for its inertia at the beginning. Chosen: a cycle of 2 ms takes
 #: away 15 % of what is too much, so that it does not tremble where the inertia has become a sixth.
 _GRIP = 75.0
+#: s after which the inertia of the tool is looked at again, by which it is damped.
+_WEIGHING = 0.05
 #: 1/s of damping without any stiffness.
 LOOSE = 1.0
 #: s in which the springs are let go of.
@@ -261,6 +263,8 @@ def _of_tool(springs: Springs, tool: ToolSprings, cycle: float) -> str:
         loose=number(LOOSE),
         top=number(TOP),
         grip=number(_GRIP),
+        cycle=number(cycle),
+        weighing=str(round(_WEIGHING / cycle)),
         blend=number(cycle / _BLENDING),
         turned="  jacobian = axes * jacobian" if tool.in_tool else "",
         tool=_place(tool, _STAYS),
