@@ -253,8 +253,8 @@ DEFAULTS = {
     ),
     "robot.motion.force_mode": "kind=2, damping=None, gain=None, watchdog=0.5, link='reverse'",
     "robot.motion.impedance": (
-        "stiffness=None, damping=1.0, torque=None, speed=1.0, error=0.2, friction_compensation=True, watchdog=0.5, "
-        "link='reverse'"
+        "frame='joints', stiffness=None, damping=1.0, torque=None, speed=None, error=None, force=None, "
+        "posture_stiffness=None, friction_compensation=True, watchdog=0.5, link='reverse'"
     ),
     "robot.motion.jog": "frame='joints', acceleration=1.2, timeout=0.3, watchdog=0.2, link='reverse'",
     "robot.motion.move_circular": "speed=0.25, acceleration=1.2, wait=False",

@@ -69,6 +69,17 @@ RANGES: list[tuple[str, Call, float, float]] = [
     (r"torque\[4\] \(wrist 2\)", lambda m, x: m.impedance(torque=[1, 1, 1, 1, x, 1]), 0, UR5E.max_torque[4] / 2),
     (r"speed\[1\] \(shoulder\)", lambda m, x: m.impedance(speed=[1, x, 1, 1, 1, 1]), 0.01, UR5E.max_speed[1]),
     (r"error\[2\] \(elbow\)", lambda m, x: m.impedance(error=[1, 1, x, 1, 1, 1]), 0, 3),
+    (r"stiffness\[0\] \(x\)", lambda m, x: m.impedance("base", stiffness=[x, 1, 1, 1, 1, 1]), 0, 5000),
+    (r"stiffness\[5\] \(rz\)", lambda m, x: m.impedance("tool", stiffness=[1, 1, 1, 1, 1, x]), 0, 200),
+    (r"force\[2\] \(z\)", lambda m, x: m.impedance("base", force=[1, 1, x, 1, 1, 1]), 0, 200),
+    (r"error\[1\] \(y\)", lambda m, x: m.impedance("base", error=[0.1, x, 0.1, 0.1, 0.1, 0.1]), 0, 0.5),
+    (r"speed\[0\] \(x\)", lambda m, x: m.impedance("base", speed=[x, 0.1, 0.1, 0.1, 0.1, 0.1]), 0.01, 5),
+    (
+        r"posture_stiffness\[3\] \(wrist 1\)",
+        lambda m, x: m.impedance("tool", posture_stiffness=[1, 1, 1, x, 1, 1]),
+        0,
+        200,
+    ),
     (r"limits\[3\] \(wrist 1\)", lambda m, x: m.torque(limits=[1, 1, 1, x, 1, 1]), 0, UR5E.max_torque[3]),
 ]
 #: For an arm that nobody knows, whose joints have no limits that could be held against.
@@ -148,6 +159,7 @@ TRY: dict[str, Callable[[Any], object]] = {
     "axes": lambda m: m._freedrive([1, 0, 0, 0, 0, 0], "base", 0.5, "reverse"),
     "torque": lambda m: m.torque(),
     "impedance": lambda m: m.impedance(),
+    "impedance of the tool": lambda m: m.impedance("base"),
 }
 
 
@@ -167,6 +179,7 @@ TRY: dict[str, Callable[[Any], object]] = {
         ("torque", "10.10", "10.11"),
         ("impedance", "5.22", "5.23"),
         ("impedance", "10.10", "10.11"),
+        ("impedance of the tool", "5.9", "5.10"),
     ],
 )
 def test_the_first_firmware_that_has_it(

@@ -1,0 +1,168 @@
+"""The program of an arm that yields by the force that its wrist measures, as it is uploaded; and the call for both."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+import pytest
+
+import urlink
+from tests.urlink.motion.test_impedance import READY
+from tests.urlink.motion.test_tool_impedance import STIFFNESS, SoftTool, place
+from tests.urlink.motion.test_yielding_programs import LINK
+from urlink import poses
+from urlink.simulator import Controller, Plane, Still
+from urlink.urscript.springs import ToolSprings, admittance
+from urlink.urscript.wrapping import program
+
+
+class Yielding(SoftTool):
+    """An arm without direct torque, whose tool is on springs."""
+
+    def __init__(
+        self, firmware: str = "5.11", *, in_tool: bool = False, stiffness: tuple[float, ...] = STIFFNESS
+    ) -> None:
+        self.controller = Controller("UR5e", firmware, motion=Still(READY))
+        self.controller.step()
+        self.firmware, self.arm = self.controller.firmware, self.controller.arm
+        self.start = self.pose
+        self._count = self._number = 0
+        self._target = [0.0] * 6
+        body = admittance(
+            self.firmware,
+            LINK,
+            stiffness=stiffness,
+            damping=[1.0] * 6,
+            error=(0.1,) * 3 + (0.5,) * 3,
+            tool=ToolSprings(in_tool, (0.25,) * 3 + (0.8,) * 3, (50.0,) * 3 + (5.0,) * 3, (0.0,) * 6),
+            watchdog=0.5,
+        )
+        self.controller.take(program("tried", body, None).text)
+        self.go(0.1)
+
+
+@pytest.mark.parametrize(("axis", "in_tool"), [(axis, bool(axis % 2)) for axis in range(6)])
+def test_a_wrench_moves_the_tool_by_force_over_stiffness(axis: int, in_tool: bool) -> None:
+    soft = Yielding(in_tool=in_tool)
+    start = soft.pose
+    axes = poses.rotvec_to_matrix(start[3:]) if in_tool else np.eye(3)
+    wrench = np.zeros(6)
+    wrench[axis] = 8.0 if axis < 3 else 1.0
+    soft.controller.push([*(axes @ wrench[:3]), *(axes @ wrench[3:])])
+    soft.go(3.0)
+    moved = -soft.off(start)
+    moved = np.concatenate((axes.T @ moved[:3], axes.T @ moved[3:]))
+    expected = wrench / STIFFNESS
+    assert np.abs(moved - expected).max() < 0.05 * expected[axis]
+
+
+@pytest.mark.parametrize("firmware", ["5.10", "10.7"])
+def test_it_goes_where_it_is_led_and_rests_after_its_end(firmware: str) -> None:
+    soft = Yielding(firmware)
+    goal = place(soft.pose, 0.1, -0.05, 0.05, 0.0, 0.2, 0.5)
+    soft.lead(goal)
+    fastest = np.zeros(6)
+    for _ in range(1500):
+        soft.go()
+        fastest = np.maximum(fastest, np.abs(soft.jacobian @ soft.qd))
+    assert np.abs(soft.off(goal)).max() < 5e-3
+    assert fastest.max() < 0.8
+    soft.end(0.5)
+    assert not soft.is_running
+    rests = soft.q
+    soft.controller.push([0, 0, 30.0, 0, 0, 0])
+    soft.silent(0.2)
+    assert soft.q.tolist() == rests.tolist()
+
+
+@pytest.mark.parametrize("stiffness", [5e3, 2e4, 1e5])
+def test_it_rests_on_what_it_is_led_into_and_ends_there_without_a_leap(stiffness: float) -> None:
+    soft = Yielding(stiffness=(1000.0,) * 3 + (50.0,) * 3)
+    x, y, z = soft.pose[:3]
+    soft.controller.world.add(Plane((x, y, z), stiffness=stiffness))
+    goal = soft.pose
+    goal[2] -= 0.02
+    soft.lead(goal, 2.0)
+    forces = []
+    for _ in range(100):
+        soft.go()
+        forces.append(soft.arm.wrench[2])
+    expected = 20.0 / (1.0 + 1000.0 / stiffness)
+    assert np.mean(forces) == pytest.approx(expected, rel=0.1)
+    assert np.ptp(forces) < 0.05 * expected
+    height = soft.pose[2]
+    soft.end(0.002)
+    for _ in range(300):
+        soft.silent(0.002)
+        forces.append(soft.arm.wrench[2])
+    assert not soft.is_running
+    assert max(forces) < 1.1 * expected
+    assert soft.pose[2] - height < expected / stiffness + 0.001
+    assert not soft.is_stopped
+
+
+def test_it_ends_without_words() -> None:
+    soft = Yielding()
+    soft.lead(place(soft.pose, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0), 0.2)
+    soft.silent(0.4)
+    running = [soft.is_running]
+    soft.silent(1.0)
+    running.append(soft.is_running)
+    assert running == [True, False]
+    assert not soft.qd.any()
+
+
+@pytest.mark.simulated_time
+@pytest.mark.parametrize(("firmware", "frame"), [("5.25", "base"), ("5.25", "tool"), ("5.11", "base")])
+def test_one_call_for_both(firmware: str, frame: Literal["base", "tool"]) -> None:
+    with Controller("UR5e", firmware, motion=Still(READY)) as controller, urlink.connect(controller.address) as robot:
+        pose = robot.realtime.wait().tool_vector_actual.tolist()
+        goal = place(pose, 0.02, 0.0, 0.03, 0.0, 0.0, 0.2)
+        with robot.motion.impedance(frame, stiffness=[800, 800, 800, 40, 40, 40]) as soft:
+            before = soft.target
+            soft.send(goal)
+            assert before is None
+            assert soft.target is not None
+            np.testing.assert_allclose(soft.target, goal)
+            if firmware == "5.25":
+                assert soft.posture is not None
+                there = robot.identity.kinematics.inverse(goal, READY)
+                np.testing.assert_allclose(soft.posture, there, atol=1e-6)
+                soft.send(goal, posture=READY)
+                assert soft.posture.tolist() == list(READY)
+            else:
+                with pytest.raises(urlink.BadValue, match="posture"):
+                    soft.send(goal, posture=READY)
+            with pytest.raises(urlink.Unreachable):
+                soft.send([2.0, 0, 0, 0, 0, 0])
+            np.testing.assert_allclose(soft.target, goal)
+            soft.set_gains(stiffness=[900, 900, 900, 50, 50, 50])
+            robot.realtime.wait_until(
+                lambda state: np.linalg.norm(np.subtract(state.tool_vector_actual[:3], goal[:3])) < 0.004, timeout=20.0
+            )
+        assert soft.done
+
+
+@pytest.mark.simulated_time
+def test_what_cannot_act_is_refused() -> None:
+    for firmware, frame, what in (
+        ("5.11", "joints", "springs of the joints"),
+        ("5.9", "base", "from 5.10 on"),
+        ("3.15", "tool", "from 5.10 on"),
+    ):
+        name = "UR5" if firmware == "3.15" else "UR5e"
+        with (
+            Controller(name, firmware) as controller,
+            urlink.connect(controller.address) as robot,
+            pytest.raises(urlink.LocalError, match=what),
+        ):
+            robot.motion.impedance(frame)  # type: ignore[arg-type]
+    with Controller("UR5e", "5.11") as controller, urlink.connect(controller.address) as robot:
+        for given in ({"torque": 10.0}, {"posture_stiffness": 1.0}):
+            with pytest.raises(urlink.BadValue, match="no effect"):
+                robot.motion.impedance("base", **given)  # type: ignore[arg-type]
+    with Controller("UR5e", "5.25") as controller, urlink.connect(controller.address) as robot:
+        for given in ({"force": 10.0}, {"posture_stiffness": 1.0}):
+            with pytest.raises(urlink.BadValue, match="springs of the tool"):
+                robot.motion.impedance(**given)  # type: ignore[arg-type]
