@@ -142,6 +142,8 @@ ROS_GENERATORS = (
 
 #: adapter -> its extra, and what its tests need beside what it requires itself.
 ADAPTERS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "mqtt": ("", ()),
+    "prometheus": ("", ()),
     "rr": ("", ()),
     "ros2": ("[pypi]", ROS_GENERATORS),
     "zenoh": ("", ()),

@@ -27,6 +27,7 @@ MIDDLEWARES = {
     "std_srvs",
     "lerobot",
     "draccus",
+    "prometheus_client",
     "torch",
     "fastapi",
     "uvicorn",

@@ -28,6 +28,8 @@ _DISTRIBUTIONS = {
     "zenoh": ("urlink-zenoh", "a fleet over Zenoh: states as streams, commands as queries"),
     "rr": ("urlink-rr", "a Robot Raconteur robot service"),
     "ros2": ("urlink-ros2", "a ROS 2 node with topics, services and FollowJointTrajectory"),
+    "mqtt": ("urlink-mqtt", "a broker of MQTT: status as retained JSON, commands where they are allowed"),
+    "prometheus": ("urlink-prometheus", "metrics at an HTTP port: streams, safety, temperatures, programs"),
 }
 
 _DESCRIPTION = """\
@@ -172,10 +174,10 @@ def named(texts: Iterable[str]) -> dict[str, str]:
 
 def _listed(installed: Iterable[str]) -> list[str]:
     lines = [
-        f"{name:8} {summary} ({'installed' if name in installed else f'pip install {distribution}'})"
+        f"{name:10} {summary} ({'installed' if name in installed else f'pip install {distribution}'})"
         for name, (distribution, summary) in _DISTRIBUTIONS.items()
     ]
-    return lines + [f"{name:8} (installed)" for name in sorted(set(installed) - _DISTRIBUTIONS.keys())]
+    return lines + [f"{name:10} (installed)" for name in sorted(set(installed) - _DISTRIBUTIONS.keys())]
 
 
 def _missing(kind: str, installed: Iterable[str]) -> str:

@@ -50,9 +50,12 @@ def test_it_lists_which_distributions_there_are(run: Run, monkeypatch: pytest.Mo
     monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: [])
     status, out, err = run("serve")
     assert (status, err) == (0, "")
-    for distribution in ("urlink-zenoh", "urlink-rr", "urlink-ros2"):
+    for distribution in ("urlink-zenoh", "urlink-rr", "urlink-ros2", "urlink-mqtt", "urlink-prometheus"):
         assert f"pip install {distribution}" in out
-    for kind, says in (("rr", "pip install urlink-rr"), ("carrier-pigeon", "expected one of ros2, rr, zenoh")):
+    for kind, says in (
+        ("rr", "pip install urlink-rr"),
+        ("carrier-pigeon", "expected one of mqtt, prometheus, ros2, rr, zenoh"),
+    ):
         status, out, err = run("serve", kind, "sim://")
         assert (status, out) == (1, "")
         assert says in err
@@ -60,7 +63,7 @@ def test_it_lists_which_distributions_there_are(run: Run, monkeypatch: pytest.Mo
 
 @pytest.mark.real_time
 def test_an_adapter_is_listed_and_serves_robots_by_name(run: Run, entry: Entry) -> None:
-    assert "fake     (installed)" in run("serve")[1]
+    assert "fake       (installed)" in run("serve")[1]
     options = ("--duration", "0.1", "--topic", "hall", "--require-enable", "on_startup", "--watchdog", "2")
     status, out, err = run("serve", "fake", "arm=sim://ur5e?firmware=5.11", *options)
     assert (status, out) == (0, "serving arm over fake; Ctrl-C ends it\n")

@@ -1,0 +1,306 @@
+"""A robot as a broker of MQTT has it: one connection, whose last will says that nobody serves the robot any more."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import math
+import re
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from paho.mqtt.client import Client, MQTTMessage
+from paho.mqtt.enums import CallbackAPIVersion
+
+from urlink import BadValue, ConnectFailed, LinkError, LocalError, Motion, Robot
+
+from .commands import COMMANDS, MOTIONS, Asked, ServerClock, begin, read
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+__all__ = ["PREFIX", "Broker", "Server"]
+
+_log = logging.getLogger("urlink.mqtt")
+
+#: What all topics begin with, where nothing else is chosen.
+PREFIX = "urlink"
+#: s without a word after which broker and server take each other for lost, half as much again at the broker.
+_KEEPALIVE = 5
+#: s that the broker may take to answer when the server begins, and to take the last status when it ends.
+_SOON = 10.0
+#: Messages that wait while the broker is away: answers and ends of motions, none of which is a status.
+_QUEUED = 100
+#: One level of a topic, without wildcards.
+_LEVEL = re.compile(r"[A-Za-z0-9_.-]+")
+_FIELDS = ("q_actual", "qd_actual", "tool_vector_actual", "tcp_force", "motor_temperatures", "speed_scaling")
+_MODES = ("robot_mode", "safety_mode", "program_state")
+
+
+class Broker(NamedTuple):
+    """Where a broker is, and how to log in.
+
+    Attributes:
+        host: name or address.
+        port: None for 1883, or 8883 if it is encrypted.
+        user, password: None for none.
+        tls: encrypted, with the broker's certificate checked.
+        ca: file of certificates by which it is checked; None for those of the system.
+    """
+
+    host: str = "localhost"
+    port: int | None = None
+    user: str | None = None
+    password: str | None = None
+    tls: bool = False
+    ca: str | None = None
+
+
+class Server:
+    """Serves a robot over MQTT from now until it is closed; a context manager.
+
+    A motion ends when the client that asked for it is gone by its topic ``client/ID``, for which a last will is meant,
+    and when the broker is lost, since nobody could stop the arm then.
+
+    Args:
+        robot: is not closed with the server.
+        name: of the robot, one level of its topics.
+        broker: where it is.
+        prefix: what all topics begin with.
+        status_rate: status messages a second.
+        allow_commands: take commands; if not, each is refused.
+
+    Raises:
+        BadValue: a name that is no level of a topic, a rate that is not from 0.1 to 100, or no certificates in a file.
+        ConnectFailed: the broker cannot be reached within 10 s, or refuses.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        name: str,
+        broker: Broker,
+        *,
+        prefix: str = PREFIX,
+        status_rate: float = 5.0,
+        allow_commands: bool = False,
+    ) -> None:
+        if not _LEVEL.fullmatch(name) or not all(map(_LEVEL.fullmatch, prefix.split("/"))):
+            raise BadValue(f"{prefix}/{name} is no topic; expected levels of letters, digits, '_', '.' and '-'")
+        if not 0.1 <= status_rate <= 100:
+            raise BadValue(f"status_rate={status_rate!r}; expected 0.1 to 100 a second")
+        self.topic = f"{prefix}/{name}"
+        self._robot = robot
+        self._allows = allow_commands and _takes_commands(robot)
+        self._clock = ServerClock()
+        self._present: set[str] = set()
+        self._held: tuple[str, Motion] | None = None
+        self._ended = threading.Event()
+        self._answered = threading.Event()
+        self._refused = f"no answer within {_SOON:g} s"
+        # A stop never waits for another command to be sent.
+        self._stops, self._others = (ThreadPoolExecutor(1, f"{name} {lane}") for lane in ("stops", "commands"))
+        self._client = Client(CallbackAPIVersion.VERSION2)
+        self._client.max_queued_messages_set(_QUEUED)
+        self._client.reconnect_delay_set(1, 5)
+        self._client.on_connect = self._connected
+        self._client.on_disconnect = self._disconnected
+        self._client.on_message = self._heard
+        self._client.will_set(f"{self.topic}/status", json.dumps({"served": False}), qos=1, retain=True)
+        self._connect(broker)
+        self._teller = threading.Thread(
+            target=self._tell, args=(1.0 / status_rate,), name=f"{name} status", daemon=True
+        )
+        self._teller.start()
+
+    def _connect(self, broker: Broker) -> None:
+        where = f"{broker.host}:{broker.port or (8883 if broker.tls else 1883)}"
+        if broker.user is not None:
+            self._client.username_pw_set(broker.user, broker.password)
+        if broker.tls:
+            try:
+                self._client.tls_set(broker.ca)
+            except (OSError, ValueError) as error:
+                raise BadValue(f"{broker.ca}: {error}") from None
+        try:
+            self._client.connect(broker.host, int(where.rpartition(":")[2]), keepalive=_KEEPALIVE)
+        except (OSError, ValueError) as error:
+            raise ConnectFailed(f"no broker at {where}: {error}") from error
+        self._client.loop_start()
+        if not self._answered.wait(_SOON) or self._refused:
+            self._client.disconnect()
+            self._client.loop_stop()
+            raise ConnectFailed(f"no broker at {where}: {self._refused}")
+
+    def close(self) -> None:
+        """End the motion of a client, say that nobody serves the robot, and leave the broker; idempotent."""
+        if self._ended.is_set():
+            return
+        self._ended.set()
+        self._teller.join(_SOON)
+        for lane in (self._others, self._stops):
+            lane.shutdown(cancel_futures=True)
+        self._cancel()
+        with contextlib.suppress(ValueError, RuntimeError):  # the broker is away: it says the last will
+            self._put("status", {"served": False}, retain=True).wait_for_publish(1.0)
+        self._client.disconnect()
+        self._client.loop_stop()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    # -- what the robot says ---------------------------------------------------------------------------
+
+    def _put(self, topic: str, said: dict[str, Any], *, qos: int = 1, retain: bool = False) -> Any:
+        payload = json.dumps(_plain(said), allow_nan=False)
+        return self._client.publish(f"{self.topic}/{topic}", payload, qos=qos, retain=retain)
+
+    def _tell(self, period: float) -> None:
+        while not self._ended.wait(period):
+            try:
+                # Those that cannot be sent now are not worth sending later.
+                self._put("status", self._status(), qos=0, retain=True)
+            except LinkError as error:
+                _log.warning("%s: no status: %s", self.topic, error)
+
+    def _status(self) -> dict[str, Any]:
+        robot, state = self._robot, self._robot.realtime.latest
+        said: dict[str, Any] = {
+            "served": True,
+            "connection": robot.realtime.connection.value,
+            **self._clock.described(),
+        }
+        if self._allows:
+            refusal = robot.safety.refusal
+            held = self._held
+            said["refusal"] = None if refusal is None else str(refusal)
+            said["motion"] = None if held is None or held[1].done else _of_motion(*held)
+        if state is not None and state.received is not None:
+            said |= {"age": state.received.age, "received": state.received.wall}
+            said |= {name: getattr(state, name) for name in _FIELDS}
+            modes = {name: getattr(state, name) for name in _MODES}
+            said |= {name: None if mode is None else mode.name for name, mode in modes.items()}
+        return said
+
+    # -- what it is told: in the thread of the client, which must not be kept --------------------------
+
+    def _connected(self, client: Client, data: Any, flags: Any, reason: Any, properties: Any) -> None:
+        self._refused = str(reason) if reason.is_failure else ""
+        if not reason.is_failure:
+            # Here, so that it holds for the connection after a lost one too.
+            client.subscribe([(f"{self.topic}/command/+", 1), (f"{self.topic}/client/+", 1)])
+            identity = self._robot.identity
+            self._put(
+                "info",
+                {
+                    "model": identity.model,
+                    "firmware": str(identity.firmware),
+                    "commands": ["cancel", "stop", *sorted(COMMANDS)] if self._allows else [],
+                },
+                retain=True,
+            )
+        self._answered.set()
+
+    def _disconnected(self, client: Client, data: Any, flags: Any, reason: Any, properties: Any) -> None:
+        self._present.clear()
+        with contextlib.suppress(RuntimeError):  # closed
+            self._stops.submit(self._cancel)
+
+    def _heard(self, client: Client, data: Any, message: MQTTMessage) -> None:
+        kind, name = message.topic.removeprefix(f"{self.topic}/").split("/", 1)
+        with contextlib.suppress(RuntimeError):  # closed
+            if kind == "client" and message.payload:
+                self._present.add(name)
+            elif kind == "client":
+                self._present.discard(name)
+                self._stops.submit(self._lost, name)
+            elif not message.retain:  # said before somebody was here: nobody waits for it now
+                lane = self._stops if name in ("stop", "cancel") else self._others
+                lane.submit(self._carry_out, name, bytes(message.payload))
+
+    # -- in the lanes ----------------------------------------------------------------------------------
+
+    def _carry_out(self, name: str, payload: bytes) -> None:
+        asked, said = Asked(), {}
+        try:
+            # What cannot be read stops the arm all the same.
+            with contextlib.suppress(*((BadValue,) if name in ("stop", "cancel") else ())):
+                asked = read(payload)
+            said = self._done(name, asked)
+        except Exception as error:
+            if not isinstance(error, LinkError):
+                _log.exception("%s: %s failed", self.topic, name)
+            said = _failed(error)
+        self._put("answer", {"client": asked.client, "id": asked.id, "command": name, "error": None, **said})
+
+    def _done(self, name: str, asked: Asked) -> dict[str, Any]:
+        if not self._allows:
+            raise LocalError("this server takes no commands: --allow-commands, and not --read-only, lets it")
+        if name == "cancel":
+            self._cancel()
+        elif name == "stop":
+            self._robot.motion.stop()
+        elif name not in MOTIONS:
+            self._clock.check(asked)
+            begin(self._robot, name, asked.arguments)
+        else:
+            return self._moved(name, asked)
+        return {"phase": "done"}
+
+    def _moved(self, name: str, asked: Asked) -> dict[str, Any]:
+        client = asked.client
+        if client not in self._present:
+            raise LocalError(f"a motion needs a client that is there: a retained message in {self.topic}/client/ID")
+        held = self._held
+        if held is not None and held[0] != client and not held[1].done:
+            raise LocalError(f"client {held[0]} moves the arm ({held[1].name}); it is not preempted by another")
+        self._clock.check(asked)
+        motion: Motion = begin(self._robot, name, asked.arguments)
+        self._held = (client, motion)
+        if client not in self._present or not self._client.is_connected():  # gone while it was sent
+            motion.cancel()
+        self._put("motion", {"id": asked.id, **_of_motion(client, motion)})
+        motion.add_done_callback(lambda motion: self._put("motion", {"id": asked.id, **_of_motion(client, motion)}))
+        return {"phase": motion.phase.value}
+
+    def _lost(self, client: str) -> None:
+        if self._held is not None and self._held[0] == client:
+            self._cancel()
+
+    def _cancel(self) -> None:
+        held = self._held
+        if held is not None:
+            held[1].cancel()
+
+
+def _takes_commands(robot: Robot) -> bool:
+    try:
+        return robot.motion is not None
+    except LocalError:
+        return False
+
+
+def _of_motion(client: str, motion: Motion) -> dict[str, Any]:
+    failed = {"error": None} if motion.error is None else _failed(motion.error)
+    return {"client": client, "name": motion.name, "phase": motion.phase.value, "progress": motion.progress, **failed}
+
+
+def _failed(error: BaseException) -> dict[str, Any]:
+    return {"error": type(error).__name__ if isinstance(error, LinkError) else "LocalError", "message": str(error)}
+
+
+def _plain(value: Any) -> Any:
+    """What JSON holds: what is no number is null."""
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: _plain(each) for key, each in value.items()}
+    return [_plain(each) for each in value] if isinstance(value, (list, tuple)) else value

@@ -1,0 +1,81 @@
+"""A client with its own connection to the broker."""
+
+from __future__ import annotations
+
+import json
+import os
+import queue
+import socket
+from typing import Any
+
+from paho.mqtt.client import Client
+from paho.mqtt.enums import CallbackAPIVersion
+
+from tests.waiting import until
+
+__all__ = ["Panel"]
+
+
+#: What clients say.
+_ASKED = ("urlink/arm/command/", "urlink/arm/client/")
+
+
+class Panel:
+    """What a client has heard, and what it asks for.
+
+    Attributes:
+        heard: topic -> everything that came, in order.
+    """
+
+    def __init__(self, port: int, name: str = "panel", *, is_there: bool = True) -> None:
+        self.name = name
+        self.heard: dict[str, list[Any]] = {}
+        self._answers: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
+        self.mqtt = Client(CallbackAPIVersion.VERSION2)
+        self.mqtt.will_set(f"urlink/arm/client/{name}", b"", qos=1, retain=True)
+        self.mqtt.on_message = self._came
+        self.mqtt.connect("127.0.0.1", port, keepalive=5)
+        self.mqtt.loop_start()
+        self.mqtt.subscribe("urlink/#", 1)
+        until(self.mqtt.is_connected)
+        if is_there:
+            self.mqtt.publish(f"urlink/arm/client/{name}", b"here", qos=1, retain=True).wait_for_publish(10.0)
+
+    def _came(self, client: Client, data: Any, message: Any) -> None:
+        said = message.payload if message.topic.startswith(_ASKED) else json.loads(message.payload)
+        self.heard.setdefault(message.topic, []).append(said)
+        if message.topic == "urlink/arm/answer" and said["client"] == self.name:
+            self._answers.put(said)
+
+    @property
+    def status(self) -> dict[str, Any]:
+        """The newest."""
+        until(lambda: "urlink/arm/status" in self.heard)
+        found: dict[str, Any] = self.heard["urlink/arm/status"][-1]
+        return found
+
+    def of(self, topic: str) -> list[Any]:
+        return self.heard.get(f"urlink/arm/{topic}", [])
+
+    def send(self, name: str, arguments: dict[str, Any], **changed: Any) -> None:
+        until(lambda: self.status.get("server"))
+        status = self.status
+        asked = {"client": self.name, "id": "1", "server": status["server"], "time": status["time"], "age": 30.0}
+        payload = json.dumps({**asked, "arguments": arguments, **changed})
+        self.mqtt.publish(f"urlink/arm/command/{name}", payload, qos=1)
+
+    def ask(self, name: str, arguments: dict[str, Any] | None = None, **changed: Any) -> dict[str, Any]:
+        self.send(name, arguments or {}, **changed)
+        return self._answers.get(timeout=30.0)
+
+    def lose(self) -> None:
+        """Lost, rather than gone in order: the broker says its last will."""
+        connection = self.mqtt.socket()
+        assert connection is not None
+        self.mqtt.reconnect_delay_set(60, 60)
+        with socket.socket(fileno=os.dup(connection.fileno())) as same:
+            same.shutdown(socket.SHUT_RDWR)
+
+    def close(self) -> None:
+        self.mqtt.disconnect()
+        self.mqtt.loop_stop()

@@ -1,0 +1,142 @@
+"""The metrics of robots, computed when somebody scrapes: nothing is kept that could be old.
+
+Each has the label ``robot``. What a robot does not tell, or has not told yet, is left out rather than shown as zero:
+temperatures of an arm that is lost are absent, and ``urlink_connected`` is 0.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Mapping
+
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily, StateSetMetricFamily
+from prometheus_client.metrics_core import Metric
+from prometheus_client.registry import Collector
+
+from urlink import ConnectionState, LinkError, Robot
+from urlink.packets import ProgramState, RealtimeState, SafetyMode
+
+__all__ = ["RobotCollector"]
+
+#: Streams whose counters are shown.
+_STREAMS = ("realtime", "primary")
+#: Counter of a stream -> what it counts. `missed` is None where the packets have no clock.
+_COUNTERS = {
+    "received": "packets that came off the wire",
+    "failed": "packets that could not be decoded",
+    "missed": "packets that never came, by the controller's own clock",
+    "reconnects": "connections after the first",
+    "bytes": "bytes received",
+    "skipped": "bytes thrown away while looking for a lost frame boundary",
+    "unknown": "packets, or parts of one, of a type that no layout is known for",
+}
+_JOINTS = ("base", "shoulder", "elbow", "wrist_1", "wrist_2", "wrist_3")
+#: Field of the real-time interface -> metric, what it is, and the label of its values; None for a single one.
+_FIELDS: Mapping[str, tuple[str, str, tuple[str, ...] | None]] = {
+    "motor_temperatures": ("urlink_motor_temperature_celsius", "temperature of a joint's motor", _JOINTS),
+    "I_actual": ("urlink_joint_current_amperes", "current of a joint", _JOINTS),
+    "q_actual": ("urlink_joint_position_radians", "position of a joint", _JOINTS),
+    "tcp_force": ("urlink_tcp_force_newtons", "force at the tool", ("x", "y", "z")),
+    "speed_scaling": ("urlink_speed_scaling_ratio", "speed at which a program runs, 0 to 1", None),
+    "V_main": ("urlink_main_voltage_volts", "voltage of the mainboard", None),
+    "I_robot": ("urlink_robot_current_amperes", "current of the robot", None),
+}
+_MODES = {
+    "safety_mode": ("urlink_safety_mode", "safety mode of the controller", SafetyMode),
+    "program_state": ("urlink_program_state", "state of the program", ProgramState),
+}
+
+
+class RobotCollector(Collector):
+    """What Prometheus asks at each scrape; a robot's streams are kept up while it is open.
+
+    Args:
+        robots: name -> robot; they are not closed with it.
+    """
+
+    def __init__(self, robots: Mapping[str, Robot]) -> None:
+        self._robots = dict(robots)
+        self._subscriptions = [
+            getattr(robot, stream).subscribe(lambda packet: None)
+            for robot in self._robots.values()
+            for stream in _STREAMS
+        ]
+
+    def close(self) -> None:
+        """Keep the streams up no more; idempotent."""
+        for subscription in self._subscriptions:
+            subscription.close()
+
+    def describe(self) -> list[Metric]:
+        """None beforehand: nothing is scraped when it is registered."""
+        return []
+
+    def collect(self) -> Iterator[Metric]:
+        """All metrics, of now."""
+        yield from self._of_robots()
+        yield from self._of_streams()
+        states = {name: robot.realtime.latest for name, robot in self._robots.items()}
+        known = {name: state for name, state in states.items() if state is not None}
+        for field, (metric, what, labels) in _FIELDS.items():
+            yield _gauges(metric, what, labels, {name: getattr(state, field) for name, state in known.items()})
+        yield from _modes(known)
+
+    def _of_robots(self) -> Iterator[Metric]:
+        about = InfoMetricFamily("urlink_robot", "model and firmware", labels=["robot"])
+        connected = GaugeMetricFamily("urlink_connected", "1 while the robot is heard", labels=["robot"])
+        for name, robot in self._robots.items():
+            is_connected = robot.realtime.connection is ConnectionState.CONNECTED
+            connected.add_metric([name], float(is_connected))
+            with contextlib.suppress(LinkError):  # it has not said yet
+                about.add_metric([name], {"model": robot.model or "", "firmware": str(robot.firmware)})
+        yield about
+        yield connected
+
+    def _of_streams(self) -> Iterator[Metric]:
+        labels = ["robot", "stream"]
+        families = {
+            counter: CounterMetricFamily(f"urlink_stream_{counter}", what, labels=labels)
+            for counter, what in _COUNTERS.items()
+        }
+        rate = GaugeMetricFamily("urlink_stream_rate_hertz", "packets a second over the last second", labels=labels)
+        age = GaugeMetricFamily("urlink_stream_age_seconds", "time since the last packet was read", labels=labels)
+        gap = GaugeMetricFamily(
+            "urlink_stream_longest_gap_seconds", "longest gap by the controller's clock", labels=labels
+        )
+        for name, robot in self._robots.items():
+            for stream in _STREAMS:
+                statistics = getattr(robot, stream).stats
+                for counter, family in families.items():
+                    value = getattr(statistics, counter)
+                    if value is not None:
+                        family.add_metric([name, stream], float(value))
+                rate.add_metric([name, stream], statistics.rate)
+                gap.add_metric([name, stream], statistics.longest_gap)
+                if statistics.age is not None:
+                    age.add_metric([name, stream], statistics.age)
+        yield from (*families.values(), rate, gap, age)
+
+
+def _gauges(metric: str, what: str, labels: tuple[str, ...] | None, values: Mapping[str, object]) -> GaugeMetricFamily:
+    axis = "joint" if labels is _JOINTS else "axis"
+    family = GaugeMetricFamily(metric, what, labels=["robot", *((axis,) if labels else ())])
+    for name, value in values.items():
+        if value is None:  # this firmware does not send it
+            continue
+        if labels is None:
+            family.add_metric([name], float(value))  # type: ignore[arg-type]
+        else:
+            for label, each in zip(labels, value, strict=False):  # type: ignore[call-overload]
+                family.add_metric([name, label], float(each))
+    return family
+
+
+def _modes(known: Mapping[str, RealtimeState]) -> Iterator[StateSetMetricFamily]:
+    """Each mode as a set of states, of which the one that holds is 1."""
+    for field, (metric, what, kind) in _MODES.items():
+        family = StateSetMetricFamily(metric, what, labels=["robot"])
+        for name, state in known.items():
+            mode = getattr(state, field)
+            if mode is not None:
+                family.add_metric([name], {each.name.lower(): each is mode for each in kind})
+        yield family
