@@ -146,7 +146,7 @@ ADAPTERS: dict[str, tuple[str, tuple[str, ...]]] = {
     "prometheus": ("", ()),
     "rr": ("", ()),
     "ros2": ("[pypi]", ROS_GENERATORS),
-    "zenoh": ("", ()),
+    "zenoh": ("", ("jsonschema",)),
 }
 
 

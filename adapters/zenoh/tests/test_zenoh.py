@@ -209,7 +209,7 @@ def test_a_motion_needs_a_client_that_is_alive_and_is_not_preempted_by_another(
         until(lambda: urlink_robot.motion.current is None)
         with pytest.raises(urlink.LocalError, match="no client is alive"):
             second.call("move_joints", q=HOME)
-    replies = list(session.get("urlink/arm/command/move_joints", payload=b'{"q": [0,0,0,0,0,0]}', timeout=2.0))
+    replies = list(session.get("urlink/v1/arm/command/move_joints", payload=b'{"q": [0,0,0,0,0,0]}', timeout=2.0))
     assert b"needs a client" in bytes(replies[0].err.payload) if replies[0].err else False
     assert urlink_robot.motion.current is None
 
@@ -444,7 +444,7 @@ def test_a_robot_that_is_lost_and_comes_back(
 ) -> None:
     events: list[str] = []
     came: list[Sample] = []
-    listener = session.declare_subscriber("urlink/arm/connection", lambda sample: events.append(str(sample.payload)))
+    listener = session.declare_subscriber("urlink/v1/arm/connection", lambda sample: events.append(str(sample.payload)))
     with RemoteRobot(session, "arm") as remote, remote.watch(came.append):
         until(lambda: came)
         urlink_controller.faults.reboot()
@@ -492,7 +492,7 @@ def test_serve_from_the_command_line(router: zenoh.Session, endpoint: str, sessi
         with RemoteRobot(session, "right") as remote:
             assert remote.info["model"] == "UR10"
         gone = threading.Event()
-        session.liveliness().declare_subscriber("urlink/left/alive", lambda _: gone.set())
+        session.liveliness().declare_subscriber("urlink/v1/left/alive", lambda _: gone.set())
         process.send_signal(signal.SIGTERM)
         assert process.wait(10.0) == 128 + signal.SIGTERM
         assert gone.wait(5.0)

@@ -18,7 +18,7 @@ from urlink.packets import RealtimeState, Stamp, State
 
 from .description import json_of
 from .expiry import LARGEST_AGE
-from .keys import JSON, PREFIX, check_name, firmware_of, stamped
+from .keys import JSON, PREFIX, check_name, firmware_of, key_of, stamped
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -102,7 +102,7 @@ class Watch:
 
 def robots(session: zenoh.Session, *, prefix: str = PREFIX, timeout: float = 2.0) -> list[str]:
     """The names of the robots that are served now."""
-    replies = session.liveliness().get(f"{prefix}/*/alive", timeout=timeout)
+    replies = session.liveliness().get(f"{key_of(prefix, '*')}/alive", timeout=timeout)
     return sorted({str(reply.ok.key_expr).split("/")[-2] for reply in replies if reply.ok is not None})
 
 
@@ -126,7 +126,7 @@ class RemoteRobot:
         self.client = uuid.uuid4().hex
         self.name = name
         self._session = session
-        self._key = f"{prefix}/{check_name(name)}"
+        self._key = key_of(prefix, check_name(name))
         self._timeout = timeout
         self._token = session.liveliness().declare_token(f"{self._key}/client/{self.client}")
         self._is_closed = False

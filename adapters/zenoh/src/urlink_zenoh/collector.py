@@ -17,7 +17,7 @@ from urlink import ConnectionEvent, ConnectionLost, ConnectionState, LinkError, 
 from urlink.packets import Chunk, RealtimeState, Stamp, State
 
 from .client import RemoteRobot, Sample, Watch
-from .keys import PREFIX
+from .keys import PREFIX, key_of
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -116,8 +116,8 @@ class Collector:
         self._waiting: queue.SimpleQueue[Sample | tuple[str, bool] | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._write, name="urlink-zenoh collector", daemon=True)
         self._thread.start()
-        self._watch = Watch(session, f"{prefix}/*/{interface}", self._waiting.put)
-        self._alive = session.liveliness().declare_subscriber(f"{prefix}/*/alive", self._seen)
+        self._watch = Watch(session, f"{key_of(prefix, '*')}/{interface}", self._waiting.put)
+        self._alive = session.liveliness().declare_subscriber(f"{key_of(prefix, '*')}/alive", self._seen)
 
     @property
     def robots(self) -> dict[str, Collected]:
@@ -165,7 +165,7 @@ class Collector:
         """The recording of a robot, made when its first packet comes."""
         file = self._files.get(name)
         if file is None:
-            info = {"name": self._interface, "address": f"zenoh:{self._prefix}/{name}"}
+            info = {"name": self._interface, "address": f"zenoh:{key_of(self._prefix, name)}"}
             with RemoteRobot(self._session, name, prefix=self._prefix) as robot:
                 said = robot.info
             info |= said["recording"]

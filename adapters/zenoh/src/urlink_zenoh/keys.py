@@ -1,7 +1,7 @@
-"""The name space: keys, encodings, and what stands beside a payload.
+"""The name space: keys, encodings, and what stands beside a payload; `keys.json` has a schema for each payload.
 
 ==================================  ===================================================================
-key, below ``urlink/NAME``          what it is
+key, below ``urlink/v1/NAME``       what it is
 ==================================  ===================================================================
 ``alive``                           liveliness token of whoever serves the robot
 ``info``                            JSON: who the robot is, and the layout of its packets
@@ -27,10 +27,12 @@ import zenoh
 from urlink import BadValue
 from urlink.packets import Stamp
 
-__all__ = ["JSON", "PREFIX", "attachment", "check_name", "firmware_of", "packets_of", "stamped"]
+__all__ = ["JSON", "PREFIX", "VERSION", "attachment", "check_name", "firmware_of", "key_of", "packets_of", "stamped"]
 
 #: What all keys begin with, where nothing else is chosen.
 PREFIX = "urlink"
+#: Of keys and payloads, a part of every key: it changes where a client of those before would read them wrongly.
+VERSION = 1
 JSON = zenoh.Encoding.APPLICATION_JSON
 
 _BYTES = zenoh.Encoding.APPLICATION_OCTET_STREAM
@@ -48,6 +50,11 @@ def check_name(name: str) -> str:
     if not re.fullmatch(r"[A-Za-z0-9_.-]+", name):
         raise BadValue(f"{name!r} cannot be part of a key; expected letters, digits, '_', '.' and '-'")
     return name
+
+
+def key_of(prefix: str, name: str) -> str:
+    """What the keys of a robot begin with; of all robots with ``*`` as their name."""
+    return f"{prefix}/v{VERSION}/{name}"
 
 
 def packets_of(interface: str, firmware: object) -> zenoh.Encoding:

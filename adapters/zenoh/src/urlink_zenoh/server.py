@@ -21,7 +21,7 @@ from .clients import Clients
 from .commands import COMMANDS, Kind, failed, read_arguments
 from .description import described, json_of, status_of
 from .expiry import Expiry
-from .keys import JSON, PREFIX, attachment, check_name, packets_of
+from .keys import JSON, PREFIX, attachment, check_name, key_of, packets_of
 from .publication import Publication
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ class Server:
         self._stack = contextlib.ExitStack()
         try:
             for name, robot in robots.items():
-                served = _Served(session, f"{prefix}/{check_name(name)}", robot, rate, interfaces, watchdog)
+                served = _Served(session, key_of(prefix, check_name(name)), robot, rate, interfaces, watchdog)
                 self._served.append(served)
                 self._stack.callback(served.close)
         except BaseException:

@@ -1,0 +1,168 @@
+"""What is published and answered is what `keys.json` says, and a router lets each certificate do what its name may."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import re
+import shutil
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+
+import urlink
+import urlink_zenoh
+from tests.waiting import until
+from urlink.simulator import Controller
+from urlink_zenoh import RemoteRobot, Sample, Server, keys, open_session, robots
+
+jsonschema = pytest.importorskip("jsonschema")
+
+#: The simulated arm of these tests. What is silent or late here is so because the machine is busy.
+pytestmark = pytest.mark.urlink(
+    model="UR5e", firmware="5.11", connect={"silence": 20.0, "stale_after": 20.0, "start_timeout": 20.0}
+)
+
+HOME = [0.0, -1.5, 1.5, -1.5, -1.5, 0.0]
+EXAMPLES = Path(__file__).parents[1] / "examples"
+SCHEMA: dict[str, Any] = json.loads(Path(keys.__file__).with_name("keys.json").read_text(encoding="utf-8"))
+
+
+def check(key: str, value: Any, what: str = "payload") -> None:
+    """A value is what the schema says of a key."""
+    schema = {"$schema": SCHEMA["$schema"], "$defs": SCHEMA["$defs"], **SCHEMA["keys"][key][what]}
+    jsonschema.Draft202012Validator(schema).validate(value)
+
+
+def test_the_schema_has_the_version_and_the_keys_of_the_module() -> None:
+    assert SCHEMA["version"] == keys.VERSION
+    assert keys.key_of("hall/3", "arm") == f"hall/3/v{keys.VERSION}/arm"
+    named = re.findall(r"``([\w/]+)``", (keys.__doc__ or "").partition("All but")[0])
+    assert set(named) - {f"urlink/v{keys.VERSION}/NAME"} == SCHEMA["keys"].keys()
+    jsonschema.Draft202012Validator.check_schema({**SCHEMA, "keys": {}})
+
+
+def test_everything_in_json_is_as_the_schema_says(
+    server: Server, session: zenoh.Session, urlink_controller: Controller
+) -> None:
+    heard: dict[str, list[Any]] = {}
+    listener = session.declare_subscriber(
+        "urlink/v1/arm/*",
+        lambda sample: heard.setdefault(str(sample.key_expr).rpartition("/")[2], []).append(bytes(sample.payload)),
+    )
+    with RemoteRobot(session, "arm") as remote:
+        check("info", remote.info)
+        check("status", remote.status)
+        (reply,) = session.get("urlink/v1/arm/clock", timeout=5.0)
+        assert reply.ok is not None
+        check("clock", json.loads(bytes(reply.ok.payload)), "reply")
+        check("command/COMMAND", remote.call("move_joints", q=HOME, wait=True), "reply")
+        check("command/COMMAND", remote.call("set_speed_slider", fraction=1.0, confirm=20.0), "reply")
+        (refused,) = session.get("urlink/v1/arm/command/dance", timeout=5.0)
+        assert refused.err is not None
+        check("command/COMMAND", json.loads(bytes(refused.err.payload)), "error")
+        urlink_controller.faults.protective_stop()
+        until(lambda: remote.status["refusal"])
+        (stopped,) = session.get(
+            f"urlink/v1/arm/command/move_joints?client={remote.client}", payload=b"{}", timeout=5.0
+        )
+        assert stopped.err is not None
+        check("command/COMMAND", json.loads(bytes(stopped.err.payload)), "error")
+        urlink_controller.faults.clear()
+        urlink_controller.faults.cut("realtime")
+        until(lambda: len(heard.get("connection", [])) > 1)
+        until(lambda: len(heard.get("status", [])) > 20)
+    listener.undeclare()
+    assert len(heard["motion"]) == 2
+    for key in ("status", "motion", "connection"):
+        for payload in heard[key]:
+            check(key, json.loads(payload))
+
+
+@pytest.mark.parametrize("wrong", [{"connection": "connected"}, {"q": [0.0]}, {"speed": 1.0}])
+def test_the_schema_refuses_what_is_none(wrong: dict[str, Any]) -> None:
+    with pytest.raises(jsonschema.ValidationError):
+        check(
+            "status", {"age": 0.0, "refusal": None, **({} if "connection" in wrong else {"connection": "x"}), **wrong}
+        )
+
+
+# -- who may do what -------------------------------------------------------------------------------
+
+Opened = Callable[[str], zenoh.Session]
+
+
+@pytest.fixture
+def opened(tmp_path: Path, endpoint: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Opened]:
+    """The router of the example runs; opens a session by the certificate of a name."""
+    if shutil.which("openssl") is None:
+        pytest.skip("there is no openssl")
+    made = ["sh", str(EXAMPLES / "certificates.sh"), "127.0.0.1"]
+    subprocess.run(made, cwd=tmp_path, check=True, capture_output=True, timeout=60)
+    monkeypatch.chdir(tmp_path)
+    where = endpoint.replace("tcp/", "tls/")
+
+    def config(example: str, name: str = "reader") -> Path:
+        text = (EXAMPLES / example).read_text(encoding="utf-8")
+        path = tmp_path / f"{name}-{example}"
+        text = re.sub(r"tls/[\w.]+:7447", where, text).replace("certificates/reader.", f"certificates/{name}.")
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(open_session(config=config("router.json5")))
+        yield lambda name: stack.enter_context(open_session(config=config("client.json5", name), timeout=3.0))
+
+
+def test_a_certificate_may_do_what_its_name_may(opened: Opened, urlink_robot: urlink.Robot) -> None:
+    with Server(opened("server"), {"arm": urlink_robot}):
+        reader, operator = opened("reader"), opened("operator")
+        came: list[Sample] = []
+        until(lambda: robots(reader) == ["arm"])
+        with RemoteRobot(reader, "arm", timeout=2.0) as remote, remote.watch(came.append):
+            until(lambda: len(came) > 20)
+            until(lambda: "q" in remote.status)
+            for command in ("move_joints", "stop"):
+                with pytest.raises(urlink.LinkTimeout):
+                    remote.call(command, q=HOME)
+            assert list(reader.get("urlink/v1/arm/command/stop", timeout=2.0)) == []
+        assert urlink_robot.motion.current is None
+        with RemoteRobot(operator, "arm") as remote:
+            assert remote.call("move_joints", q=HOME, wait=True)["phase"] == "done"
+        # An operator is no server: what it publishes as a robot reaches nobody.
+        heard: list[bytes] = []
+        listener = reader.declare_subscriber("urlink/v1/arm/status", lambda sample: heard.append(bytes(sample.payload)))
+        until(lambda: heard)
+        operator.put("urlink/v1/arm/status", b"forged")
+        count = len(heard)
+        until(lambda: len(heard) > count + 10)
+        assert b"forged" not in heard
+        listener.undeclare()
+
+
+def test_who_has_no_certificate_is_not_let_in(opened: Opened, tmp_path: Path) -> None:
+    strange = tmp_path / "strange"
+    strange.mkdir()
+    made = ["sh", str(EXAMPLES / "certificates.sh"), "127.0.0.1"]
+    subprocess.run(made, cwd=strange, check=True, capture_output=True, timeout=60)
+    for end in ("pem", "key"):
+        shutil.copy(strange / "certificates" / f"reader.{end}", tmp_path / "certificates" / f"stranger.{end}")
+    with pytest.raises(urlink.ConnectFailed):
+        opened("stranger")
+
+
+def test_a_name_that_the_router_does_not_know_hears_nothing(opened: Opened, urlink_robot: urlink.Robot) -> None:
+    with Server(opened("server"), {"arm": urlink_robot}):
+        until(lambda: robots(opened("reader")) == ["arm"])
+        # The router's own certificate is a good one, and stands in no rule.
+        other = opened("router")
+        assert robots(other) == []
+        assert list(other.get("urlink/v1/arm/status", timeout=2.0)) == []
+
+
+def test_the_package_has_the_schema() -> None:
+    assert Path(urlink_zenoh.__file__).with_name("keys.json").is_file()
