@@ -50,7 +50,7 @@ from .threads import CallbackThread
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-__all__ = ["AFTER", "TRANSITIONS", "Event", "Handle", "Lifecycle", "Mark", "Motion", "Phase"]
+__all__ = ["AFTER", "TRANSITIONS", "Event", "Handle", "Lifecycle", "Motion", "Occurrence", "Phase"]
 
 _log = logging.getLogger(__name__)
 
@@ -101,7 +101,7 @@ AFTER: Mapping[Event, Event] = MappingProxyType(
 )
 
 
-class Mark(NamedTuple):
+class Occurrence(NamedTuple):
     """That an event has happened.
 
     Attributes:
@@ -141,7 +141,7 @@ class Lifecycle:
         self._callbacks = callbacks
         self._waiting = waiting
         #: by event; what has ended it under None, whichever it was
-        self._marks: dict[Event | None, Mark] = {}
+        self._marks: dict[Event | None, Occurrence] = {}
         self._future: Future[None] = Future()
         # So that a task that is cancelled while it awaits cannot cancel the future instead of the motion.
         self._future.set_running_or_notify_cancel()
@@ -159,7 +159,7 @@ class Lifecycle:
             return _ENDS[end.event]
         return Phase.RUNNING if Event.BEGIN in self._marks else Phase.SENT
 
-    def happened(self, event: Event) -> Mark | None:
+    def happened(self, event: Event) -> Occurrence | None:
         """That this has happened, which is not an end; None if it has not, or only after the end."""
         return self._marks.get(event)
 
@@ -208,7 +208,7 @@ class Lifecycle:
             event: what.
             error: what it brought; kept as a copy.
             brake: the robot is stopped; for what ends it.
-            at: see `Mark`.
+            at: see `Occurrence`.
 
         Raises:
             RuntimeError: it cannot happen now.
@@ -219,7 +219,7 @@ class Lifecycle:
         before = AFTER.get(event)
         if (phase, event) not in TRANSITIONS or not (before is None or before in self._marks):
             raise RuntimeError(f"{self.name}: {event.value!r} cannot happen while it is {phase.value}")
-        mine = Mark(event, at, None if error is None else unraised(error))
+        mine = Occurrence(event, at, None if error is None else unraised(error))
         if event is Event.REPORT:
             self._marks[event] = mine
             return True

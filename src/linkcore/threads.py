@@ -1,4 +1,5 @@
-"""Threads: starting one where the system may have none left, the one that calls a user's callbacks, and one of its own.
+"""Threads: starting one where the system may have none left, the one that calls a user's callbacks, and one of its own;
+and what several of them make at first use.
 
 Callbacks are done callbacks, `on_stop` and `on_text`. No lock is held meanwhile and no robot is kept waiting, so a
 callback may command the robot, wait for a motion, close the robot, be slow or raise. One that is slow keeps those after
@@ -15,7 +16,7 @@ import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from queue import SimpleQueue
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from .arguments import check_seconds
 from .errors import Closed, LinkTimeout, LocalError
@@ -42,11 +43,36 @@ def started(thread: threading.Thread) -> threading.Thread:
 
 _log = logging.getLogger(__name__)
 
+T = TypeVar("T")
 _Call = tuple[Callable[..., object], tuple[Any, ...]]
-#: Key of the thread: `dict.setdefault` is atomic, so that only one is started.
-_ONE = "one"
 # Re-entrant, unlike `queue.Queue`: a signal handler may put while its thread is putting.
 _Calls = SimpleQueue[_Call | None]
+
+
+class MadeOnce(Generic[T]):
+    """What is made at its first use, by whichever thread comes first.
+
+    Without a lock, since a signal handler may be the one that uses it, also in the middle of the first use by the
+    thread that it interrupts, where a lock would be held for ever. So two may make one at the same time; `keep` tells
+    which of them holds, by `dict.setdefault`, which is one step for threads and signal handlers. Making it must do
+    nothing that has to be undone; what is kept may be started then.
+    """
+
+    def __init__(self) -> None:
+        self._made: dict[None, T] = {}
+
+    @property
+    def made(self) -> T | None:
+        """What was made; None before that, and after `take`."""
+        return self._made.get(None)
+
+    def keep(self, made: T) -> T:
+        """What was made first: `made`, unless another one is here already."""
+        return self._made.setdefault(None, made)
+
+    def take(self) -> T | None:
+        """What was made, which is here no more: the next use makes another one."""
+        return self._made.pop(None, None)
 
 
 class CallbackThread:
@@ -60,19 +86,19 @@ class CallbackThread:
         self._name = name
         self._calls: _Calls = SimpleQueue()
         # With the event of its end: a thread that another one is just starting cannot be joined yet.
-        self._thread: dict[str, tuple[threading.Thread, threading.Event]] = {}
+        self._thread: MadeOnce[tuple[threading.Thread, threading.Event]] = MadeOnce()
         weakref.finalize(self, self._calls.put, None)
 
     def call(self, function: Callable[..., object], *arguments: Any) -> None:
         """Call `function(*arguments)` soon. Where the system has no thread left, the log says so instead."""
-        if _ONE not in self._thread:
+        if self._thread.made is None:
             has_ended = threading.Event()
             made = threading.Thread(target=_run, args=(self._calls, has_ended), name=self._name, daemon=True), has_ended
-            if self._thread.setdefault(_ONE, made) is made:
+            if self._thread.keep(made) is made:
                 try:
                     started(made[0])
                 except LocalError:
-                    self._thread.pop(_ONE, None)
+                    self._thread.take()
                     has_ended.set()
                     _log.exception("%r is not called", function)
                     return
@@ -80,9 +106,10 @@ class CallbackThread:
 
     def close(self, timeout: float) -> None:
         """Make the calls that wait, and end the thread, within `timeout` seconds. Idempotent."""
-        thread, has_ended = self._thread.pop(_ONE, (None, None))
-        if thread is None or has_ended is None:
+        made = self._thread.take()
+        if made is None:
             return
+        thread, has_ended = made
         self._calls.put(None)
         if thread is not threading.current_thread() and has_ended.wait(max(timeout, 0.0)) and thread.ident is not None:
             thread.join()

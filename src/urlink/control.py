@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from linkcore.errors import Closed, LocalError
 from linkcore.net.recall import Recall
 from linkcore.streaming.stream import Stream
-from linkcore.threads import CallbackThread
+from linkcore.threads import CallbackThread, MadeOnce
 from linkcore.wire.fields import Since
 
 from .commanding.channel import CommandChannel
@@ -84,10 +84,9 @@ class Control:
         self._ports = ports
         self._timeout = timeout
         self._is_closed = False
-        #: under the one key "one", since `setdefault` is one step for signal handlers too
-        self._dashboards: dict[str, Dashboard] = {}
-        self._grippers: dict[str, Gripper] = {}
-        self._serials: dict[str, ToolSerial] = {}
+        self._dashboard: MadeOnce[Dashboard] = MadeOnce()
+        self._gripper: MadeOnce[Gripper] = MadeOnce()
+        self._serial: MadeOnce[ToolSerial] = MadeOnce()
         self._callbacks = callbacks = CallbackThread(f"{name} callbacks")
         # The library's side of the streams, which users do not hold.
         slow, fast = primary._connection, realtime._connection
@@ -120,7 +119,7 @@ class Control:
             with dashboard(_ASK_TIMEOUT) as asked:
                 return asked.is_in_remote_control()
 
-        self._dashboard = dashboard
+        self._make_dashboard = dashboard
         self.safety = Safety(monitor)
         self.script = Scripts(programs, channel, callbacks)
         inputs = (lambda: rtde()._brief_claims()) if options.commands_via == "auto" else None
@@ -153,12 +152,12 @@ class Control:
         """
         if not self._ports.keys() & {"dashboard", "robot_api"}:
             raise LocalError("the controller serves no dashboard")
-        known = self._dashboards.get("one")
+        known = self._dashboard.made
         if known is not None:
             return known
         if self._is_closed:
             raise Closed("the robot was closed")
-        return self._dashboards.setdefault("one", self._dashboard(self._timeout))
+        return self._dashboard.keep(self._make_dashboard(self._timeout))
 
     @property
     def gripper(self) -> Gripper:
@@ -168,7 +167,7 @@ class Control:
             LocalError: a simulated controller that was told not to serve its port.
             Closed: the robot was closed before it was used.
         """
-        known = self._grippers.get("one")
+        known = self._gripper.made
         if known is not None:
             return known
         if "gripper" not in self._ports:
@@ -182,7 +181,7 @@ class Control:
             refused=lambda: "a Robotiq gripper is served by the URCap that is installed for it",
             recall=self._recall,
         )
-        return self._grippers.setdefault("one", made)
+        return self._gripper.keep(made)
 
     @property
     def tool_serial(self) -> ToolSerial:
@@ -192,7 +191,7 @@ class Control:
             LocalError: a controller without one, or a simulated one that was told not to serve its port.
             Closed: the robot was closed before it was used.
         """
-        known = self._serials.get("one")
+        known = self._serial.made
         if known is not None:
             return known
         firmware = self.settings.firmware
@@ -203,7 +202,7 @@ class Control:
         if self._is_closed:
             raise Closed("the robot was closed")
         made = ToolSerial(self._host, self._ports["tool_serial"], timeout=self._timeout)
-        return self._serials.setdefault("one", made)
+        return self._serial.keep(made)
 
     def settle(self, timeout: float) -> None:
         """Wait until nothing is left that was given up and is to be taken back, for at most `timeout` seconds."""
@@ -216,11 +215,11 @@ class Control:
         self._recall.close(self)
         self._programs.close()
         self._monitor.close()
-        for dashboard in self._dashboards.values():
+        if (dashboard := self._dashboard.made) is not None:
             dashboard.close()
         self.interpreters.close()
-        for gripper in self._grippers.values():
+        if (gripper := self._gripper.made) is not None:
             gripper._disconnect()
-        for serial in self._serials.values():
+        if (serial := self._serial.made) is not None:
             serial.close()
         self._callbacks.close(max(until - time.monotonic(), 0.0))

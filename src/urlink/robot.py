@@ -15,6 +15,7 @@ from linkcore.errors import BadValue, Closed, ConnectFailed, LocalError
 from linkcore.net.recall import Recall
 from linkcore.streaming.connection_life import Backoff
 from linkcore.streaming.stream import Stream
+from linkcore.threads import MadeOnce
 
 from .address import Address, RecordingAddress, RobotAddress, SimulatorAddress, parse_address
 from .commanding.interlock import STALE_AFTER, Policy
@@ -337,16 +338,14 @@ class Robot(AnswersForeignNames):
         self.address = address
         self._controller = controller
         self._make_control = control
-        #: under the one key "one", since `setdefault` is one step for signal handlers too
-        self._controls: dict[str, Control] = {}
+        self._control: MadeOnce[Control] = MadeOnce()
         self._refusal = refusal
         self._source = source
         self._who = KnownIdentity(source.ask, known)
         #: changed in single steps, so that a signal handler finds it whole
         self._streams: dict[str, Stream[Any]] = {}
-        #: each under the one key "one"
-        self._rtdes: dict[str, Rtde] = {}
-        self._registers: dict[str, Registers] = {}
+        self._rtde: MadeOnce[Rtde] = MadeOnce()
+        self._registers: MadeOnce[Registers] = MadeOnce()
         self._is_closed = False
 
     # -- what it says ------------------------------------------------------------------------------
@@ -374,13 +373,13 @@ class Robot(AnswersForeignNames):
     @property
     def rtde(self) -> Rtde:
         """Variables of the controller by name, up to 500 times a second, read and written (port 30004)."""
-        rtde = self._rtdes.get("one")
+        rtde = self._rtde.made
         if rtde is None:
             from .rtde import Rtde
 
             who = self._who  # and not this object, which holds the made one
             made = Rtde(self.address, self._source, lambda: who.identity.firmware, refusal=self._refusal)
-            rtde = self._rtdes.setdefault("one", made)
+            rtde = self._rtde.keep(made)
             if self._is_closed:
                 rtde.close(0.0)
         return rtde
@@ -388,10 +387,7 @@ class Robot(AnswersForeignNames):
     @property
     def registers(self) -> Registers:
         """General-purpose registers by number, shared with the program on the controller."""
-        registers = self._registers.get("one")
-        if registers is None:
-            registers = self._registers.setdefault("one", self.rtde.registers())
-        return registers
+        return self._registers.made or self._registers.keep(self.rtde.registers())
 
     @property
     def firmware(self) -> Firmware:
@@ -696,12 +692,12 @@ class Robot(AnswersForeignNames):
         self._commanded().settings.popup(text, title, warning, error)
 
     def _commanded(self) -> Control:
-        known = self._controls.get("one")
+        known = self._control.made
         if known is not None:
             return known
         if self._make_control is None:
             raise LocalError(self._refusal)
-        control = self._controls.setdefault("one", self._make_control(self))
+        control = self._control.keep(self._make_control(self))
         if self._is_closed:
             # `close` may have looked for it before it was there; closing twice does no harm.
             control.close(0.0)
@@ -750,9 +746,9 @@ class Robot(AnswersForeignNames):
         """End motions, close every stream, and the simulator if there is one; in `timeout` seconds. Idempotent."""
         until = time.monotonic() + timeout
         self._is_closed = True
-        for control in tuple(self._controls.values()):
+        if (control := self._control.made) is not None:
             control.close(timeout)
-        for rtde in tuple(self._rtdes.values()):
+        if (rtde := self._rtde.made) is not None:
             rtde.close(max(until - time.monotonic(), 0.0))
         for stream in tuple(self._streams.values()):
             stream.close(max(until - time.monotonic(), 0.0))

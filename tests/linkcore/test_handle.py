@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from linkcore.errors import BadValue, Cancelled, ConnectionLost, LinkTimeout, LocalError
-from linkcore.handle import AFTER, TRANSITIONS, Event, Handle, Lifecycle, Mark, Motion, Phase
+from linkcore.handle import AFTER, TRANSITIONS, Event, Handle, Lifecycle, Motion, Occurrence, Phase
 from linkcore.threads import CallbackThread
 from tests.waiting import interrupted, until
 
@@ -140,10 +140,10 @@ def test_an_event_keeps_when_it_was_and_what_it_brought(life: Lifecycle) -> None
 def test_of_two_threads_that_report_an_event_one_does(life: Lifecycle) -> None:
     """The other comes after this one has looked at the table, and before it has fired."""
 
-    class Interrupted(dict[Event | None, Mark]):
-        def setdefault(self, key: Event | None, mark: Mark) -> Mark:
+    class Interrupted(dict[Event | None, Occurrence]):
+        def setdefault(self, key: Event | None, mark: Occurrence) -> Occurrence:
             if key not in self:
-                self[key] = Mark(Event.LOSE, 1.0, None)
+                self[key] = Occurrence(Event.LOSE, 1.0, None)
             return self[key]
 
     life.fire(Event.SEND)

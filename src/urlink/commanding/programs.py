@@ -27,7 +27,7 @@ from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from linkcore.streaming.subscription import Subscription
 from linkcore.text import printable
-from linkcore.threads import CallbackThread
+from linkcore.threads import CallbackThread, MadeOnce
 from linkcore.wire.packet import State
 
 from ..errors import CompileError, NotRunning, ProgramStopped, SafetyStop, ScriptError, ScriptFailed
@@ -139,8 +139,7 @@ class Programs:
         self._start_tokens = itertools.count(int.from_bytes(os.urandom(4), "big"))
         #: by name, in the order in which they leave; each change is one step, for signal handlers too
         self._runs: dict[str, _Run] = {}
-        #: under the one key "one", since `setdefault` is one step
-        self._subscriptions: dict[str, list[Subscription]] = {}
+        self._subscriptions: MadeOnce[list[Subscription]] = MadeOnce()
         self._mode: RobotModeData | None = None
         self._has_keys = False  # this controller sends key messages
         #: name of the program that was told to stop, until the controller reports that it has
@@ -289,20 +288,20 @@ class Programs:
         newest = self._newest()
         if newest is not None and newest.is_motion:
             newest.life.cancel("cancelled, since the robot was closed", brake=True)
-        _close(self._subscriptions.pop("one", []))
+        _close(self._subscriptions.take() or [])
         for run in self._pending():
             run.life.fail(ConnectionLost(f"the robot was closed here while {run.life.name} ran; {self._what_if(run)}"))
 
     # -- what the controller says --------------------------------------------------------------------
 
     def _listen(self) -> None:
-        if self._subscriptions:
+        if self._subscriptions.made is not None:
             return
         subscriptions: list[Subscription] = []
 
         def only_once(hear: Callable[[Any], None], packet: Any) -> None:
             """Another thread, or a signal handler of this one, may subscribe at the same time."""
-            if self._subscriptions.get("one") is subscriptions:
+            if self._subscriptions.made is subscriptions:
                 hear(packet)
 
         try:
@@ -311,7 +310,7 @@ class Programs:
         except BaseException:
             _close(subscriptions)
             raise
-        if self._subscriptions.setdefault("one", subscriptions) is not subscriptions:
+        if self._subscriptions.keep(subscriptions) is not subscriptions:
             _close(subscriptions)
 
     def hear_event(self, event: ConnectionEvent) -> None:
@@ -326,7 +325,7 @@ class Programs:
                 # A motion ends as by the interlock, which hears of it too, a moment before or after this.
                 run.life.fail(NotRunning(what) if run.is_motion else ConnectionLost(what))
         if event.state in (ConnectionState.IDLE, ConnectionState.CLOSED):  # given up: listen anew if asked
-            self._subscriptions.pop("one", None)
+            self._subscriptions.take()
 
     def hear(self, packet: State) -> None:
         """The primary interface has said something."""
