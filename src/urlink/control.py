@@ -17,13 +17,13 @@ from .commanding.interlock import Interlock
 from .commanding.interpreter import Interpreters
 from .commanding.io import IO
 from .commanding.monitor import SafetyMonitor
-from .commanding.options import Options
 from .commanding.programs import Programs
 from .commanding.safety import Safety
 from .commanding.scripts import Scripts
 from .commanding.section import Section
 from .commanding.setting_channel import SettingChannel
 from .commanding.settings import Settings
+from .connect_options import ConnectOptions
 from .identity import KnownIdentity
 from .interfaces.dashboard.client import Dashboard
 from .interfaces.gripper.client import Gripper
@@ -59,8 +59,7 @@ class Control:
         primary, realtime: the streams. A robot without references is collected: the callbacks of the reader threads
             refer to the connections, and not to the streams.
         who: identifies the controller.
-        options: of the user.
-        timeout: seconds for a connection to the dashboard.
+        options: of the user; with its timeout the dashboard is connected too.
         rtde: gives the robot's RTDE.
 
     Attributes:
@@ -76,13 +75,12 @@ class Control:
         primary: Stream[RobotState],
         realtime: Stream[RealtimeState],
         who: KnownIdentity,
-        options: Options,
-        timeout: float,
+        options: ConnectOptions,
         rtde: Callable[[], Rtde],
     ) -> None:
         self._host = host
         self._ports = ports
-        self._timeout = timeout
+        self._timeout = timeout = options.timeout
         self._is_closed = False
         self._dashboard: MadeOnce[Dashboard] = MadeOnce()
         self._gripper: MadeOnce[Gripper] = MadeOnce()

@@ -6,20 +6,18 @@ import os
 import time
 import warnings
 import weakref
-from collections.abc import Callable, Collection, Hashable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, Literal
 
-from linkcore.arguments import check_callable, check_choice, check_number
+from linkcore.arguments import check_callable, check_choice
 from linkcore.errors import BadValue, Closed, ConnectFailed, LocalError
 from linkcore.net.recall import Recall
-from linkcore.streaming.connection_life import Backoff
 from linkcore.streaming.stream import Stream
 from linkcore.threads import MadeOnce
 
-from .address import Address, RecordingAddress, RobotAddress, SimulatorAddress, parse_address
-from .commanding.interlock import STALE_AFTER, Policy
-from .commanding.options import CommandsVia, Options
+from .address import RecordingAddress, RobotAddress, SimulatorAddress
+from .connect_options import ConnectOptions, takes_connect_options
 from .firmware import Firmware
 from .foreign_names import AnswersForeignNames
 from .identity import Identity, KnownIdentity
@@ -28,8 +26,6 @@ from .interfaces.realtime.packets import RealtimeState
 from .ports import service_of
 from .robot_clock import RobotClock
 from .source import Source, networked
-from .urscript.text import integer
-from .urscript.wrapping import StartPlace
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -56,28 +52,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Robot", "connect"]
 
-#: Seconds; a timeout below that is a mistake.
-_SHORTEST = 1e-3
 
-
-def connect(
-    address: str | os.PathLike[str],
-    *,
-    timeout: float = 5.0,
-    read_only: bool = False,
-    backoff: Backoff | None = None,
-    silence: float = 2.0,
-    require_enable: Policy = "never",
-    stale_after: float = STALE_AFTER,
-    start_timeout: float = 5.0,
-    start_register: int | None = 47,
-    start_flags: Collection[int] = (24, 25, 26, 27, 28, 29, 30, 31),
-    reverse_host: str | None = None,
-    reverse_port: int = 0,
-    reverse_peer: str | None = None,
-    commands_via: CommandsVia = "auto",
-    isolate: bool = False,
-) -> Robot:
+@takes_connect_options
+def connect(options: ConnectOptions) -> Robot:
     """Connect to a robot, to the simulator, or to a recording.
 
     Asks the controller who it is; the streams themselves connect when first used. What this process gave up at the same
@@ -121,37 +98,20 @@ def connect(
         UnknownModel: no such arm to simulate.
         ConnectFailed, ConnectionLost, LinkTimeout, WrongPeer: nobody, or somebody else, is there.
     """
-    wanted = check(
-        address,
-        timeout,
-        read_only,
-        backoff,
-        silence,
-        require_enable,
-        stale_after,
-        start_timeout,
-        start_register,
-        start_flags,
-        reverse_host,
-        reverse_port,
-        reverse_peer,
-        commands_via,
-        isolate,
-    )
-    if isinstance(wanted.place, RecordingAddress):
+    if isinstance(options.place, RecordingAddress):
         from .playback import recorded
 
         return Robot(
-            wanted.address,
-            recorded(wanted.place),
-            refusal=f"{wanted.address} is a recording, so it cannot be commanded",
+            options.name,
+            recorded(options.place),
+            refusal=f"{options.name} is a recording, so it cannot be commanded",
         )
     controller = None
-    place = wanted.place
+    place = options.place
     if isinstance(place, SimulatorAddress):
         controller, place = simulated(place)
     try:
-        robot = assemble(wanted, place, source_of(wanted, place), controller)
+        robot = assemble(options, place, networked(place, options), controller)
     except ConnectFailed as error:
         # Without the frames and the error of the operating system below: the message has what they have.
         raise error.with_traceback(None) from None
@@ -161,76 +121,11 @@ def connect(
         raise
     if owes(robot, place):
         try:
-            take_back(robot, wanted.timeout)
+            take_back(robot, options.timeout)
         except BaseException:
             robot.close()
             raise
     return robot
-
-
-class Wanted(NamedTuple):
-    """The checked arguments of `connect`.
-
-    Attributes:
-        place: what the address means.
-        options: about commanding.
-    """
-
-    address: str
-    place: Address
-    timeout: float
-    read_only: bool
-    backoff: Backoff | None
-    silence: float
-    options: Options
-    isolate: bool
-
-
-def check(
-    address: str | os.PathLike[str],
-    timeout: float,
-    read_only: bool,
-    backoff: Backoff | None,
-    silence: float,
-    require_enable: Policy,
-    stale_after: float,
-    start_timeout: float,
-    start_register: int | None,
-    start_flags: Collection[int],
-    reverse_host: str | None,
-    reverse_port: int,
-    reverse_peer: str | None,
-    commands_via: CommandsVia,
-    isolate: bool,
-) -> Wanted:
-    """The arguments of `connect`, each as it should be.
-
-    Raises:
-        BadAddress, BadValue: as `connect`.
-    """
-    timeout = check_number(timeout, "timeout", _SHORTEST)
-    silence = check_number(silence, "silence", _SHORTEST)
-    options = Options(
-        require_enable,
-        check_number(stale_after, "stale_after", _SHORTEST),
-        check_number(start_timeout, "start_timeout", _SHORTEST),
-        _start_place(start_register, start_flags),
-        _host(reverse_host, "reverse_host"),
-        int(integer(reverse_port, 0, 65535, "reverse_port")),
-        _host(reverse_peer, "reverse_peer"),
-        commands_via,
-    )
-    check_choice(commands_via, "commands_via", get_args(CommandsVia))
-    if require_enable not in get_args(Policy):
-        raise BadValue(f"require_enable={require_enable!r}; expected one of {', '.join(get_args(Policy))}")
-    if backoff is not None and not isinstance(backoff, Backoff):
-        raise BadValue(f"backoff is {backoff!r}; expected an urlink.Backoff")
-    place = parse_address(address)
-    if isolate and isinstance(place, RecordingAddress):
-        raise BadValue(
-            f"isolate={isolate!r}: {os.fspath(address)} is a recording, which no other process can read sooner"
-        )
-    return Wanted(os.fspath(address), place, timeout, read_only, backoff, silence, options, bool(isolate))
 
 
 def simulated(place: SimulatorAddress) -> tuple[Controller, RobotAddress]:
@@ -253,20 +148,12 @@ def simulated(place: SimulatorAddress) -> tuple[Controller, RobotAddress]:
     return controller, RobotAddress(controller.host, dict(controller.ports))
 
 
-def source_of(wanted: Wanted, place: RobotAddress) -> Source:
-    """Where the bytes of a controller on the network come from."""
-    return networked(
-        place,
-        timeout=wanted.timeout,
-        read_only=wanted.read_only,
-        backoff=wanted.backoff,
-        silence=wanted.silence,
-        isolate=wanted.isolate,
-    )
-
-
 def assemble(
-    wanted: Wanted, place: RobotAddress, source: Source, controller: Controller | None, known: Identity | None = None
+    options: ConnectOptions,
+    place: RobotAddress,
+    source: Source,
+    controller: Controller | None,
+    known: Identity | None = None,
 ) -> Robot:
     """A robot on the network, with what commands it.
 
@@ -276,7 +163,7 @@ def assemble(
     Raises:
         RemoteError: nobody, or somebody else, is there.
     """
-    address = wanted.address
+    address = options.name
 
     def control(robot: Robot) -> Control:
         # A program that only reads states never imports what commands: more than all the rest of this library.
@@ -290,12 +177,11 @@ def assemble(
             robot.primary,
             robot.realtime,
             robot._who,
-            wanted.options,
-            wanted.timeout,
+            options,
             _rtde_of(robot),
         )
 
-    if wanted.read_only:
+    if options.read_only:
         refusal = f"{address} was connected with read_only=True, so it cannot be commanded"
         return Robot(address, source, controller, refusal=refusal, known=known)
     return Robot(address, source, controller, known=known, control=control)
@@ -820,20 +706,3 @@ def _recorder(path: str | os.PathLike[str]) -> Recorder:
     from linkcore.recording.recorder import Recorder
 
     return Recorder(path)
-
-
-def _host(host: str | None, name: str) -> str | None:
-    if host is not None and (not isinstance(host, str) or not host.strip()):
-        raise BadValue(f"{name} is {host!r}; expected a host name or address, or None")
-    return host
-
-
-def _start_place(register: int | None, flags: Collection[int]) -> StartPlace:
-    if register is not None:
-        register = int(integer(register, 0, 47, "start_register"))
-    if not isinstance(flags, Collection):
-        raise BadValue(f"start_flags is {flags!r}; expected numbers of flags, such as (30, 31), or () for none")
-    numbers = tuple(int(integer(flag, 0, 31, "start_flags")) for flag in flags)
-    if len(set(numbers)) < len(numbers):
-        raise BadValue(f"start_flags is {flags!r}; expected each flag once")
-    return StartPlace(register, numbers)

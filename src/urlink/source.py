@@ -17,6 +17,7 @@ from linkcore.wire.framing import PacketProtocol
 from linkcore.wire.packet import State
 
 from .address import RobotAddress
+from .connect_options import ConnectOptions
 from .decoding import INTERFACES
 from .identity import Identity, identify
 from .interfaces.primary.protocol import PrimaryProtocol
@@ -103,23 +104,18 @@ def _parts(packet: State) -> Sequence[State]:
 
 def networked(
     place: RobotAddress,
+    options: ConnectOptions,
     *,
-    timeout: float,
-    read_only: bool,
-    backoff: Backoff | None,
-    silence: float,
     tcp: type[TcpTransport] = TcpTransport,
     known: Identity | None = None,
-    isolate: bool = False,
 ) -> Source:
     """A controller on the network, or a simulated one.
 
     Args:
         tcp: what its bytes come by.
         known: what it has said of itself already.
-        isolate: another process reads the real-time interface.
     """
-    suffix = "_readonly" if read_only else ""
+    suffix, timeout, silence = "_readonly" if options.read_only else "", options.timeout, options.silence
     last: list[Identity] = [] if known is None else [known]
 
     def ask() -> Identity:
@@ -143,7 +139,7 @@ def networked(
         port = "rtde" if interface == "rtde" else interface + suffix
         if interface != "rtde" and interface not in INTERFACES:
             raise BadValue(f"no interface {interface!r}; expected one of {', '.join(INTERFACES)}")
-        if isolate and interface == "realtime":
+        if options.isolate and interface == "realtime":
             from linkcore.isolation.isolated_transport import IsolatedTransport
 
             boundary = "urlink.interfaces.realtime.protocol:RealtimeBoundary"
@@ -156,4 +152,4 @@ def networked(
             refused=lambda: refusal_hint(last[0].firmware if last else None),
         )
 
-    return Source(ask, transport, backoff, timeout, silence, is_lossless=False)
+    return Source(ask, transport, options.backoff, timeout, silence, is_lossless=False)

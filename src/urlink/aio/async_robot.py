@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import functools
-import inspect
 import os
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -18,6 +16,7 @@ from linkcore.net.awaited import AwaitedTcp
 
 from .. import robot as threaded
 from ..address import RecordingAddress, RobotAddress, SimulatorAddress
+from ..connect_options import ConnectOptions, takes_connect_options
 from ..firmware import Firmware
 from ..identity import Identity, Introduction
 from ..interfaces.primary.robot_state import RobotState
@@ -283,33 +282,27 @@ class AsyncRobot(AwaitedPart[threaded.Robot]):
         return f"<AsyncRobot{repr(self._part).removeprefix('<Robot')}"
 
 
-async def _connected(wanted: threaded.Wanted) -> AsyncRobot:
-    place = wanted.place
-    if wanted.isolate:
+async def _connected(options: ConnectOptions) -> AsyncRobot:
+    place = options.place
+    if options.isolate:
         raise LocalError("isolate=True is for urlink.connect: the event loop reads by itself")
     if isinstance(place, RecordingAddress):
-        raise LocalError(f"{wanted.address} is a recording, which urlink.connect plays, and no event loop")
+        raise LocalError(f"{options.name} is a recording, which urlink.connect plays, and no event loop")
     loop = running_loop("connect_async")
-    workers = Workers(wanted.address, _CALLS)
+    workers = Workers(options.name, _CALLS)
     controller = robot = None
     try:
         if isinstance(place, SimulatorAddress):
             simulated = partial(threaded.simulated, place)
             made: tuple[Controller, RobotAddress] = await workers.make(simulated, lambda made: made[0].close())
             controller, place = made
-        known = await _identified(place, wanted)
-        source = networked(
-            place,
-            timeout=wanted.timeout,
-            read_only=wanted.read_only,
-            backoff=wanted.backoff,
-            silence=wanted.silence,
-            tcp=AwaitedTcp,
-            known=known,
-        )._replace(connection=partial(LoopConnection, loop=loop), rtde=AwaitedRtde)
-        robot = threaded.assemble(wanted, place, source, controller, known)
+        known = await _identified(place, options)
+        source = networked(place, options, tcp=AwaitedTcp, known=known)._replace(
+            connection=partial(LoopConnection, loop=loop), rtde=AwaitedRtde
+        )
+        robot = threaded.assemble(options, place, source, controller, known)
         if threaded.owes(robot, place):
-            await workers.make(partial(threaded.take_back, robot, wanted.timeout))
+            await workers.make(partial(threaded.take_back, robot, options.timeout))
         return AsyncRobot(robot, workers)
     except BaseException:
         if robot is not None:
@@ -320,28 +313,8 @@ async def _connected(wanted: threaded.Wanted) -> AsyncRobot:
         raise
 
 
-def _with_arguments_of(
-    connect: Callable[P, threaded.Robot],
-) -> Callable[[Callable[..., Opening[AsyncRobot]]], Callable[P, Opening[AsyncRobot]]]:
-    """The function takes these arguments, and no others; they are checked when it is called."""
-
-    def taking(function: Callable[..., Opening[AsyncRobot]]) -> Callable[P, Opening[AsyncRobot]]:
-        signature = inspect.signature(connect)
-
-        @functools.wraps(function)
-        def checked(*arguments: P.args, **options: P.kwargs) -> Opening[AsyncRobot]:
-            bound = signature.bind(*arguments, **options)
-            bound.apply_defaults()
-            return function(**bound.arguments)
-
-        checked.__signature__ = signature.replace(return_annotation="Opening[AsyncRobot]")  # type: ignore[attr-defined]
-        return checked
-
-    return taking
-
-
-@_with_arguments_of(threaded.connect)
-def connect_async(**options: Any) -> Opening[AsyncRobot]:
+@takes_connect_options
+def connect_async(options: ConnectOptions) -> Opening[AsyncRobot]:
     """Connect to a robot or to the simulator; the result is entered or awaited.
 
     ``async with urlink.connect_async(...) as robot``, or ``robot = await urlink.connect_async(...)``.
@@ -356,18 +329,18 @@ def connect_async(**options: Any) -> Opening[AsyncRobot]:
         ConnectFailed, ConnectionLost, LinkTimeout, WrongPeer: there is no controller at the address; raised when it is
             awaited or entered.
     """
-    return Opening(partial(_connected, threaded.check(**options)))
+    return Opening(partial(_connected, options))
 
 
-async def _identified(place: RobotAddress, wanted: threaded.Wanted) -> Identity:
+async def _identified(place: RobotAddress, options: ConnectOptions) -> Identity:
     """The identity of the controller at an address, read on the event loop; otherwise as `networked`."""
-    suffix = "_readonly" if wanted.read_only else ""
+    suffix = "_readonly" if options.read_only else ""
     try:
-        return await _identify(place.host, place.ports["primary" + suffix], wanted.timeout)
+        return await _identify(place.host, place.ports["primary" + suffix], options.timeout)
     except ConnectFailed as error:
         first = unraised(error)
     try:
-        return await _identify(place.host, place.ports["secondary" + suffix], wanted.timeout)
+        return await _identify(place.host, place.ports["secondary" + suffix], options.timeout)
     except ConnectFailed:
         raise first from None
     finally:
