@@ -40,13 +40,15 @@ class RobotAddress:
 class SimulatorAddress:
     """The built-in simulator: ``sim://``, ``sim://ur10?firmware=3.4&motion=demo``; a motion of None is "still".
 
-    ``sim://ur5e?like=arm.json`` is the arm of which that file was identified.
+    ``sim://ur5e?like=arm.json`` is the arm of which that file was identified; ``sim://ur5e?scene=table.xml`` stands
+    among the bodies of that file, by an adapter such as urlink-mujoco.
     """
 
     model: str | None = None
     firmware: Firmware | None = None
     motion: Motion | None = None
     like: Path | None = None
+    scene: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -66,8 +68,8 @@ def parse_address(text: str | os.PathLike[str]) -> Address:
     Raises:
         BadAddress: says what is wrong and what was expected.
 
-    >>> parse_address("sim://ur5e?firmware=5.11")
-    SimulatorAddress(model='ur5e', firmware=Firmware(major=5, minor=11, bugfix=0, build=0), motion=None, like=None)
+    >>> parse_address("sim://ur10?motion=demo")
+    SimulatorAddress(model='ur10', firmware=None, motion='demo', like=None, scene=None)
     >>> parse_address("ur://10.0.0.7?realtime=40003").ports["realtime"]
     40003
     """
@@ -119,18 +121,21 @@ def _robot(text: str, host: str | None, netloc: str, path: str, options: dict[st
 
 
 def _simulator(text: str, model: str, options: dict[str, str]) -> SimulatorAddress:
-    firmware, motion, like = (options.pop(name, None) for name in ("firmware", "motion", "like"))
+    firmware, motion, like, scene = (options.pop(name, None) for name in ("firmware", "motion", "like", "scene"))
     if options:
-        raise BadAddress(f"{text!r}: unknown option {next(iter(options))!r}; expected firmware, motion or like")
+        raise BadAddress(f"{text!r}: unknown option {next(iter(options))!r}; expected firmware, motion, like or scene")
     if like == "":
         raise BadAddress(f"{text!r}: like= names no file; expected like=arm.json, as urlink identify writes it")
+    if scene == "":
+        raise BadAddress(f"{text!r}: scene= names no file; expected scene=table.xml, of the bodies around the arm")
     if motion not in (None, "still", "demo"):
         raise BadAddress(f"{text!r}: motion={motion!r}; expected {' or '.join(get_args(Motion))}")
     try:
         version = None if firmware is None else known_firmware(firmware)
     except BadVersion as error:
         raise BadAddress(f"{text!r}: {error}") from None
-    return SimulatorAddress(model or None, version, cast("Motion | None", motion), None if like is None else Path(like))
+    files = [None if each is None else Path(each) for each in (like, scene)]
+    return SimulatorAddress(model or None, version, cast("Motion | None", motion), *files)
 
 
 def _recording(text: str, path: str, options: dict[str, str]) -> RecordingAddress:

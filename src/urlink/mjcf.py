@@ -2,7 +2,8 @@
 
 Links and joints have the names and frames of `urlink.urdf`, whose geometry, limits, masses and inertias are here too.
 What URDF has no place for comes with it: the inertia of each rotor, as `armature`, and the friction of motors and gears
-(`urlink.motors`), as `frictionloss` and `damping`. There are no shapes.
+(`urlink.motors`), as `frictionloss` and `damping`. Shapes are those of URDF: they follow the geometry and are no
+likeness of the arm, nor a hull of it.
 """
 
 from __future__ import annotations
@@ -19,18 +20,21 @@ from .models import Model
 from .motors import Motors, motors_of
 from .poses import rotvec_to_quaternion
 from .rigid import Rigid
-from .urdf import JOINTS, LINKS, link_frames
+from .urdf import JOINTS, LINKS, RADIUS, link_frames
 
 __all__ = ["to_mjcf"]
 
 
-def to_mjcf(arm: Arm | Model | str, *, name: str | None = None, motors: Motors | None = None) -> str:
+def to_mjcf(
+    arm: Arm | Model | str, *, name: str | None = None, motors: Motors | None = None, shapes: bool = False
+) -> str:
     """The arm as the text of an MJCF file.
 
     Args:
         arm: an `Arm`, which may be calibrated, or the name of a model, or a `Model`.
         name: of the model in the file; by default that of the arm, in lower case.
         motors: in its joints; None for those of the model.
+        shapes: give the links spheres and capsules, which touch things; neighbours touch each other too.
 
     Returns:
         XML; write it to a file with the ending `.xml`. `tool0` is a site: the flange as the controller reports it. Each
@@ -52,14 +56,26 @@ def to_mjcf(arm: Arm | Model | str, *, name: str | None = None, motors: Motors |
     actuators = ElementTree.SubElement(root, "actuator")
     end = rigid.IDENTITY
     for i, (origin, end) in enumerate(link_frames(arm)):
+        if shapes:
+            _add_shapes(parent, origin)
         parent = ElementTree.SubElement(parent, "body", {"name": LINKS[i], **_place(origin)})
         _add_inertial(parent, model, i, end)
         _add_joint(parent, model, known, i)
         most = float(model.max_torque[i])
         ElementTree.SubElement(actuators, "motor", name=JOINTS[i], joint=JOINTS[i], ctrlrange=_numbers(-most, most))
+    if shapes:
+        _add_shapes(parent, end)
     ElementTree.SubElement(parent, "site", {"name": "tool0", **_place(end)})
     ElementTree.indent(root)
     return f'<?xml version="1.0"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
+
+
+def _add_shapes(body: ElementTree.Element, end: Rigid[float]) -> None:
+    """A sphere at the beginning of a link, and a capsule to its end."""
+    ElementTree.SubElement(body, "geom", type="sphere", size=_numbers(RADIUS))
+    if math.hypot(*end[9:]) >= RADIUS:
+        way = _numbers(0.0, 0.0, 0.0, *end[9:])
+        ElementTree.SubElement(body, "geom", type="capsule", size=_numbers(0.8 * RADIUS), fromto=way)
 
 
 def _add_joint(body: ElementTree.Element, model: Model, motors: Motors, i: int) -> None:

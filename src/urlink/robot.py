@@ -132,7 +132,9 @@ def simulated(place: SimulatorAddress) -> tuple[Controller, RobotAddress]:
     """A simulated controller that serves, and where it is.
 
     Raises:
-        UnknownModel, BadValue: no such arm, it does not run the firmware, or the file of an arm is none or of another.
+        UnknownModel, BadValue: no such arm, it does not run the firmware, the file of an arm is none or of another, or
+            there is no file of a scene.
+        LocalError: no adapter for the scene is installed, or it cannot open it.
     """
     from .simulator import Controller, Demonstration
 
@@ -143,7 +145,7 @@ def simulated(place: SimulatorAddress) -> tuple[Controller, RobotAddress]:
         like = read_arm_file(place.like)
 
     motion = Demonstration() if place.motion == "demo" else None
-    controller = Controller(model=place.model, firmware=place.firmware, motion=motion, like=like)
+    controller = Controller(model=place.model, firmware=place.firmware, motion=motion, like=like, scene=place.scene)
     controller.start()
     return controller, RobotAddress(controller.host, dict(controller.ports))
 

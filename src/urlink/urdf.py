@@ -28,7 +28,7 @@ from .rigid import Rigid
 __all__ = ["JOINTS", "LINKS", "link_frames", "link_poses", "to_urdf"]
 
 #: Of the shapes that links are drawn with, m.
-_RADIUS = 0.05
+RADIUS = 0.05
 
 #: The links that move, from the shoulder on.
 LINKS = ("shoulder_link", "upper_arm_link", "forearm_link", "wrist_1_link", "wrist_2_link", "wrist_3_link")
@@ -148,10 +148,10 @@ def _add_shapes(element: ElementTree.Element, end: Rigid[float]) -> None:
     length = math.hypot(x, y, z)
     turned = (math.atan2(math.hypot(x, y), z), math.atan2(y, x))
     for shape, sizes, xyz, (pitch, yaw) in (
-        ("sphere", {"radius": _RADIUS}, (0.0, 0.0, 0.0), (0.0, 0.0)),
-        ("cylinder", {"radius": 0.8 * _RADIUS, "length": length}, (x / 2, y / 2, z / 2), turned),
+        ("sphere", {"radius": RADIUS}, (0.0, 0.0, 0.0), (0.0, 0.0)),
+        ("cylinder", {"radius": 0.8 * RADIUS, "length": length}, (x / 2, y / 2, z / 2), turned),
     ):
-        if shape == "cylinder" and length < _RADIUS:
+        if shape == "cylinder" and length < RADIUS:
             continue
         visual = ElementTree.SubElement(element, "visual")
         place = " ".join(map(_number, xyz))

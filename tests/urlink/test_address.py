@@ -50,6 +50,7 @@ def test_ports_of_a_robot() -> None:
         ("sim://ur5e?firmware=5.11.1", SimulatorAddress("ur5e", Firmware(5, 11, 1))),
         ("sim://?motion=still", SimulatorAddress(None, None, "still")),
         ("sim://ur10?motion=demo&firmware=3.4", SimulatorAddress("ur10", Firmware(3, 4), "demo")),
+        ("sim://ur5e?scene=/tmp/a%20table.xml", SimulatorAddress("ur5e", scene=Path("/tmp/a table.xml"))),
     ],
 )
 def test_simulators(text: str, place: SimulatorAddress) -> None:
@@ -98,7 +99,7 @@ def test_recordings(text: str, path: str, rate: float) -> None:
         ("ur://host?realtime=-1", "is not a port"),
         ("ur://host?realtime=" + "9" * 5000, "is not a port"),
         ("ur://host#30003", "nothing is known of #30003"),
-        ("sim://?speed=3", "unknown option 'speed'; expected firmware, motion or like"),
+        ("sim://?speed=3", "unknown option 'speed'; expected firmware, motion, like or scene"),
         ("sim://?motion=dance", "motion='dance'; expected still or demo"),
         ("sim://?motion=", "motion=''; expected still or demo"),
         ("sim://?firmware=new", "'new' is not a version"),

@@ -68,6 +68,11 @@ def add_parser(subparsers: Subparsers) -> None:
         help="stand still until a program is sent, or move about a home posture (still)",
     )
     parser.add_argument("--noise", choices=("on", "off"), default="on", help="noise of the sensors (on)")
+    parser.add_argument(
+        "--scene",
+        metavar="FILE",
+        help="bodies around the arm, such as table.xml of MuJoCo by pip install urlink-mujoco",
+    )
     parser.add_argument("--like", choices=("ursim",), help="begin as URSim does")
     parser.add_argument(
         "--local-control", action="store_true", help="as an e-Series in local control: commands only from the pendant"
@@ -103,7 +108,7 @@ def run(args: argparse.Namespace) -> int:
     """Serve until interrupted.
 
     Raises:
-        LocalError: no such model, firmware or fault, or the ports are taken.
+        LocalError: no such model, firmware or fault, the ports are taken, or nothing is installed that opens the scene.
     """
     from ..simulator import HOME, Controller, Demonstration, Still, parse_fault
 
@@ -119,6 +124,7 @@ def run(args: argparse.Namespace) -> int:
         files=files,
         motion=Demonstration(posture) if args.motion == "demo" else Still(posture),
         noise=args.noise == "on",
+        scene=args.scene,
     )
     if args.like == "ursim":
         controller.pendant.load(_URSIM_PROGRAM)

@@ -9,6 +9,7 @@ from ..ports import PORTS
 from .controller import Controller
 from .faults import Faults, ScheduledFault, parse_fault
 from .robot.robot_parameters import ScalingParameters
+from .robot.scene import Reaction, Scene
 from .robot.sources import HOME, Demonstration, Setpoint, SetpointSource, Still
 from .robot.surroundings import Plane, Spring, Surroundings
 from .state import Counters
@@ -21,7 +22,9 @@ __all__ = [
     "Demonstration",
     "Faults",
     "Plane",
+    "Reaction",
     "ScalingParameters",
+    "Scene",
     "ScheduledFault",
     "Setpoint",
     "SetpointSource",

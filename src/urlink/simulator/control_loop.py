@@ -51,10 +51,10 @@ class ControlLoop:
     def next_event(self, cycle: int) -> int | None:
         """The first cycle after this one that must be executed at its time; None if there is none.
 
-        While a program runs or the controller is down, that is every cycle; otherwise the next one with a scheduled
-        fault.
+        While a program runs, the controller is down or there is a scene, that is every cycle; otherwise the next one
+        with a scheduled fault.
         """
-        if self._runner.is_running or not self._state.is_up:
+        if self._runner.is_running or not self._state.is_up or self._state.surroundings.scene is not None:
             return cycle + 1
         fault = self._schedule.next_cycle(self._state.firmware.rate)
         return None if fault is None else max(cycle + 1, fault)
@@ -72,8 +72,8 @@ class ControlLoop:
         state.uptime += 1
         setpoint = self._runner.advance(state.period)
         state.arm.advance(state.period, setpoint)
-        if state.arm.is_overloaded:
-            state.stop_protectively(f"a force of more than {state.surroundings.force_limit:g} N at the TCP")
+        if state.arm.overload is not None:
+            state.stop_protectively(state.arm.overload)
         state.update_modes(state.period)
         state.arm.is_powered = state.modes.is_powered
         cause = state.take_safety_change()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import ipaddress
+import os
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import TracebackType
@@ -41,6 +42,7 @@ from .robot.gripper import SimulatedGripper
 from .robot.modbus_gripper import ModbusGripper
 from .robot.modes import Modes
 from .robot.robot_parameters import ScalingParameters
+from .robot.scene import open_scene
 from .robot.signals import ModbusSignals, Signals
 from .robot.sources import SetpointSource, Still
 from .robot.surroundings import Surroundings
@@ -99,6 +101,7 @@ class Controller:
         scaling: how the speed scaling of programs behaves, where that is not known or to be tried.
         like: what was identified of an arm, which this one is then: model, calibration, TCP and payload, motors, lag,
             noise, and the ramp of programs, as far as the recording told them.
+        scene: a file of bodies around the arm, which the adapter for its ending opens, such as urlink-mujoco `.xml`.
 
     Attributes:
         host: address that it listens on.
@@ -110,7 +113,8 @@ class Controller:
         UnknownModel: no such arm.
         BadVersion: no such firmware.
         BadValue: the firmware does not run on the model, the calibration is not of such an arm, `ports` is none of the
-            above, or an address in `reachable` is not numeric.
+            above, an address in `reachable` is not numeric, or there is no file `scene`.
+        LocalError: no adapter for the ending of `scene` is installed, or it cannot open it.
     """
 
     def __init__(
@@ -132,6 +136,7 @@ class Controller:
         stepped: bool = False,
         scaling: ScalingParameters = ScalingParameters(),  # noqa: B008 -- it is frozen
         like: ArmFile | None = None,
+        scene: str | os.PathLike[str] | None = None,
     ) -> None:
         if like is not None:
             if model is not None and models.model(model).name != like.model:
@@ -188,6 +193,8 @@ class Controller:
             "gripper": GripperPort(state, self._gripper),
             "tool_serial": self._tool_serial,
         }
+        if scene is not None:
+            self.world.scene = open_scene(scene, self)
 
     def _script_receiver(self, port: str, client: PortClient) -> ScriptReceiver:
         return ScriptReceiver(
@@ -249,7 +256,8 @@ class Controller:
 
     @property
     def world(self) -> Surroundings:
-        """The surroundings of the tool: planes and springs can be placed, and a load hung at the flange."""
+        """The surroundings of the tool: planes and springs can be placed, a load hung at the flange, and a
+        scene of bodies set."""
         return self._state.surroundings
 
     @property

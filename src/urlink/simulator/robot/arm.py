@@ -123,7 +123,7 @@ class SimulatedArm:
         self._is_following = setpoint is not None
         self._rests += was_moving and not any(self._setpoint.qd)
         self._sample = None
-        self._force_sensor.advance(self._setpoint, self._tcp, self.payload, self.payload_cog)
+        self._force_sensor.advance(self._setpoint, self._tcp, self.payload, self.payload_cog, seconds)
 
     def carry(self, payload: Sequence[float], seconds: float) -> None:
         """Tell mass, centre and inertia of the payload, kg, m and kg m²; it goes over to that in so many s.
@@ -207,7 +207,8 @@ class SimulatedArm:
     @property
     def pushed_joints(self) -> Sequence[float]:
         """Torques that turn the joints from outside, Nm, without the force at the TCP."""
-        return self._surroundings.joint_torques
+        pushed, touched = self._surroundings.joint_torques, self._force_sensor.torques
+        return [a + b for a, b in zip(pushed, touched, strict=True)] if any(touched) else pushed
 
     @property
     def external_torques(self) -> list[float]:
@@ -225,9 +226,9 @@ class SimulatedArm:
         return [f - m + e for f, m, e in zip(shown, measured, external, strict=True)]
 
     @property
-    def is_overloaded(self) -> bool:
-        """Whether the force at the TCP is above its limit, and grows."""
-        return self._force_sensor.grows
+    def overload(self) -> str | None:
+        """What stops it protectively: a force or a torque from outside that is above its limit, and grows."""
+        return self._force_sensor.overload
 
     def zero_force(self) -> None:
         """Make the present force at the TCP the new zero."""

@@ -6,6 +6,8 @@ spring pulls the TCP towards a point. Both act on the TCP alone: the tool has no
 touches anything. Friction does not stick: below 1 mm/s it fades with the speed. All of this is a model, not a
 measurement.
 
+Bodies that move are a `Scene`, which acts on the tool and on the links.
+
 The sensor measures the forces of the surroundings, and the weight of a load that the controller does not know; `zero`
 makes the present value the new zero. That the offset turns with the tool, as with a sensor in the tool, is a guess for
 arms that have none and compute the force from their currents.
@@ -31,12 +33,15 @@ from urlink.parameters import number
 from urlink.poses import rotvec_to_matrix
 from urlink.vectors import FloatArray
 
+from .scene import Reaction, Scene
 from .sources import Setpoint
 
 #: m/s of sliding at which friction has three quarters of its full size.
 _SLIDING = 1e-3
 #: N at the TCP above which the controller stops the arm. On controllers it can be set; this default is a guess.
 FORCE_LIMIT = number("force_limit")
+# The same for the links: part of the largest torque of a joint.
+_TORQUE_SHARE = number("link_contact_limit")
 
 
 class ContactModel(Protocol):
@@ -127,10 +132,12 @@ class Surroundings:
 
     Attributes:
         force_limit: N at the TCP above which the controller stops the arm protectively.
+        scene: bodies around the arm; None for none.
     """
 
     def __init__(self) -> None:
         self.force_limit = FORCE_LIMIT
+        self.scene: Scene | None = None
         # Replaced as a whole, so that the thread that owns the controller sees either the old or the new one.
         self._contacts: tuple[ContactModel, ...] = ()
         self._wrench: tuple[float, ...] = (0.0,) * 6
@@ -162,7 +169,8 @@ class Surroundings:
         self._contacts = left
 
     def clear(self) -> None:
-        """Remove everything: contacts, pushes and the load."""
+        """Remove everything: scene, contacts, pushes and the load."""
+        self.scene = None
         self._contacts = ()
         self._wrench = self._torques = (0.0,) * 6
         self._load = None
@@ -214,7 +222,7 @@ class Surroundings:
     @property
     def is_empty(self) -> bool:
         """Whether nothing can act on the arm."""
-        return not (self._contacts or any(self._wrench) or any(self._torques) or self._load)
+        return not (self.scene or self._contacts or any(self._wrench) or any(self._torques) or self._load)
 
     @property
     def load(self) -> tuple[float, tuple[float, ...]] | None:
@@ -272,7 +280,9 @@ class ForceSensor:
     Attributes:
         external: (6,) what acts on the TCP in this cycle, with the weight that the controller does not know.
         wrench: (6,) that, minus the offset.
-        grows: whether the force at the TCP is above the limit, and larger than a cycle ago.
+        torques: (6,) Nm on the joints, by what touches the links.
+        overload: what stops the arm protectively: a force at the TCP, or a torque of a joint, that is above its limit
+            and larger than a cycle ago; None for none.
     """
 
     def __init__(self, kinematics: Arm, surroundings: Surroundings) -> None:
@@ -283,27 +293,41 @@ class ForceSensor:
         self._felt: deque[tuple[float, float, float]] = deque(maxlen=_REMEMBERED)
         self.external: Sequence[float] = _NONE
         self.wrench: Sequence[float] = _NONE
-        self.grows = False
+        self.torques: Sequence[float] = _NONE
+        self.overload: str | None = None
+        self._torque_limits = (_TORQUE_SHARE * kinematics.model.max_torque).tolist()
 
-    def advance(self, setpoint: Setpoint, tcp: Sequence[float], payload: float, cog: Sequence[float]) -> None:
+    def advance(
+        self, setpoint: Setpoint, tcp: Sequence[float], payload: float, cog: Sequence[float], seconds: float
+    ) -> None:
         """Advance by one cycle, at these targets, with this tool and the load, kg and m, that the controller knows."""
-        before = math.hypot(*self.wrench[:3])
+        before, turned = math.hypot(*self.wrench[:3]), self.torques
         if self._surroundings.is_empty and self._offset is None:
-            self.external = self.wrench = _NONE
+            self.external = self.wrench = self.torques = _NONE
             self._felt.clear()
         else:
-            self._feel(setpoint, tcp, payload, cog)
+            self._feel(setpoint, tcp, payload, cog, seconds)
             x, y, z = self.wrench[:3]
             self._felt.append((x, y, z))
-        force = math.hypot(*self.wrench[:3])
-        self.grows = force > max(self._surroundings.force_limit, before + 1e-6)
+        self.overload, most = None, self._surroundings.force_limit
+        if math.hypot(*self.wrench[:3]) > max(most, before + 1e-6):
+            self.overload = f"a force of more than {most:g} N at the TCP"
+        for i, (torque, last, most) in enumerate(zip(self.torques, turned, self._torque_limits, strict=True)):
+            if abs(torque) > max(most, abs(last) + 1e-6):
+                self.overload = f"a contact of the arm that turns joint {i + 1} by more than {most:g} Nm"
 
-    def _feel(self, setpoint: Setpoint, tcp: Sequence[float], payload: float, cog: Sequence[float]) -> None:
+    def _feel(
+        self, setpoint: Setpoint, tcp: Sequence[float], payload: float, cog: Sequence[float], seconds: float
+    ) -> None:
         pose: list[float] = self._kinematics.forward(setpoint.q, tcp).tolist()
         velocity = _NONE
         if any(setpoint.qd):
             velocity = self._kinematics.velocity(setpoint.q, setpoint.qd, tcp).tolist()
         external = np.array(self._surroundings.wrench(pose[:3], velocity[:3]))
+        scene = self._surroundings.scene
+        reaction = Reaction(_NONE) if scene is None else scene.advance(setpoint, pose, seconds)
+        external += reaction.wrench
+        self.torques = reaction.torques
         self._turn = pose[3:]
         load = self._surroundings.load
         if load is not None:

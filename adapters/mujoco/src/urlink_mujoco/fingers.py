@@ -1,0 +1,116 @@
+"""The fingers of a gripper: bodies with the measures of a Robotiq 2F-85, led by the gripper of a simulated controller.
+
+Two plates slide along the y axis of the flange, always by the same way. The controller's gripper says where they go and
+how hard they may press (`FOR`: 20 to 235 N, of the data sheet). Where something holds them up, it is told of an object
+of that width (`SimulatedGripper.place`), so that its clients see what they see of a gripper. Real fingers swing and are
+as soft as their pads; the shape of these is a guess.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from urlink.simulator import Controller
+
+__all__ = ["COG", "MASS", "TCP", "TOOL", "Fingers"]
+
+#: kg and m in the frame of the flange, of the data sheet, about; m and rotation vector of the point between the pads.
+MASS, COG, TCP = 0.925, (0.0, 0.0, 0.058), (0.0, 0.0, 0.145, 0.0, 0.0, 0.0)
+#: m between the open fingers.
+_STROKE = 0.085
+#: N at `FOR` of 0 and 255.
+_WEAKEST, _STRONGEST = 20.0, 235.0
+#: N/m of the servo, and N per m/s: critically damped for what the drive of a finger seems to weigh, kg.
+_STIFFNESS, _DRIVE = 20_000.0, 0.8
+_DAMPING = 2.0 * (_STIFFNESS * (_DRIVE + 0.1)) ** 0.5
+#: m by which fingers are behind, below m/s, for s: something holds them up.
+_BEHIND, _SLOW, _HELD_FOR = 0.0015, 0.002, 0.01
+#: m by which fingers that hold something go on: it is gone.
+_GONE = 0.003
+
+#: The pads have priority: an object in the grasp rubs as they do. They are stiffer than what MuJoCo has as default, or
+#: the fingers would sink into light things: the stiffness of a contact is in proportion to the masses in it.
+TOOL = f"""
+<mujoco>
+  <compiler autolimits="true"/>
+  <default>
+    <geom rgba=".2 .2 .2 1"/>
+    <joint type="slide" range="0 {_STROKE / 2}" armature="{_DRIVE}"/>
+    <position kp="{_STIFFNESS}" kv="{_DAMPING}" forcerange="-{_WEAKEST} {_WEAKEST}"/>
+    <default class="pad"><geom type="box" size=".011 .004 .02" priority="1" friction="1 .02 .001" condim="4"
+      solref=".006 1" solimp="0 .99 .001" rgba=".5 .5 .5 1"/></default>
+  </default>
+  <worldbody>
+    <body name="gripper">
+      <inertial pos="0 0 .05" mass="{MASS - 0.2}" diaginertia=".001 .001 .0005"/>
+      <geom type="box" pos="0 0 .045" size=".035 .06 .045"/>
+      <body name="left_finger" pos="0 {_STROKE / 2} .145">
+        <inertial pos="0 .004 -.02" mass=".1" diaginertia=".00005 .00005 .00002"/>
+        <joint name="left_finger" axis="0 -1 0"/>
+        <geom name="left_pad" class="pad" pos="0 .004 0"/>
+        <geom type="box" pos="0 .012 -.0275" size=".009 .004 .0275"/>
+      </body>
+      <body name="right_finger" pos="0 -{_STROKE / 2} .145">
+        <inertial pos="0 -.004 -.02" mass=".1" diaginertia=".00005 .00005 .00002"/>
+        <joint name="right_finger" axis="0 1 0"/>
+        <geom name="right_pad" class="pad" pos="0 -.004 0"/>
+        <geom type="box" pos="0 -.012 -.0275" size=".009 .004 .0275"/>
+      </body>
+    </body>
+  </worldbody>
+  <equality><joint joint1="left_finger" joint2="right_finger" solref=".004 1"/></equality>
+  <actuator>
+    <position name="left_finger" joint="left_finger"/>
+    <position name="right_finger" joint="right_finger"/>
+  </actuator>
+</mujoco>
+"""
+
+
+class Fingers:
+    """The fingers of one arm.
+
+    Args:
+        model: of MuJoCo.
+        prefix: of their names in it.
+        controller: whose gripper leads them.
+    """
+
+    def __init__(self, model: Any, prefix: str, controller: Controller) -> None:
+        self._model, self._gripper = model, controller.gripper
+        names = f"{prefix}tool/left_finger", f"{prefix}tool/right_finger"
+        self._actuators = [model.actuator(name).id for name in names]
+        self.dofs = [int(model.joint(name).dofadr[0]) for name in names]
+        self._place = int(model.joint(names[0]).qposadr[0])
+        #: where they stood when something held them up, m from open; 1 if they closed upon it, -1 if they opened
+        self._held: float | None = None
+        self._direction = 1.0
+        self._waited = 0.0
+
+    def lead(self, data: Any, seconds: float) -> None:
+        """Tell the gripper what holds its fingers up, and the servo where they go in the coming cycle."""
+        registers, place = self._gripper.registers, float(data.qpos[self._place])
+        most = _WEAKEST + (_STRONGEST - _WEAKEST) * registers["FOR"] / 255
+        asked, goal = _way(registers["POS"]), _way(self._gripper.position)
+        if self._held is None:
+            is_held_up = abs(goal - place) > _BEHIND and abs(data.qvel[self.dofs[0]]) < _SLOW
+            self._waited = self._waited + seconds if is_held_up else 0.0
+            if self._waited >= _HELD_FOR:
+                self._held, self._direction, self._waited = place, 1.0 if goal > place else -1.0, 0.0
+                width = min(max(_STROKE - 2.0 * place, 0.0), _STROKE)
+                self._gripper.place(width, inside=goal < place)
+        elif self._direction * (asked - self._held) <= 0.0 or self._direction * (place - self._held) > _GONE:
+            self._gripper.take_away()
+            self._held = None
+        if self._held is not None:
+            # As hard as asked, also where the fingers have little way left to what they were asked for.
+            goal = asked + self._direction * most / _STIFFNESS
+        for actuator in self._actuators:
+            self._model.actuator_forcerange[actuator] = -most, most
+            data.ctrl[actuator] = goal
+
+
+def _way(position: float) -> float:
+    """Where each finger is at a position of the gripper, 0 to 255: m from open."""
+    return _STROKE / 2 * position / 255
