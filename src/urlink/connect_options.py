@@ -80,9 +80,7 @@ class ConnectOptions:
         checked["place"] = place = parse_address(self.address)
         checked["name"] = name = os.fspath(self.address)
         if self.isolate and isinstance(place, RecordingAddress):
-            raise BadValue(
-                f"isolate={self.isolate!r}: {name} is a recording, which no other process can read sooner"
-            )
+            raise BadValue(f"isolate={self.isolate!r}: {name} is a recording, which no other process can read sooner")
         vars(self).update(checked)  # it is frozen for others
 
 

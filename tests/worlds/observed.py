@@ -507,7 +507,10 @@ class Observed:
         assert sent.ended is not None
         closed = self._closed.get(sent.computer, math.inf)
         return any(
-            begun <= sent.ended + _KEPT and sent.ended <= over + _KEPT and closed <= over + _KEPT and self.played[-1:] > [over]
+            begun <= sent.ended + _KEPT
+            and sent.ended <= over + _KEPT
+            and closed <= over + _KEPT
+            and self.played[-1:] > [over]
             for begun, over in self.stopped
         )
 

@@ -17,9 +17,8 @@ import ast
 import functools
 import math
 import random
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from types import CodeType, FrameType, ModuleType
-from typing import Any
 
 from .scheduler import Scheduler, Tracer
 

@@ -114,7 +114,7 @@ class Task:
         self.joiners: deque[Task] = deque()
         #: what its lines are traced by for the scheduler, and what they were before
         self.tracer: Tracer | None = None
-        self.before: Tracer | None = None
+        self.before: Any = None
 
 
 class Scheduler:

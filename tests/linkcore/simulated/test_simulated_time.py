@@ -16,6 +16,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as FutureTimeout
 from types import ModuleType
+from typing import Any
 
 import pytest
 
@@ -331,7 +332,7 @@ def test_everything_is_put_back() -> None:
 
 
 def test_a_name_that_was_patched_is_simulated_in_the_next_block(monkeypatch: pytest.MonkeyPatch) -> None:
-    module = ModuleType("made_for_this_test")
+    module: Any = ModuleType("made_for_this_test")
     vars(module).update(sleep=time.sleep, now=time.monotonic)
     monkeypatch.setitem(sys.modules, module.__name__, module)
     with monkeypatch.context() as patched:
