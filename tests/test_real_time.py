@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import pytest
 
 from tests.real_time import SHARE, is_marked
@@ -43,3 +45,12 @@ def test_what_is_real_is_marked(pytester: pytest.Pytester) -> None:
     result = pytester.runpytest_inprocess("-p", "tests.real_time", "-p", "no:cacheprovider")
     result.assert_outcomes(passed=len(USES), failed=len(USES))
     result.stdout.fnmatch_lines_random([f"*{said}: mark it simulated_time*" for said in USES])
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="time is simulated on Linux alone")
+def test_the_examples_of_a_page_are_in_simulated_time(pytester: pytest.Pytester) -> None:
+    waits = ">>> import time\n>>> begun = time.monotonic()\n>>> time.sleep(3600)\n"
+    waits += ">>> time.monotonic() - begun > 3599\nTrue\n"
+    pytester.makefile(".md", page=waits)
+    result = pytester.runpytest_inprocess("-p", "tests.real_time", "-p", "no:cacheprovider", "--doctest-glob=*.md")
+    result.assert_outcomes(passed=1)
