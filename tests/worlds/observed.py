@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import math
 import re
+import weakref
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -28,6 +29,8 @@ from urlink.motion.linked import LinkedProgram
 from urlink.motion.register_link import RegisterLink
 from urlink.motion.reverse import ReverseLink
 from urlink.motion.setpoints import STOP_WORD, WAIT_WORD, WORD_SIZE
+from urlink.robot import Robot
+from urlink.rtde import Rtde
 from urlink.simulator import Controller
 from urlink.simulator.programs.pendant import Pendant
 from urlink.simulator.programs.program_world import ProgramWorld
@@ -113,8 +116,8 @@ class _Known:
 
 
 @contextlib.contextmanager
-def replaced(owner: Any, name: str, around: Callable[[Callable[..., Any]], Callable[..., Any]]) -> Iterator[None]:
-    """A method of a class, or of one object, is `around(method)` meanwhile."""
+def replaced(owner: Any, name: str, around: Callable[[Any], Any]) -> Iterator[None]:
+    """A method or a property of a class, or a method of one object, is `around(it)` meanwhile."""
     had = name in vars(owner)
     method = getattr(owner, name)
     setattr(owner, name, around(method))
@@ -176,6 +179,9 @@ class Observed:
         #: when a person, or a client, let a paused program go on
         self.played: list[float] = []
         self.stop_holds = False
+        self._counted = 0.0
+        #: what the first thread was given that asked
+        self._rtdes: weakref.WeakKeyDictionary[Robot, Rtde] = weakref.WeakKeyDictionary()
 
     # -- what is wrapped -------------------------------------------------------------------------------
 
@@ -183,7 +189,7 @@ class Observed:
     def watching(self) -> Iterator[None]:
         """Observe, for as long as the block lasts."""
         runner = self._controller._runner
-        around: list[tuple[Any, str, Callable[[Callable[..., Any]], Callable[..., Any]]]] = [
+        around: list[tuple[Any, str, Callable[[Any], Any]]] = [
             (Programs, "start", self._start),
             (Programs, "close", self._close),
             (CommandChannel, "_send_some", self._text),
@@ -192,6 +198,7 @@ class Observed:
             (RegisterLink, "send", self._word),
             (Lifecycle, "fire", self._fire),
             (Handle, "wait", self._wait),
+            (Robot, "rtde", self._rtde),
             (FanOut, "publish", self._publish),
             (Connection, "_disconnected", self._disconnected),
             (Computer, "suspend", self._suspend),
@@ -312,6 +319,16 @@ class Observed:
 
         return wrapped
 
+    def _rtde(self, rtde: property) -> property:
+        def made(robot: Robot) -> Rtde:
+            assert rtde.fget is not None
+            one: Rtde = rtde.fget(robot)
+            if self._rtdes.setdefault(robot, one) is not one:
+                self._fault(f"{here().name}: a robot has two clients of RTDE, of which each claims for itself")
+            return one
+
+        return property(made)
+
     def _publish(self, publish: Callable[..., None]) -> Callable[..., None]:
         def wrapped(fan_out: FanOut, packets: Any) -> None:
             states = [packet for packet in packets if type(packet) is RealtimeState]
@@ -382,8 +399,8 @@ class Observed:
         return any(at >= moment for at in self._lost.get(computer, ()))
 
     def has_arrived(self, computer: Computer) -> bool:
-        """What it has sent is there, and was read: a controller that was suspended reads after some cycles."""
-        return not any(end.unacknowledged or (end.peer is not None and end.peer.received) for end in computer.ends)
+        """What it has sent is there."""
+        return not any(end.unacknowledged for end in computer.ends)
 
     def _of(self, computer: Computer) -> list[Sent]:
         return [sent for sent in self.programs.values() if sent.computer is computer]
@@ -463,7 +480,13 @@ class Observed:
     # -- in each cycle -----------------------------------------------------------------------------------
 
     def count_rests(self) -> None:
-        """Count the cycles for which programs may go on whose handles are over."""
+        """Count the cycles for which programs may go on whose handles are over.
+
+        A controller that was suspended makes up for its cycles before it reads what came meanwhile: they count once.
+        """
+        if self._sim.now - self._counted < 0.5 / self._controller.firmware.rate:
+            return
+        self._counted = self._sim.now
         for sent in self.programs.values():
             is_ending = sent.ended is not None and not self.is_held(sent.computer)
             if sent.over is None and (sent.computer in self._dead or (is_ending and self.has_arrived(sent.computer))):

@@ -58,6 +58,8 @@ PREEMPTED = (
     "urlink.robot",
     "urlink.rtde",
 )
+#: Calls that neither move the arm nor keep others from moving it.
+_HARMLESS = ("output", "analog_output", "payload", "tcp", "registers", "outputs", "subscribe", "iterate", "wait_state")
 #: Calls after which the arm may move with no handle that could tell when it ends.
 _LASTING = ("line",)
 _NO_END = {"servoJ", "speedJ", "jogStart", "forceMode", "freedriveMode", "speedj"}
@@ -574,8 +576,8 @@ def _handle(entered: Any) -> Handle | None:
 
 
 def _is_quiet(world: World) -> bool:
-    """Nothing happens beside clients that only move the arm: nothing may be said to have stopped it."""
-    moves = {*MOTION, *BLOCK}
+    """Nothing happens beside clients that move the arm, or do no harm: nothing may be said to have stopped it."""
+    moves = {*MOTION, *BLOCK, *_HARMLESS}
     return not world.events and all(ask.what in moves for client in world.clients for ask in client.asks)
 
 
