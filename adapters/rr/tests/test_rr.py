@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import signal
 import subprocess
@@ -93,7 +94,7 @@ def test_a_client_reads_a_robot(arm: Any, node: Any, robot: urlink.Robot) -> Non
     assert state.joint_position == pytest.approx(now.q_actual, abs=1e-3)
     tool = state.kin_chain_tcp[0]
     assert [float(tool["position"][axis]) for axis in "xyz"] == pytest.approx(now.tool_vector_actual[:3], abs=1e-3)
-    turned = poses.quaternion_to_rotvec([float(tool["orientation"][axis]) for axis in "wxyz"])
+    turned = poses.quaternion_to_rotvec([float(tool["orientation"][axis]) for axis in "xyzw"])
     assert turned == pytest.approx(now.tool_vector_actual[3:], abs=1e-2)
     assert state.robot_state_flags & flags["ready"]
     assert state.robot_state_flags & flags["enabled"]
@@ -116,7 +117,7 @@ def test_the_chain_is_that_of_the_arm(arm: Any, robot: urlink.Robot) -> None:
         place = place + rotation @ way
     expected = robot.kinematics.forward(q)
     assert place == pytest.approx(expected[:3], abs=1e-9)
-    flange = [float(chain.flange_pose["orientation"].flat[0][axis]) for axis in "wxyz"]
+    flange = [float(chain.flange_pose["orientation"].flat[0][axis]) for axis in "xyzw"]
     whole = rotation @ poses.rotvec_to_matrix(poses.quaternion_to_rotvec(flange))
     assert whole == pytest.approx(poses.rotvec_to_matrix(expected[3:]), abs=1e-9)
 
@@ -263,15 +264,17 @@ def test_homing_signals_speed_tool_and_payload(arm: Any, node: Any, robot: urlin
     payload.device_info = arm.device_info
     payload.inertia = np.zeros((1,), node.GetNamedArrayDType("com.robotraconteur.geometry.SpatialInertia", arm))
     payload.inertia[0]["m"] = 1.5
+    payload.inertia[0]["com"]["x"] = 0.02
     pose = np.zeros((1,), node.GetNamedArrayDType("com.robotraconteur.geometry.Pose", arm))
-    pose[0]["orientation"]["w"] = 1.0
+    # A quarter of a turn about z.
+    pose[0]["orientation"]["w"] = pose[0]["orientation"]["z"] = math.sqrt(0.5)
     pose[0]["position"]["z"] = 0.1
     changed: list[tuple[int, str]] = []
     arm.payload_changed += lambda chain, name: changed.append((chain, name))
     arm.payload_attached(0, payload, pose)
     state = robot.realtime.wait_until(lambda state: state.payload_mass == pytest.approx(1.5))
     assert state.payload_cog is not None
-    assert state.payload_cog.tolist() == pytest.approx([0.0, 0.0, 0.1])
+    assert state.payload_cog.tolist() == pytest.approx([0.0, 0.02, 0.1])
     until(lambda: changed == [(0, "arm")])
 
 

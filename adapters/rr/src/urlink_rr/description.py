@@ -39,7 +39,9 @@ def pose_array(node: Any, pose: Any) -> Any:
     found = np.zeros((1,), node.GetNamedArrayDType(f"{_GEOMETRY}.Pose"))
     vector = np.asarray(pose, dtype=np.float64)
     found[0]["position"] = tuple(vector[:3])
-    found[0]["orientation"] = tuple(poses.rotvec_to_quaternion(vector[3:]))
+    # By name: the structure begins with w, and `urlink.poses` ends with it.
+    for axis, value in zip("xyzw", poses.rotvec_to_quaternion(vector[3:]).tolist(), strict=True):
+        found[0]["orientation"][axis] = value
     return found
 
 

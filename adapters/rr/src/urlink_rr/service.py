@@ -385,7 +385,7 @@ class RobotService:
         self._check_chain(chain)
         tcp = tool.tcp.flat[0] if isinstance(tool.tcp, np.ndarray) else tool.tcp
         position = [float(tcp["translation"][axis]) for axis in "xyz"]
-        rotation = poses.quaternion_to_rotvec([float(tcp["rotation"][axis]) for axis in "wxyz"])
+        rotation = poses.quaternion_to_rotvec([float(tcp["rotation"][axis]) for axis in "xyzw"])
         self._robot.set_tcp([*position, *rotation.tolist()])
         self.tool_changed.fire(chain, tool.device_info.device.name)
 
@@ -403,7 +403,7 @@ class RobotService:
         inertia = payload.inertia.flat[0] if isinstance(payload.inertia, np.ndarray) else payload.inertia
         at = pose.flat[0] if isinstance(pose, np.ndarray) else pose
         position = [float(at["position"][axis]) for axis in "xyz"]
-        rotation = poses.quaternion_to_rotvec([float(at["orientation"][axis]) for axis in "wxyz"])
+        rotation = poses.quaternion_to_rotvec([float(at["orientation"][axis]) for axis in "xyzw"])
         cog = poses.transform([*position, *rotation.tolist()], [float(inertia["com"][axis]) for axis in "xyz"])
         self._robot.set_payload(float(inertia["m"]), cog.tolist())
         self.payload_changed.fire(chain, payload.device_info.device.name)
