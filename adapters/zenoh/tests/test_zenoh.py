@@ -195,6 +195,16 @@ def test_commands_pass_the_interlock(
         until(lambda: "protective stop" in (remote.status["refusal"] or ""))
 
 
+def test_payload_and_gravity_are_set(
+    server: Server, session: zenoh.Session, urlink_controller: Controller, urlink_robot: urlink.Robot
+) -> None:
+    with RemoteRobot(session, "arm") as remote:
+        remote.call("set_payload", mass=1.5, cog=[0.0, 0.0, 0.05])
+        remote.call("set_gravity", acceleration=[0.0, 9.82, 0.0])
+        until(lambda: list(urlink_controller.arm.gravity) == [0.0, 9.82, 0.0])
+        assert urlink_controller.arm.payload == 1.5
+
+
 def test_a_motion_needs_a_client_that_is_alive_and_is_not_preempted_by_another(
     server: Server, session: zenoh.Session, urlink_robot: urlink.Robot
 ) -> None:

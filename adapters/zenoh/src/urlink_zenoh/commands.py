@@ -83,7 +83,7 @@ _WAIT = frozenset({"wait"})
 def _commands() -> dict[str, Command]:
     motions = ("move_joints", "move_linear", "move_circular", "speed_joints", "speed_linear")
     outputs = ("digital_out", "configurable_digital_out", "tool_digital_out", "analog_out", "tool_voltage", "flag")
-    settings = ("set_payload", "set_tcp", "set_speed_slider", "popup")
+    settings = ("set_payload", "set_gravity", "set_tcp", "set_speed_slider", "popup")
     dashboard = ("power_on", "power_off", "brake_release", "unlock_protective_stop", "restart_safety")
     dialogues = ("close_safety_popup", "close_popup", "load")
 
