@@ -60,6 +60,8 @@ class _Moved:
         after = self.arrived >= self.told[event]
         until = self.told.get("undone", math.inf) if event == "told" else math.inf
         some = after & (self.arrived <= until)
+        if not some.any():
+            raise NotTried("no packet of the real-time interface came after it")
         moving = np.flatnonzero(some & (self.speed > _STANDS))
         first = int(np.argmax(after))
         last = int(moving[-1]) if len(moving) else first
