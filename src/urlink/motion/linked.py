@@ -23,7 +23,7 @@ from ..interfaces.realtime.packets import RealtimeState
 from ..urscript import links
 from ..urscript.links import InputRegisters, ReverseSocket
 from .context import MotionContext
-from .controller_clock import MOVED, ControllerClock, Pause
+from .controller_clock import MOVED, ControllerClock, Pause, is_paused
 from .following import stands
 from .setpoints import dated
 
@@ -200,8 +200,12 @@ class LinkedProgram:
 
     @property
     def is_paused(self) -> bool:
-        """Whether the program is paused: it takes no words."""
-        return self._pause.holds
+        """Whether the program is paused: it takes no words.
+
+        By the newest state too: a loop of the user may have it before the thread that answers states.
+        """
+        newest = self._context.realtime.latest
+        return self._pause.holds or (newest is not None and is_paused(newest))
 
     def _transmit(self, data: bytes) -> None:
         if self._life.error is not None:
