@@ -140,8 +140,12 @@ ROS_GENERATORS = (
     "lark",
 )
 
+#: Compiled, and a client that an adapter is tried with where there is a wheel of it.
+UR_RTDE = "ur_rtde==1.6.5; python_version < '3.13' and sys_platform == 'linux' and platform_machine == 'x86_64'"
+
 #: adapter -> its extra, and what its tests need beside what it requires itself.
 ADAPTERS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "mujoco": ("", (UR_RTDE,)),
     "mqtt": ("", ()),
     "prometheus": ("", ()),
     "rr": ("", ()),

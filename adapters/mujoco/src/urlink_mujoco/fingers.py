@@ -82,15 +82,19 @@ class Fingers:
         names = f"{prefix}tool/left_finger", f"{prefix}tool/right_finger"
         self._actuators = [model.actuator(name).id for name in names]
         self.dofs = [int(model.joint(name).dofadr[0]) for name in names]
-        self._place = int(model.joint(names[0]).qposadr[0])
+        self._places = [int(model.joint(name).qposadr[0]) for name in names]
         #: where they stood when something held them up, m from open; 1 if they closed upon it, -1 if they opened
         self._held: float | None = None
         self._direction = 1.0
         self._waited = 0.0
 
+    def put(self, data: Any) -> None:
+        """Put the fingers where the gripper has them."""
+        data.qpos[self._places] = _way(self._gripper.position)
+
     def lead(self, data: Any, seconds: float) -> None:
         """Tell the gripper what holds its fingers up, and the servo where they go in the coming cycle."""
-        registers, place = self._gripper.registers, float(data.qpos[self._place])
+        registers, place = self._gripper.registers, float(data.qpos[self._places[0]])
         most = _WEAKEST + (_STRONGEST - _WEAKEST) * registers["FOR"] / 255
         asked, goal = _way(registers["POS"]), _way(self._gripper.position)
         if self._held is None:

@@ -321,7 +321,7 @@ class ForceSensor:
     ) -> None:
         pose: list[float] = self._kinematics.forward(setpoint.q, tcp).tolist()
         velocity = _NONE
-        if any(setpoint.qd):
+        if self._surroundings.contacts and any(setpoint.qd):
             velocity = self._kinematics.velocity(setpoint.q, setpoint.qd, tcp).tolist()
         external = np.array(self._surroundings.wrench(pose[:3], velocity[:3]))
         scene = self._surroundings.scene
@@ -330,7 +330,7 @@ class ForceSensor:
         self.torques = reaction.torques
         self._turn = pose[3:]
         load = self._surroundings.load
-        if load is not None:
+        if load is not None and load != (payload, tuple(cog)):
             # From the frame of the flange to that of the TCP, of which the pose is known.
             turn, way = rotvec_to_matrix(tcp[3:]), np.array(tcp[:3])
             external += self._weight(load[0], turn.T @ (np.array(load[1]) - way))
