@@ -473,7 +473,7 @@ def test_a_stream_that_gave_up_is_listened_to_anew() -> None:
         robot.slow.put(ConnectionLost("pulled"))
         with pytest.raises(ConnectionLost):
             program.wait(5)
-        until(lambda: "primary" not in robot.monitor._listening and not robot.programs._subscriptions)
+        until(lambda: "primary" not in robot.monitor._listening and robot.programs._subscriptions.made is None)
         robot.clear()
         again = robot.script.run("movej(q)")
         robot.begins(again)
