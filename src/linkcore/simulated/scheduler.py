@@ -312,7 +312,8 @@ class Scheduler:
         """Have the lines of the calling thread traced as those of the others are."""
         if task.tracer is None:
             task.before = sys.gettrace()
-        tracer = task.tracer = self._tracer
+        tracer = self._tracer
+        task.tracer = tracer
         sys.settrace(task.before if tracer is None else tracer)
         frame = None if tracer is None else sys._getframe()
         while tracer is not None and frame is not None:
