@@ -100,7 +100,7 @@ def test_a_wrench_moves_the_tool_by_force_over_stiffness(axis: int, in_tool: boo
     wrench = np.zeros(6)
     wrench[axis] = 8.0 if axis < 3 else 1.0
     soft.controller.push([*(axes @ wrench[:3]), *(axes @ wrench[3:])])
-    soft.go(1.0)
+    soft.go(2.0)
     moved = -soft.off(start)
     moved = np.concatenate((axes.T @ moved[:3], axes.T @ moved[3:]))
     expected = wrench / stiffness
@@ -209,35 +209,22 @@ def test_the_posture_moves_what_no_spring_of_the_tool_holds() -> None:
     assert np.abs(soft.off(start)[:3]).max() < 1e-3
 
 
-@pytest.mark.parametrize("end", ["out of reach", "pulled"])
-def test_an_arm_that_was_stretched_comes_back_with_its_elbow_on_the_same_side(end: str) -> None:
-    soft = SoftTool(q=(0.0, -0.6, 0.6, -1.57, -1.57, 0.0), posture=(2.0,) * 6, stiffness=(500.0,) * 3 + (0.0,) * 3)
-    start = soft.pose
-    elbow = [float(soft.q[2])]
-    fastest = 0.0
-
-    def watch(seconds: float) -> None:
-        nonlocal fastest
+def test_an_arm_that_was_stretched_comes_back_with_its_elbow_on_the_same_side() -> None:
+    """By a target out of reach, which `Impedance.send` refuses: straight, it is a little beyond, and comes back."""
+    soft = SoftTool(q=(0.0, -0.3, 0.35, -1.57, -1.57, 0.0), posture=(2.0,) * 6, stiffness=(500.0,) * 3 + (0.0,) * 3)
+    start, elbow, fastest = soft.pose, [], 0.0
+    outwards = np.array(start[:3]) * (1.0 + 0.3 / np.linalg.norm(start[:3]))
+    for goal, seconds in (([*outwards, *start[3:]], 2.4), (start, 4.0)):
+        soft.lead(goal)
         for _ in range(round(seconds * 500)):
             soft.go()
             elbow.append(float(soft.q[2]))
             fastest = max(fastest, float(np.abs(soft.qd).max()))
-
-    radial = np.array(start[:3]) / np.linalg.norm(start[:3])
-    if end == "pulled":
-        soft.controller.push([*(45.0 * radial), 0, 0, 0])
-        watch(2.0)
-        soft.controller.push([0.0] * 6)
-    else:
-        soft.lead([*(np.array(start[:3]) + 0.3 * radial), *start[3:]])
-        watch(3.0)
-        soft.lead(start)
-    assert min(elbow) < 0.25
-    watch(4.0)
-    assert not soft.is_stopped
+    assert -0.1 < min(elbow) < 0.02
+    assert elbow[-1] > 0.15
+    assert np.abs(soft.off(start)[:3]).max() < 0.01
     assert fastest < 1.5
-    assert elbow[-1] > 0.3
-    assert np.abs(soft.off(start)[:3]).max() < 0.02
+    assert not soft.is_stopped
 
 
 # -- what bounds it -----------------------------------------------------------------------------------------
@@ -422,7 +409,7 @@ class ToolWorld(World):
 
 
 @pytest.mark.property
-@settings(max_examples=max(settings.default.max_examples // 2, 10) if settings.default else 10)
+@settings(max_examples=max(settings.default.max_examples // 2, 5) if settings.default else 5)
 @given(st.integers(0, 2**31))
 def test_energy_never_grows_by_itself(seed: int) -> None:
     world = ToolWorld(seed)
