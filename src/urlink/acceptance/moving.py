@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable
 from functools import partial
 
-from linkcore.errors import Cancelled, LinkError
+from linkcore.errors import Cancelled, LinkError, LocalError
 from linkcore.handle import Motion
 
 from ..errors import SafetyStop
@@ -136,7 +136,11 @@ class _Wrist:
     def pause(self) -> Told:
         motion = self._moving()
         self._book.note("pause", event="told")
-        self._robot.dashboard.pause()
+        try:
+            self._robot.dashboard.pause()
+        except LocalError as error:  # nothing of this firmware can be asked for it
+            motion.cancel()
+            return {"skipped": str(error)}
         time.sleep(1.5)
         self._book.note("pause", event="undone")
         self._robot.dashboard.play()

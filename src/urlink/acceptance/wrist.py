@@ -116,6 +116,8 @@ def _stops(step: str) -> Check:
         moved = _Moved(evidence, step)
         if "told" not in moved.told:
             return Measured(math.inf, moved.error or "the wrist did not begin to move")
+        if step not in ("starved", "frozen") and moved.error:
+            return Measured(math.inf, moved.error)
         took, stood = moved.stood()
         after = ""
         if step in ("starved", "frozen"):
@@ -126,12 +128,10 @@ def _stops(step: str) -> Check:
             raise NotTried(f"for {gap * 1e3:.0f} ms nothing came from the controller")
         if stood <= 0.1:
             return Measured(math.inf, f"it still moved {took:.2f} s{after}")
-        if "undone" in moved.told and (moved.error or moved.far() > 2e-3):
-            return Measured(math.inf, f"it did not go on to its goal: {moved.error or f'{moved.far():.4f} rad away'}")
+        if "undone" in moved.told and moved.far() > 2e-3:
+            return Measured(math.inf, f"it did not go on to its goal: {moved.far():.4f} rad away")
         if step == "protective-stop" and not moved.said.get("ended"):
             return Measured(math.inf, "the motion did not fail with SafetyStop")
-        if step not in ("starved", "frozen") and moved.error:
-            return Measured(math.inf, moved.error)
         return Measured(max(took, 0.0), f"it stood {took * 1e3:+.0f} ms{after}")
 
     return check

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import random
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 
@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import urlink
+from urlink.acceptance import moving
 from urlink.acceptance.evidence import Evidence
 from urlink.acceptance.logbook import Logbook
 from urlink.acceptance.moving import move
@@ -20,6 +21,7 @@ from urlink.acceptance.person import OfTheSimulator
 from urlink.acceptance.report import judge
 from urlink.acceptance.requirements import requirements
 from urlink.acceptance.stages import run
+from urlink.acceptance.standing import Told
 from urlink.simulator import Controller
 
 LIMIT = requirements()["box"].limit
@@ -38,6 +40,27 @@ def test_a_sound_controller_holds_everything(tmp_path: Path) -> None:
     moved = [each for each in verdicts.values() if each.requirement.stage == 2]
     assert {each.requirement.name: each.seen for each in moved if each.state == "not held"} == {}
     assert [each.requirement.name for each in moved if each.state == "not tried"] == ["frozen"]
+
+
+@pytest.mark.slow
+@pytest.mark.simulated_time
+def test_what_a_firmware_cannot_be_asked_for_is_not_tried(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The Robot API of 10.7 has no pause."""
+    whole = moving.try_each
+
+    def some(book: Logbook, steps: Mapping[str, Callable[[], Told]], between: Callable[[], object]) -> None:
+        whole(book, {name: steps[name] for name in ("move", "pause", "stop")}, between)
+
+    monkeypatch.setattr(moving, "try_each", some)
+    run("sim://ur5e?firmware=10.7", tmp_path / "run.urlog", (2,), consent)
+    verdicts = {each.requirement.name: each for each in judge(Evidence(tmp_path / "run.urlog"), requirements())}
+    assert "the first whose Robot API has 'pause' is 10.11" in verdicts["pause"].seen
+    assert {name: verdicts[name].state for name in ("move-arrives", "pause", "stop", "box")} == {
+        "move-arrives": "held",
+        "pause": "not tried",
+        "stop": "held",
+        "box": "held",
+    }
 
 
 class LetsGo(OfTheSimulator):
