@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 import urlink
-from urlink.acceptance import moving
 from urlink.acceptance.evidence import Evidence
 from urlink.acceptance.logbook import Logbook
 from urlink.acceptance.moving import move
@@ -21,7 +20,7 @@ from urlink.acceptance.person import OfTheSimulator
 from urlink.acceptance.report import judge
 from urlink.acceptance.requirements import requirements
 from urlink.acceptance.stages import run
-from urlink.acceptance.standing import Told
+from urlink.acceptance.standing import Told, try_each
 from urlink.simulator import Controller
 
 LIMIT = requirements()["box"].limit
@@ -46,12 +45,11 @@ def test_a_sound_controller_holds_everything(tmp_path: Path) -> None:
 @pytest.mark.simulated_time
 def test_what_a_firmware_cannot_be_asked_for_is_not_tried(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The Robot API of 10.7 has no pause."""
-    whole = moving.try_each
 
     def some(book: Logbook, steps: Mapping[str, Callable[[], Told]], between: Callable[[], object]) -> None:
-        whole(book, {name: steps[name] for name in ("move", "pause", "stop")}, between)
+        try_each(book, {name: steps[name] for name in ("move", "pause", "stop")}, between)
 
-    monkeypatch.setattr(moving, "try_each", some)
+    monkeypatch.setattr("urlink.acceptance.moving.try_each", some)
     run("sim://ur5e?firmware=10.7", tmp_path / "run.urlog", (2,), consent)
     verdicts = {each.requirement.name: each for each in judge(Evidence(tmp_path / "run.urlog"), requirements())}
     assert "the first whose Robot API has 'pause' is 10.11" in verdicts["pause"].seen
