@@ -492,6 +492,10 @@ class Observed:
             if sent.over is None and (sent.computer in self._dead or (is_ending and self.has_arrived(sent.computer))):
                 sent.rests += 1
 
+    def waits(self, sent: Sent) -> bool:
+        """It has begun, and must not move the arm before its client permits it."""
+        return sent.begun is not None and sent.wrapped.permission is not None and sent.granted is None
+
     def why_not(self, sent: Sent, is_faster: bool) -> str | None:
         """Why this program must not move the arm in this cycle; None if it may.
 
@@ -501,8 +505,7 @@ class Observed:
         rate = self._controller.firmware.rate
         braking = (_OBEYING if is_faster else BRAKING) * rate
         now, is_dead = self._sim.now, sent.computer in self._dead
-        waits = sent.wrapped.permission is not None and sent.granted is None
-        if waits and sent.begun is not None and (is_faster or now > sent.begun + BRAKING):
+        if self.waits(sent) and (is_faster or now > (sent.begun or 0.0) + BRAKING):
             return "which has no permission of its own client"
         if self.stopped and not sent.is_stop and is_faster and not any(at > self.stopped[-1][0] for at in self.played):
             begun, over = self.stopped[-1]

@@ -26,12 +26,21 @@ _PATCHES = Path(__file__).parent / "defects"
 NAMES = tuple(sorted(path.stem for path in _PATCHES.glob("*.patch")))
 
 
-def _ask(what: str, then: str = "wait", *, after: float = 0.0, size: float = 1.0, patience: float = 0.0) -> Ask:
-    return Ask(what, then, after, size, patience)
+def _ask(
+    what: str,
+    then: str = "wait",
+    *,
+    after: float = 0.0,
+    size: float = 1.0,
+    patience: float = 0.0,
+    thread: int = 0,
+    at: float = 0.0,
+) -> Ask:
+    return Ask(what, then, after, size, patience, thread, at)
 
 
-def _world(*clients: Client, events: tuple[Event, ...] = (), latency: float = 1e-4, jitter: float = 0.0) -> World:
-    return World(0, "5.11", latency, jitter, clients, events)
+def _world(*clients: Client, events: tuple[Event, ...] = (), latency: float = 1e-4, lines: float = 0.0) -> World:
+    return World(0, "5.11", latency, 0.0, clients, events, lines)
 
 
 #: A small world that shows the defect, and with how many seeds in place of its own it is tried: which thread goes first
@@ -69,6 +78,42 @@ SHOWN: Mapping[str, tuple[World, int]] = {
             events=(Event("protective_stop", 0.0, 0.5, 0, 1.0, 0),),
         ),
         3,
+    ),
+    # The program of the second client has begun when the permission of the first one's comes.
+    "one-permission-for-all": (
+        _world(
+            Client((_ask("move_joints", size=0.4, at=0.2),), 0.0),
+            Client((_ask("move_joints", size=0.3, at=0.2, after=0.008),), 0.0),
+            latency=5e-3,
+        ),
+        3,
+    ),
+    # Both are the first to command, before the first state has come.
+    "first-word-of-two-threads": (
+        _world(Client((_ask("output", size=0.4), _ask("output", size=0.4, thread=1)), 0.0)),
+        3,
+    ),
+    # Both have slept longer than a state may be old, and wait for news.
+    "stop-after-the-next": (
+        _world(
+            Client(
+                (
+                    _ask("move_joints", "cancel", size=0.4, patience=0.5, at=0.2),
+                    _ask("move_joints", size=0.3, thread=1, at=0.9),
+                ),
+                0.0,
+            ),
+            events=(Event("hold_client", 0.3, 1.3, 0, 1.0),),
+        ),
+        40,
+    ),
+    # One of them makes way after it has looked, and before it sets.
+    "two-connections-claim-the-same": (
+        _world(
+            Client((_ask("registers", size=0.4, at=0.1), _ask("registers", size=0.4, thread=1, at=0.1)), 0.0),
+            lines=0.3,
+        ),
+        100,
     ),
 }
 

@@ -22,6 +22,8 @@ __all__ = ["BRAKING", "Outcome", "Watch"]
 
 #: rad/s above which the arm moves.
 MOVES = 0.01
+#: rad/s by which it gets faster in a cycle in which it begins to move: the profiles of moves begin with less.
+BEGINS = 1e-5
 #: Programs that have an owner of their own: the one that is saved at the pendant, and those of foreign clients.
 _OWNED = ("pick", "foreign")
 
@@ -144,13 +146,15 @@ class Watch:
         self._q, self._qd = q, qd
         self._note_stop()
         observed.count_rests()
+        main = controller._runner.main
+        sent = None if main is None else observed.programs.get(main.name)
+        if speed > before + BEGINS and sent is not None and observed.waits(sent):
+            self._once(f"{sent.wrapped.name} ({sent.life.name}) moves the arm without a permission of its own client")
         if speed <= MOVES:
             if not controller.is_running_program:
                 self._is_admitted = False
             return
         self._outcome.moved += period
-        main = controller._runner.main
-        sent = None if main is None else observed.programs.get(main.name)
         if sent is not None:
             why = observed.why_not(sent, is_faster=speed > before + 1e-3)
             if why is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import importlib
 import os
 import queue
 import random
@@ -15,7 +16,8 @@ import uuid
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as FutureTimeout
-from types import ModuleType
+from pathlib import Path
+from types import FrameType, ModuleType
 from typing import Any
 
 import pytest
@@ -116,6 +118,81 @@ def test_a_lost_update_is_found() -> None:
         return count[0]
 
     assert {outcome(seed, program)[0] for seed in range(100)} == {1, 2}
+
+
+class Lazy:
+    """Makes something once, unless two threads ask for it at the same time: between look and set is no lock."""
+
+    def __init__(self) -> None:
+        self.one: object = None
+        self.made = 0
+
+    def get(self) -> object:
+        if self.one is None:
+            self.made += 1
+            self.one = object()
+        return self.one
+
+
+def lazy(sim: Simulation) -> int:
+    it = Lazy()
+    threads = [threading.Thread(target=it.get) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    return it.made
+
+
+def lazy_between_lines(sim: Simulation) -> int:
+    sim.preempt(__name__)
+    return lazy(sim)
+
+
+def test_a_race_between_two_lines_is_found_where_threads_make_way_there() -> None:
+    seeds = range(200)
+    assert {outcome(seed, lazy)[0] for seed in seeds} == {1}
+    assert {outcome(seed, lazy_between_lines)[0] for seed in seeds} == {1, 2}
+
+
+def test_what_was_called_before_does_not_move_the_lines_at_which_threads_make_way() -> None:
+    first = [outcome(seed, lazy_between_lines) for seed in range(20)]
+    assert [outcome(seed, lazy_between_lines) for seed in reversed(range(20))] == first[::-1]
+
+
+def test_what_traced_lines_before_does_so_again() -> None:
+    seen: list[str] = []
+
+    def trace(frame: FrameType, event: str, arg: object) -> None:
+        seen.append(frame.f_code.co_name)
+
+    before = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        with simulated_time() as sim:
+            sim.preempt(__name__)
+            lazy(sim)
+            sim.preempt()
+            assert sys.gettrace() is trace
+        assert sys.gettrace() is trace
+    finally:
+        sys.settrace(before)
+
+
+def test_what_holds_a_lock_of_its_module_is_not_interrupted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is from before the simulation, so a real one: a thread that made way with it would stop all others."""
+    lines = ["import threading", "lock = threading.Lock()", "def hold():", "    with lock:"]
+    (tmp_path / "kept_lock.py").write_text("\n".join([*lines, *["        one = 1"] * 20]))
+    monkeypatch.syspath_prepend(tmp_path)
+    hold = importlib.import_module("kept_lock").hold
+    for seed in range(30):
+        with simulated_time(seed) as sim:
+            sim.preempt("kept_lock")
+            threads = [threading.Thread(target=hold) for _ in range(3)]
+            for thread in threads:
+                thread.start()
+            for thread in threads:
+                thread.join()
 
 
 def test_chance_follows_from_the_seed() -> None:
