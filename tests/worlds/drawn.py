@@ -308,13 +308,13 @@ def draw(seed: int) -> World:
     chance = random.Random(seed)
     meeting = chance.choice((0.0, chance.uniform(0.05, 0.4)))
     shared = _menu(chance) if meeting else ()
-    numbers = (1, 2, 2, 3) if meeting else (1, 1, 2, 2, 3)
+    numbers = (1, 1, 2, 2) if meeting else (1, 1, 2, 2, 3)
     clients = tuple(_client(chance, meeting, shared) for _ in range(chance.choice(numbers)))
     menu: Sequence[str] = chance.choice((_STOPS, _CABLES, HAPPENS, HAPPENS, chance.sample(HAPPENS, 3)))
-    events = tuple(_event(chance, meeting, menu, clients) for _ in range(chance.choice((0, 1, 1, 2, 2, 3))))
+    events = tuple(_event(chance, meeting, menu, clients) for _ in range(chance.choice((0, 0, 1, 1, 2, 3))))
     firmwares = [str(row.since) for row in RELEASES for _ in range(1 if row.since.is_cb2 else 3)]
     latency, jitter = chance.choice((5e-5, 5e-4, 5e-3)), chance.choice((0.0, 2e-4, 2e-3))
-    lines = chance.choice((0.0, meeting + 0.2 * chance.random()))
+    lines = chance.choice((0.0, 0.0, 0.0, meeting + 0.1 * chance.random()))
     return World(seed, chance.choice(firmwares), latency, jitter, clients, events, lines)
 
 
@@ -328,8 +328,9 @@ def _client(chance: random.Random, meeting: float, shared: tuple[str, ...]) -> C
     menu, threads = ASKED[kind], 1
     if kind in ("threads", "asyncio"):
         menu = shared or _menu(chance)
-        threads = chance.choice((1, 2, 2, 3) if meeting else (1, 1, 2, 3))
-    asks = [_ask(chance, menu, threads) for _ in range(chance.randint(1, 2 if meeting else 3) + threads - 1)]
+        threads = chance.choice((1, 2, 2) if meeting else (1, 1, 2, 3))
+    number = chance.choice((1, 1, 1, 2)) if meeting else chance.randint(1, 4)
+    asks = [_ask(chance, menu, threads) for _ in range(number + threads - 1)]
     if meeting:
         for number, ask in enumerate(asks):
             after = chance.choice((0.0, 0.001, 0.01, 0.05)) * chance.random()
@@ -356,7 +357,7 @@ def _event(chance: random.Random, meeting: float, menu: Sequence[str], clients: 
     return Event(
         chance.choice(menu),
         chance.choice((0.005, 0.05, 0.3, 1.0)) * chance.random() + (0.0 if ask is not None else meeting),
-        chance.choice((0.02, 0.3, 1.0, 3.0)) * chance.random(),
+        chance.choice((0.02, 0.3, 1.0, 2.0)) * chance.random(),
         client,
         chance.random(),
         ask,

@@ -48,9 +48,11 @@ def at_the_robot(event: Event, controller: Controller, watch: Watch, number: int
         call(lambda: (pendant.load(PENDANT_PROGRAM), pendant.play()))
     elif what == "pendant_jog":
         watch.begin(number)
+        watch.is_led = True
         controller.follow(Demonstration())
         time.sleep(event.lasts)
         controller.follow(Still())
+        watch.is_led = False
         watch.end(number, None)
     elif what == "slider":
         call(lambda: setattr(controller, "speed_fraction", event.size))

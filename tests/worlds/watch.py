@@ -77,6 +77,8 @@ class Watch:
         self._q: tuple[float, ...] = tuple(controller.arm.setpoint.q)
         self._qd: tuple[float, ...] = (0.0,) * 6
         self._time = 0.0
+        #: a person jogs it, at the pendant
+        self.is_led = False
         #: rad/s², the largest so far
         self.accelerated = 0.0
         advance = controller._control.advance
@@ -148,7 +150,7 @@ class Watch:
         observed.count_rests()
         main = controller._runner.main
         sent = None if main is None else observed.programs.get(main.name)
-        if speed > before + BEGINS and sent is not None and observed.waits(sent):
+        if speed > before + BEGINS and sent is not None and observed.waits(sent) and not self.is_led:
             self._once(f"{sent.wrapped.name} ({sent.life.name}) moves the arm without a permission of its own client")
         if speed <= MOVES:
             if not controller.is_running_program:
