@@ -25,13 +25,15 @@ from .evidence import Evidence
 from .requirements import Check, Measured, NotTried
 from .swinging import step_of
 
-__all__ = ["SWINGS", "contradictions"]
+__all__ = ["SWINGS", "contradictions", "rows_of"]
 
 #: A row of one arm that gives no interval, and is not of joints that were measured, is taken within this factor: the
 #: widest that such a row names in its source.
 _FACTOR = 1.5
 #: The current of wrist 3 is mostly friction, of which the model tells less: by so much less its rest counts.
 _WRIST_3 = 0.1
+#: The part of an end of an interval by which the fit of a quiet arm may be beside it, whose own interval has no width.
+_ROUNDING = 1e-6
 #: What is left of a fit is rounded to this many digits, below which it differs from one computer to another.
 _DIGITS = 9
 
@@ -45,7 +47,7 @@ def contradictions(found: Iterable[tuple[Parameter, Estimate]]) -> tuple[str, ..
         f"and the table has {row.low:g} to {row.high:g} ({row.evidence}: {row.source})"
         for row, each in found
         if each.is_known and row.low is not None and row.high is not None
-        if each.high < row.low or each.low > row.high
+        if each.high < row.low - _ROUNDING * abs(row.low) or each.low > row.high + _ROUNDING * abs(row.high)
     )
 
 
@@ -53,7 +55,7 @@ def _text(each: Estimate) -> str:
     return f"{each.value:.4g}" if each.low == each.high else f"{each.value:.4g} ({each.low:.4g} to {each.high:.4g})"
 
 
-def _rows(name: str, arm: str) -> list[Parameter]:
+def rows_of(name: str, arm: str) -> list[Parameter]:
     """The rows that a parameter of the joints has for an arm, each with the interval of its joint."""
     of_size = [parameters()[name, size] for size in joint_sizes(arm)]
     own = parameters().get((name, arm))
@@ -153,7 +155,7 @@ def _judged(judged: Callable[[_Swings, ArmFile], Measured]) -> Check:
 
 def _of_joints(swings: _Swings, found: ArmFile, *names: str) -> Iterator[tuple[Parameter, Estimate]]:
     for name in names:
-        rows = _rows(name, found.model)
+        rows = rows_of(name, found.model)
         for joint in swings.joints:
             yield replace(rows[joint], of=f"{rows[joint].of}, the {JOINTS[joint]}"), found.estimates[name][joint]
 

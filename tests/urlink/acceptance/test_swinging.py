@@ -10,6 +10,7 @@ import pytest
 
 import urlink
 from tests.urlink.acceptance.defects import Defect, Plant, Values, planted, rt
+from urlink.acceptance import swings
 from urlink.acceptance.bundle import opened, pack
 from urlink.acceptance.evidence import Evidence
 from urlink.acceptance.logbook import Logbook
@@ -18,6 +19,7 @@ from urlink.acceptance.requirements import requirements
 from urlink.acceptance.stages import run
 from urlink.acceptance.swinging import swing
 from urlink.arm_file import ArmFile, Estimate
+from urlink.models import MODELS
 from urlink.simulator import Controller
 
 OWN = {name: each for name, each in requirements().items() if each.stage == 3}
@@ -102,6 +104,19 @@ def test_what_an_arm_contradicts_of_the_table_is_named_with_what_was_measured(tm
     assert said["swing-currents"][0].startswith("viscous_current of size 1, the wrist 1: measured 0.5 ")
     page = as_text(evidence, list(found.values()), {})
     assert page.count("CONTRADICTS the parameter") == 5
+
+
+@pytest.mark.parametrize("name", ["rotor_inertia", "torque_constant", "coulomb_current", "viscous_current"])
+def test_no_arm_contradicts_its_own_row_by_rounding(name: str) -> None:
+    """Also where its value is an end of the interval, as those of the UR10e are."""
+    for arm in MODELS:
+        for row in swings.rows_of(name, arm):
+            for off in (-1e-9, 1e-9):
+                value = float(row.value) * (1.0 + off)
+                assert swings.contradictions([(row, Estimate(value, value, value))]) == ()
+            assert row.low is not None
+            wrong = 0.9 * row.low
+            assert len(swings.contradictions([(row, Estimate(wrong, wrong, wrong))])) == 1
 
 
 def _of_joint(joint: int, change: Callable[[float], float]) -> Callable[[Values], Values]:
