@@ -26,6 +26,7 @@ MIDDLEWARES = {
     "std_msgs",
     "std_srvs",
     "lerobot",
+    "mujoco",
     "draccus",
     "prometheus_client",
     "torch",
@@ -36,6 +37,7 @@ MIDDLEWARES = {
 #: Modules that are public beside the names of their package, as the API page has them.
 PUBLIC = {
     "urlink.kinematics",
+    "urlink.mjcf",
     "urlink.models",
     "urlink.motion",
     "urlink.packets",

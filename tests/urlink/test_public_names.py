@@ -183,7 +183,7 @@ SURFACES = {
         serial signals speed_fraction start state_package step stopped_since take take_messages teach_button
         time tool_serial world""",
     "robot.controller.world": """add carry clear contacts force_limit is_empty joint_torques load push push_joints
-        remove wrench""",
+        remove scene wrench""",
     "robot.controller.gripper": """exchange fault holds_object is_active is_connected place position registers reply
         take_away""",
     "robot.controller.tool_serial": "device exchange greeting is_offered next_cycle packets receiver skip",

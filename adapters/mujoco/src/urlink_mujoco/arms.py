@@ -27,8 +27,9 @@ from urlink.urdf import JOINTS, LINKS
 from .fingers import Fingers
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from urlink.simulator import Controller
-    from urlink.vectors import FloatArray
 
     from .world import MujocoWorld
 
@@ -98,7 +99,7 @@ class MountedArm:
         if self._fingers is not None:
             self._fingers.lead(self.world.data, seconds)
 
-    def plan(self, times: FloatArray) -> None:
+    def plan(self, times: NDArray[np.floating[Any]]) -> None:
         """Prepare for steps that begin at these times of the world, s: on the cubic curve through both ends of the
         cycle, and on from there at the same speed."""
         (q0, v0, _), (q, qd, qdd), t = self._begin, self._end, self._seconds
@@ -158,7 +159,7 @@ class MountedArm:
         return Reaction((x, y, z, *moment), self._shown[6:].tolist())
 
 
-def _row(setpoint: Setpoint) -> FloatArray:
+def _row(setpoint: Setpoint) -> NDArray[np.float64]:
     return np.array((setpoint.q, setpoint.qd, setpoint.qdd))
 
 

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
-from linkcore.errors import BadValue, LocalError
+from urlink import BadValue, LocalError
 from urlink.mjcf import to_mjcf
 from urlink.poses import quaternion_to_rotvec, rotvec_to_quaternion
 
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from urlink.simulator import Controller
-    from urlink.vectors import FloatArray
 
 __all__ = ["MujocoWorld"]
 
@@ -143,7 +142,7 @@ class MujocoWorld:
                 arm.put()
             mujoco.mj_forward(self.model, self.data)
 
-    def pose(self, body: str) -> FloatArray:
+    def pose(self, body: str) -> NDArray[np.float64]:
         """The pose of a body in the world, (6,): m, and rotation vector in rad.
 
         Raises:

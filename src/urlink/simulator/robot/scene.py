@@ -10,14 +10,11 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 from linkcore.errors import BadValue, LocalError
 
 from .sources import Setpoint
-
-if TYPE_CHECKING:
-    from ..controller import Controller
 
 __all__ = ["Reaction", "Scene", "open_scene"]
 
@@ -52,8 +49,8 @@ class Scene(Protocol):
         """
 
 
-def open_scene(path: str | os.PathLike[str], controller: Controller) -> Scene:
-    """The scene of a file, with the arm of a controller in it, by the adapter that is installed for its ending.
+def open_scene(path: str | os.PathLike[str], controller: object) -> Scene:
+    """The scene of a file, with the arm of a `Controller` in it, by the adapter that is installed for its ending.
 
     Raises:
         LocalError: no such adapter is installed, or it cannot open the file.
@@ -73,5 +70,5 @@ def open_scene(path: str | os.PathLike[str], controller: Controller) -> Scene:
             )
         known = ", ".join(f".{each}" for each in sorted({*installed, *_DISTRIBUTIONS}))
         raise LocalError(f"nothing that opens a scene such as {place.name} is installed; expected one of {known}")
-    mount: Callable[[Path, Controller], Scene] = installed[ending].load()
+    mount: Callable[[Path, object], Scene] = installed[ending].load()
     return mount(place, controller)
