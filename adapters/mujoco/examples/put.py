@@ -1,13 +1,14 @@
 """A box is taken from one place of a table and put to another, once for each place that is given.
 
-    python put.py                        # in the simulator, with table.xml beside this file
-    python put.py 192.168.56.101         # the same program on another controller: without a world to look at
+python put.py                        # in the simulator, with table.xml beside this file
+python put.py 192.168.56.101         # the same program on another controller: without a world to look at
 """
 
 from __future__ import annotations
 
 import math
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import urlink
@@ -29,7 +30,7 @@ def main(address: str) -> None:
             robot.motion.move_linear([*place, height, *DOWN], speed=0.25, acceleration=1.0, wait=True)
 
         go(PLACES[0], ABOVE)
-        for place, next_one in zip(PLACES, PLACES[1:], strict=False):
+        for place, next_one in pairwise(PLACES):
             go(place, AT)
             held = robot.gripper.close()
             print(f"between the fingers: {1000 * held.opening():.0f} mm" if held.object_detected else "nothing there")
