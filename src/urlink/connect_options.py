@@ -10,7 +10,7 @@ from dataclasses import KW_ONLY, dataclass, field
 from typing import Literal, ParamSpec, TypeVar, get_args
 
 from linkcore.arguments import check_choice, check_number
-from linkcore.errors import BadValue
+from linkcore.errors import BadValue, ConnectFailed
 from linkcore.streaming.connection_life import Backoff
 
 from .address import Address, RecordingAddress, parse_address
@@ -107,7 +107,11 @@ def _taking(
         @functools.wraps(function)
         def taken(*arguments: P.args, **named: P.kwargs) -> T:
             signature.bind(*arguments, **named)  # whose TypeError does not name the class
-            return function(options(*arguments, **named))
+            try:
+                return function(options(*arguments, **named))
+            except ConnectFailed as error:
+                # Without the frames and the error of the operating system below: the message has what they have.
+                raise error.with_traceback(None) from None
 
         taken.__signature__ = signature.replace(return_annotation=returned)  # type: ignore[attr-defined]
         return taken

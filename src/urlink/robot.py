@@ -11,7 +11,7 @@ from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, Literal
 
 from linkcore.arguments import check_callable, check_choice
-from linkcore.errors import BadValue, Closed, ConnectFailed, LocalError
+from linkcore.errors import BadValue, Closed, LocalError
 from linkcore.net.recall import Recall
 from linkcore.streaming.stream import Stream
 from linkcore.threads import MadeOnce
@@ -112,9 +112,6 @@ def connect(options: ConnectOptions) -> Robot:
         controller, place = simulated(place)
     try:
         robot = assemble(options, place, networked(place, options), controller)
-    except ConnectFailed as error:
-        # Without the frames and the error of the operating system below: the message has what they have.
-        raise error.with_traceback(None) from None
     except BaseException:
         if controller is not None:
             controller.close()

@@ -49,6 +49,8 @@ _OBEYING = 0.5
 _SPEED = 0.5
 #: s after the end of a stop in which a client stops what the controller has kept: two states.
 _KEPT = 0.3
+#: Seconds after local control within which a stop that it ignored is sent again, while the robot is open.
+_RESENT = 0.5
 #: s: how much longer than its timeout a wait may take.
 _LATE = 1.5
 #: s: the interlock permits nothing on states that are older.
@@ -72,6 +74,7 @@ class Sent:
         moved: it has moved the arm.
         place: the newest of `Observed.places`.
         rests: cycles in which it may go on to brake, counted from the end of its handle.
+        ignored: s, when the controller was last in local control.
     """
 
     computer: Computer
@@ -87,6 +90,7 @@ class Sent:
     is_finished: bool = False
     granted: float | None = None
     rests: int = 0
+    ignored: float = -math.inf
     moved: bool = False
     place: tuple[str, str] = ("", "none")
 
@@ -488,6 +492,9 @@ class Observed:
             return
         self._counted = self._sim.now
         for sent in self.programs.values():
+            if not self._controller.remote_control:
+                sent.rests, sent.ignored = 0, self._sim.now  # in local control a stop is ignored; it is sent again
+                continue
             is_ending = sent.ended is not None and not self.is_held(sent.computer)
             if sent.over is None and (sent.computer in self._dead or (is_ending and self.has_arrived(sent.computer))):
                 sent.rests += 1
@@ -521,7 +528,7 @@ class Observed:
             return None
         if not sent.is_linked and self.lost_since(sent.computer, sent.ended - 1.0):
             return None  # what stops it may be lost with the connection
-        if self._is_kept(sent):
+        if self._is_kept(sent) or self._closed.get(sent.computer, math.inf) <= sent.ignored + _RESENT:
             return None
         return f"whose handle ended at {sent.ended:.3f} s: {sent.error}"
 

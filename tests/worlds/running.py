@@ -21,6 +21,7 @@ from linkcore.simulated import Computer, Deadlock, Simulation, TimeLimit, simula
 from urlink.aio import awaited
 from urlink.compat.rtde_control import RTDEControlInterface
 from urlink.compat.urx import Robot as UrxRobot
+from urlink.interfaces.enums import ProgramState
 from urlink.simulator import Controller, Still
 
 from .asked import BLOCK, CALL, DURING, MOTION, PENDANT_PROGRAM, UR_RTDE, URX
@@ -163,6 +164,10 @@ class Run:
         for number, thread in enumerate(threads):
             while number not in self.gone and thread.is_alive() and self.sim.now < LIMIT / 2:
                 thread.join(1.0)
+                is_paused = self.controller.modes.program_state == ProgramState.PAUSED
+                if is_paused and self.sim.now > self._begun + 1.25 * WAIT:
+                    # `moveJ` of ur_rtde waits for ever for what another client has paused.
+                    self.controller.call(self.controller.pendant.stop)
             if thread.is_alive() and number not in self.gone:
                 self.watch.fault(f"client {number} has not come to its end\n{self.sim.stacks()}")
         for hand in self.hands:

@@ -50,6 +50,8 @@ _AFTERMATH = 1.0
 _FLAG_LAG = 0.5
 #: Seconds by which a stop may be reported later than the end of the program that it stopped: three states.
 _STOP_LAG = 0.3
+#: Seconds after a stop was sent, by which its program has ended: more than two states.
+_IGNORED = 0.25
 #: Seconds before a silence began, in which a text that was sent may not have arrived.
 _BEFORE = 0.5
 #: rad/s² with which an arm brakes whose motion is cancelled.
@@ -144,6 +146,7 @@ class Programs:
         self._has_keys = False  # this controller sends key messages
         #: name of the program that was told to stop, until the controller reports that it has
         self._stopping: str | None = None
+        self._told = -math.inf  # when it was
         #: name of the program that was given up and that the controller may keep, paused by a stop of the robot
         self._kept: str | None = None
         #: when the last one ended; what a robot's states showed until then may be from before it
@@ -256,6 +259,7 @@ class Programs:
                 raise Cancelled(f"{newest.life.name} was sent meanwhile, which stops it anyway")
 
         self._stopping = newest.name
+        self._told = self._clock()
         try:
             self._send_stop(claim)
         except SafetyStop:
@@ -417,21 +421,30 @@ class Programs:
         self._check_time()
 
     def _stop_kept(self, mode: RobotModeData) -> None:
-        """Stop the program that was given up during a stop, now that the stop is over: `play` would let it go on."""
+        """Stop the program that was given up during a stop, now that the stop is over: `play` would let it go on.
+
+        Also once more the one that was told to stop and has not: an e-Series in local control ignores what it is sent.
+        """
+        now = self._clock()
+        if self._kept is None and self._has_keys and now - self._told > _IGNORED:
+            self._kept = self._stopping
         if self._kept is None or self._monitor.refusal(is_stop=True) is not None:
             return
 
         def claim() -> None:
-            if self._kept is None:
+            newest = self._newest()
+            if self._kept is None or (newest is not None and newest.name != self._kept):
                 raise Cancelled("it has ended, or was replaced")
 
         try:
-            if mode.is_program_running or mode.is_program_paused:
-                # Without waiting: this is the reader thread. Where it cannot be sent now, the next state asks again.
-                self._send_stop(claim, wait=False)
-            self._forget_given_up()
+            if not (mode.is_program_running or mode.is_program_paused):
+                self._forget_given_up()
+                return
+            # Without waiting: this is the reader thread. Where it cannot be sent now, the next state asks again.
+            self._send_stop(claim, wait=False)
+            self._stopping, self._kept, self._told = (self._kept if self._has_keys else None), None, now
         except LinkError as error:
-            _log.info("%s, which was given up during a stop, was not stopped yet: %s", self._kept, error)
+            _log.info("%s, which was given up, was not stopped yet: %s", self._kept, error)
 
     def _was_missed(self, begun: float) -> bool:
         """It was over before a state could show it, and no key message tells: the flag has been down for too long."""

@@ -188,6 +188,7 @@ def test_for_how_long_the_program_goes_on_by_itself(robot: Rehearsal) -> None:
         with opened(robot, watchdog=5.0, **options):
             assert f"if missed < {cycles}:" in robot.uploaded
             assert "elif missed < 2500:" in robot.uploaded
+    robot.show()
     motion = robot.motion.follow(Trajectory.from_arrays([0.0, 1.0], [HOME, turned(0.1)]), watchdog=5.0)
     assert "if missed < 50:" in robot.uploaded
     motion.cancel()

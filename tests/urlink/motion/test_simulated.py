@@ -168,3 +168,18 @@ def test_a_motion_begins_where_the_one_before_has_ended(connect: Callable[[str, 
     path = Trajectory.from_arrays([0.0, 0.5, 1.0], [goal, READY, goal])
     robot.motion.follow(path, watchdog=WATCHDOG).wait(TIMEOUT)
     assert np.allclose(robot.realtime.wait(TIMEOUT).q_target, goal, atol=1e-3)
+
+
+@pytest.mark.parametrize("seconds", [0.1, 1.0])
+def test_a_stop_that_local_control_ignored_is_sent_again(connect: Callable[[str, str], Robot], seconds: float) -> None:
+    robot = connect("ur5e", "5.11")
+    assert robot.controller is not None
+    motion = robot.motion.move_joints(READY - [1.5, 0, 0, 0, 0, 0], speed=0.2)
+    half_way(motion)
+    robot.controller.remote_control = False
+    motion.cancel()
+    time.sleep(seconds)
+    assert not stands(robot)
+    robot.controller.remote_control = True
+    until(lambda: stands(robot), 1.0)
+    assert robot.realtime.wait(TIMEOUT).q_target[0] > READY[0] - 1.4
