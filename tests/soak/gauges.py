@@ -20,14 +20,14 @@ class Sample(NamedTuple):
     #: resident memory, MB
     memory: float
     #: open descriptors
-    descriptors: int
+    descriptors: float
     #: threads, those of C libraries included
-    threads: int
+    threads: float
     #: containers that the garbage collector knows
-    objects: int
+    objects: float
     #: blocks of memory that Python's allocator has handed out: what is alive, where resident memory also counts what is
     #: free and has not been given back to the system
-    blocks: int
+    blocks: float
 
 
 def sample(at: float) -> Sample:

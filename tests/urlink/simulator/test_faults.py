@@ -17,7 +17,14 @@ from urlink.interfaces.primary.robot_message import SafetyModeMessage, VersionMe
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.simulator import Controller, Demonstration, ScheduledFault, parse_fault
 from urlink.simulator.faults import FAULTS
-from urlink.simulator.faults.link import Segmenter, with_garbage_inside, with_sub_package, with_tail, with_tails
+from urlink.simulator.faults.link import (
+    LinkFaults,
+    Segmenter,
+    with_garbage_inside,
+    with_sub_package,
+    with_tail,
+    with_tails,
+)
 
 Connect = Callable[[Controller, str], Any]
 Eventually = Callable[[Callable[[], object]], None]
@@ -441,3 +448,11 @@ def test_messages_are_for_the_primary_interface_alone(controller: Controller, co
         states += package[4] == 16
     assert kinds[:2] == [(20, 3), (20, 12)]
     assert set(kinds[2:]) == {(16, 0)}
+
+
+def test_garbage_for_a_port_without_a_client_does_not_pile_up() -> None:
+    link = LinkFaults(lambda: 0)
+    for number in range(100):
+        link.insert(["realtime"], bytes([number]))
+    assert link.on_the_wire("realtime", b"packet") == bytes(range(84, 100)) + b"packet"
+    assert link.on_the_wire("realtime", b"packet") == b"packet"

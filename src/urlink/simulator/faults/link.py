@@ -6,6 +6,7 @@ broken one, or of a bad network. The controller itself runs on.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from itertools import cycle
 
@@ -13,6 +14,9 @@ from ...ports import PORTS, interface
 from ..ports.port import package
 
 __all__ = ["LinkFaults", "Segmenter", "with_garbage_inside", "with_sub_package", "with_tail", "with_tails"]
+
+#: How many pieces of garbage wait for the next packet of a port; the newest ones.
+_WAITING = 16
 
 
 def with_tail(packet: bytes, tail: bytes) -> bytes:
@@ -99,8 +103,9 @@ class LinkFaults:
         self._generation = 0
         self._tails: dict[str, bytes] = {}
         self._sub_packages: dict[str, tuple[int, bytes]] = {}
-        self._before: dict[str, list[bytes]] = {name: [] for name in PORTS}
-        self._inside: dict[str, list[bytes]] = {name: [] for name in PORTS}
+        # Bounded, since a port without a client sends nothing that they could come before.
+        self._before: dict[str, deque[bytes]] = {name: deque(maxlen=_WAITING) for name in PORTS}
+        self._inside: dict[str, deque[bytes]] = {name: deque(maxlen=_WAITING) for name in PORTS}
 
     # -- faults to cause ---------------------------------------------------------------------------
 
