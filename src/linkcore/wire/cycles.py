@@ -74,17 +74,28 @@ class MissedCycles:
     Args:
         moment: the time of a packet by the controller's clock, s, from its bytes; None where it has none.
         periods: seconds from one packet to the next; several where it is not known which, until two packets show it.
+        time: what `moment` returns, of a packet of `size` bytes: one call of C code (`struct.Struct.unpack_from`).
+        size: of the packets that have a time, in bytes; 0 where they have several sizes.
         is_uniform: every packet has a time.
 
     Attributes:
         missing: how much, so far; replaced as a whole, so that other threads can read it.
         last: the time of the newest packet that has one, s by the controller's clock; NaN before the first.
+        at_most: the longest step between two packets with none missing, s; 0 while the period is not known.
     """
 
     def __init__(
-        self, moment: Callable[[bytes], float | None], periods: Iterable[float], *, is_uniform: bool = False
+        self,
+        moment: Callable[[bytes], float | None],
+        periods: Iterable[float],
+        *,
+        time: Callable[[bytes], Sequence[Any]] = tuple,
+        size: int = 0,
+        is_uniform: bool = False,
     ) -> None:
         self.missing = Missing()
+        self.time = time
+        self.size = size
         self._moment = moment
         self._period, *self._shorter = sorted(periods, reverse=True)
         self._is_uniform = is_uniform
@@ -92,12 +103,11 @@ class MissedCycles:
         self.last = float("nan")  # no comparison with it holds
 
     def take(self, frames: Sequence[bytes]) -> None:
-        """Packets have come, at least one, in order."""
-        if self._at_most:
+        """Packets have come, at least one, in order. `Receiver` calls it where the newest did not follow on `last`."""
+        if self._is_uniform and self.at_most:
             # All of them at once: none is missing if the clock went on by no more than so many periods.
             moment: Any = self._moment(frames[-1])
-            step = moment - self.last
-            if step <= self._at_most or step <= self._at_most + (len(frames) - 1) * self._period:
+            if moment - self.last <= self.at_most + (len(frames) - 1) * self._period:
                 self.last = moment
                 return
         for frame in frames:
@@ -107,8 +117,7 @@ class MissedCycles:
                 self.last = moment
 
     def _set_at_most(self) -> None:
-        """The longest step between two packets with none missing, where each has a time and the period is known."""
-        self._at_most = (1.0 + _SLACK) * self._period if self._is_uniform and not self._shorter else 0.0
+        self.at_most = 0.0 if self._shorter else (1.0 + _SLACK) * self._period
 
     def _step(self, step: float) -> None:
         while self._shorter and 0.0 < step < (1.0 - _SLACK / 2) * self._period:

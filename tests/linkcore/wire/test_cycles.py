@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
+from typing import cast
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from linkcore.clock import Stamp
+from linkcore.streaming.receiver import Receiver
+from linkcore.streaming.statistics import StreamCounters
 from linkcore.wire.cycles import MissedCycles, Missing, gaps_of
+from linkcore.wire.framing import PacketProtocol
 
 _TIME = struct.Struct(">d")
 
@@ -18,12 +24,64 @@ def moment(frame: bytes) -> float | None:
     return _TIME.unpack(frame)[0] if frame else None
 
 
+class Frames:
+    """Cuts bytes where the test has."""
+
+    skipped = resyncs = 0
+    rest = b""
+
+    def __init__(self, frames: list[list[bytes]]) -> None:
+        self._frames = iter(frames)
+
+    def feed(self, data: bytes) -> list[bytes]:
+        return next(self._frames)
+
+
+class Timed:
+    """A protocol whose packets are nothing but their time."""
+
+    unknown = tails = 0
+
+    def __init__(self, frames: list[list[bytes]], cycles: MissedCycles) -> None:
+        self.framer = Frames(frames)
+        self.cycles = cycles
+
+    def decode(self, frame: bytes, stamp: Stamp | None = None) -> bytes:
+        return frame
+
+
 def counted(times: list[float | None], *periods: float, cuts: int = 1, is_uniform: bool = False) -> Missing:
-    counter = MissedCycles(moment, periods, is_uniform=is_uniform)
+    """What is missing, the same whether the receiver sees it by itself or asks for each packet."""
     frames = [b"" if time is None else _TIME.pack(time) for time in times]
-    for at in range(0, len(frames), cuts):
-        counter.take(frames[at : at + cuts])
+    chunks = [frames[at : at + cuts] for at in range(0, len(frames), cuts)]
+    counter = MissedCycles(moment, periods, is_uniform=is_uniform)
+    for chunk in chunks:
+        counter.take(chunk)
+    quick = MissedCycles(moment, periods, time=_TIME.unpack, size=_TIME.size, is_uniform=is_uniform)
+    receiver = Receiver("frames", cast(PacketProtocol, Timed(chunks, quick)), StreamCounters())
+    for number in range(len(chunks)):
+        receiver.feed(b"", Stamp(number * 1e-3, 0.0))
+    assert quick.missing == counter.missing
+    np.testing.assert_equal(quick.last, counter.last)
     return counter.missing
+
+
+def test_a_packet_that_follows_on_the_last_costs_no_call(monkeypatch: pytest.MonkeyPatch) -> None:
+    cycles = MissedCycles(moment, (0.002,), time=_TIME.unpack, size=_TIME.size, is_uniform=True)
+    chunks = [[_TIME.pack(number * 0.002)] for number in (1, 2, 3, 4, 9, 10)]
+    receiver = Receiver("frames", cast(PacketProtocol, Timed(chunks, cycles)), StreamCounters())
+    asked: list[Sequence[bytes]] = []
+    take = cycles.take
+
+    def seen(frames: Sequence[bytes]) -> None:
+        asked.append(frames)
+        take(frames)
+
+    monkeypatch.setattr(cycles, "take", seen)
+    for number in range(len(chunks)):
+        receiver.feed(b"", Stamp(number * 1e-3, 0.0))
+    assert asked == [chunks[0], chunks[4]]
+    assert cycles.missing.cycles == 4
 
 
 @pytest.mark.property

@@ -199,7 +199,7 @@ class RealtimeProtocol:
     def _learn(self, size: int) -> None:
         """The frame boundary has learnt the size of this connection's packets, and the size tells the layout."""
         if self.cycles is None:
-            self.cycles = MissedCycles(_moment, periods_of(size), is_uniform=True)
+            self.cycles = MissedCycles(_moment, periods_of(size), time=_STAMP.unpack_from, size=size, is_uniform=True)
         if all(layout.size != size for layout in RealtimeState.LAYOUTS.all):
             _log.warning("real-time packets of %d bytes: no such firmware is known; decoded as far as one is", size)
         elif self._size is None:

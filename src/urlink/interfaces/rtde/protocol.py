@@ -290,7 +290,8 @@ class RtdeProtocol:
         self.cycles = None
         if CLOCK in layout.places:
             periods = package_periods(self._plan.frequency, self.controller, recipe.number)
-            self.cycles = MissedCycles(_moment_of(layout.places[CLOCK].offset, recipe.size), periods)
+            time = struct.Struct(f">{layout.places[CLOCK].offset}xd").unpack_from
+            self.cycles = MissedCycles(_moment_of(time, recipe.size), periods, time=time, size=recipe.size)
 
     # -- packages of a stream ---------------------------------------------------------------------
 
@@ -335,12 +336,11 @@ def package_periods(frequency: float | None, controller: Firmware | None, number
     return tuple({max(math.floor(min(rate / (frequency or rate), _SLOWEST)), 1) / rate for rate in rates})
 
 
-def _moment_of(offset: int, size: int) -> Callable[[bytes], float | None]:
-    """What reads the time out of data packages."""
-    time = struct.Struct(f">{offset}xd")
+def _moment_of(time: Callable[[bytes], Sequence[Any]], size: int) -> Callable[[bytes], float | None]:
+    """What reads the time out of data packages, and out of nothing else."""
 
     def moment(frame: bytes) -> float | None:
-        return time.unpack_from(frame)[0] if frame[2] == DATA_TYPE and len(frame) == size else None
+        return time(frame)[0] if frame[2] == DATA_TYPE and len(frame) == size else None
 
     return moment
 
