@@ -15,9 +15,10 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from itertools import islice
 
-from .drawn import World, draw
+from .drawn import draw
 from .planted import NAMES, SHOWN, planted, worlds
 from .running import Outcome, run
+from .world import World
 
 
 def outcome(seed: int) -> tuple[int, Outcome]:

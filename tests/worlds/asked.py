@@ -20,7 +20,7 @@ from urlink.compat.rtde_control import RTDEControlInterface
 from urlink.compat.urx import Robot as UrxRobot
 from urlink.motion.taught import Taught, TaughtPoint
 
-from .drawn import Ask
+from .world import Ask
 
 __all__ = ["BLOCK", "CALL", "DURING", "MOTION", "PENDANT_PROGRAM", "URX", "UR_RTDE", "WATCHDOG"]
 

@@ -1,321 +1,40 @@
-"""Worlds as a seed draws them: a controller, its clients and what they do, and what happens to cables and computers.
-
-A world is data, so that one in which something went wrong can be made smaller, printed, and pasted into a test.
-"""
+"""Worlds as a seed draws them."""
 
 from __future__ import annotations
 
 import random
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from collections.abc import Sequence
+from dataclasses import replace
 
 from urlink.firmware import RELEASES
 
-T = TypeVar("T", "World", "Client", "Ask", "Event")
-
-#: Motions that end by themselves, motions that last as long as a block, and calls that move nothing.
-MOTIONS = (
-    "move_joints",
-    "move_linear",
-    "move_circular",
-    "path",
-    "taught",
-    "speed_joints",
-    "speed_linear",
-    "speed_held",
-    "speed_held_rtde",
-    "stop",
-    "until_contact",
-    "follow",
-    "follow_rtde",
-    "follow_low_bandwidth",
-    "script",
-    "statements",
-)
-BLOCKS = (
-    "servo",
-    "servo_rtde",
-    "servo_filtered",
-    "stream",
-    "jog",
-    "jog_rtde",
-    "force_mode",
-    "force_mode_rtde",
-    "torque",
-    "torque_rtde",
-    "freedrive",
-    "freedrive_rtde",
-    "teach",
-    "interpreter",
-)
-CALLS = (
-    "output",
-    "analog_output",
-    "slider",
-    "payload",
-    "tcp",
-    "zero_force_sensor",
-    "popup",
-    "secondary_script",
-    "line",
-    "gripper",
-    "registers",
-    "inputs",
-    "outputs",
-    "who_holds",
-    "subscribe",
-    "iterate",
-    "wait_state",
-    "enable",
-    "wait_until_clear",
-    "cancel_current",
-    "close",
-    "load",
-    "play",
-    "pause",
-    "stop_program",
-    "power_off",
-    "start",
-    "unlock",
-    "dashboard_popup",
-    "program_state",
-)
-#: What a client of each kind asks for; `asked` has a function for each.
-ASKED = {
-    "threads": MOTIONS + BLOCKS + CALLS,
-    "asyncio": MOTIONS + BLOCKS + CALLS,
-    "rtde": ("registers", "inputs", "outputs", "outputs", "who_holds"),
-    "dashboard": (
-        "load",
-        "play",
-        "play",
-        "pause",
-        "stop_program",
-        "power_off",
-        "start",
-        "unlock",
-        "dashboard_popup",
-        "program_state",
-    ),
-    "ur_rtde": ("moveJ", "moveL", "servoJ", "speedJ", "jogStart", "forceMode", "freedriveMode", "stopJ", "sendScript"),
-    "urx": ("movej", "movel", "movejs", "speedj", "translate", "stopj", "getj"),
-    "foreign": (
-        "script",
-        "line",
-        "partial",
-        "garbage",
-        "silence",
-        "many",
-        "rtde_frame",
-        "rtde_partial",
-        "rtde_claim",
-        "dashboard_line",
-        "dashboard_flood",
-    ),
-}
-#: How it goes on after that.
-THEN = ("wait", "wait_briefly", "cancel", "leave", "interrupt", "forget")
-#: What happens beside the clients: at the pendant and to the arm, to the network and to computers.
-AT_THE_ROBOT = (
-    "protective_stop",
-    "safeguard_stop",
-    "emergency_stop",
-    "power_off",
-    "reboot",
-    "pendant_stop",
-    "pendant_pause",
-    "pendant_play",
-    "pendant_jog",
-    "slider",
-    "local_control",
-    "teach_button",
-    "push",
-    "stall",
-    "cut_port",
-    "split",
-    "garbage",
-    "rtde_late",
-    "rtde_stale",
-)
-HAPPENS = (
-    *AT_THE_ROBOT,
-    "cut",
-    "deaf",
-    "mute",
-    "reset",
-    "refused",
-    "slow",
-    "suspend_client",
-    "suspend_robot",
-    "kill_client",
-    "power_client",
-    "hold_client",
-)
+from .scenes import SCENES
+from .world import ASKED, BLOCKS, CABLES, CALLS, HAPPENS, MOTIONS, STOPS, THEN, Ask, Client, Event, World
 
 _KINDS = ("threads",) * 8 + ("asyncio",) * 4 + ("rtde", "dashboard", "ur_rtde", "urx", "foreign", "foreign")
-_STOPS = ("protective_stop", "safeguard_stop", "emergency_stop", "pendant_stop", "pendant_pause")
-_CABLES = ("cut", "deaf", "mute", "reset", "suspend_client", "suspend_robot", "hold_client")
-
-
-@dataclass(frozen=True)
-class Ask:
-    """One thing that a client asks for.
-
-    Attributes:
-        what: of `ASKED`.
-        then: of `THEN`.
-        after: seconds before it is asked for.
-        size: 0 to 1: how far, how fast, which one.
-        patience: seconds until `then` is done, where it is not done at once.
-        thread: number of the client's thread, or task, that asks.
-        at: seconds after the clients have begun before which it is not asked for.
-    """
-
-    what: str
-    then: str
-    after: float
-    size: float
-    patience: float
-    thread: int = 0
-    at: float = 0.0
-
-
-@dataclass(frozen=True)
-class Client:
-    """A program on a computer of its own, whose threads ask for one thing after the other.
-
-    Attributes:
-        asks: those of all threads.
-        drift: seconds by which its clock is fast in one.
-        kind: of `ASKED`.
-        policy: as `require_enable` of `urlink.connect`.
-        start: where its programs find their permission: in the "register" or in "flags".
-    """
-
-    asks: tuple[Ask, ...]
-    drift: float
-    kind: str = "threads"
-    policy: str = "never"
-    start: str = "register"
-
-
-@dataclass(frozen=True)
-class Event:
-    """Something that happens.
-
-    Attributes:
-        what: of `HAPPENS`.
-        at: seconds after the ask `ask` of the client, or after the clients have begun.
-        lasts: seconds until it is undone, where it can be.
-        client: number of the client that it concerns.
-        size: 0 to 1.
-        ask: number of an ask of that client; None for the beginning.
-    """
-
-    what: str
-    at: float
-    lasts: float
-    client: int
-    size: float
-    ask: int | None = None
-
-
-@dataclass(frozen=True)
-class World:
-    """Everything that a run depends on, beside the order of its threads, which `seed` decides.
-
-    Attributes:
-        lines: seconds after the clients have begun for which threads also make way between two lines of the library.
-    """
-
-    seed: int
-    firmware: str
-    latency: float
-    jitter: float
-    clients: tuple[Client, ...]
-    events: tuple[Event, ...]
-    lines: float = 0.0
-
-    def smaller(self) -> Iterator[World]:
-        """The same with one client, event or ask less, and then with simpler and shorter ones."""
-        for number in range(len(self.clients) if len(self.clients) > 1 else 0):
-            events = tuple(
-                replace(event, client=event.client - (event.client > number))
-                for event in self.events
-                if event.client != number
-            )
-            yield replace(self, clients=self.clients[:number] + self.clients[number + 1 :], events=events)
-        for number in range(len(self.events)):
-            yield replace(self, events=self.events[:number] + self.events[number + 1 :])
-        for number, client in enumerate(self.clients):
-            for place in range(len(client.asks)):
-                fewer = replace(client, asks=client.asks[:place] + client.asks[place + 1 :])
-                events = tuple(_without(event, number, place) for event in self.events)
-                yield replace(self._with(number, fewer), events=events)
-        for number, client in enumerate(self.clients):
-            yield from (self._with(number, simpler) for simpler in _simpler(client, _SIMPLE_CLIENT))
-            for place, ask in enumerate(client.asks):
-                for simpler in _simpler(ask, _SIMPLE_ASK):
-                    asks = (*client.asks[:place], simpler, *client.asks[place + 1 :])
-                    yield self._with(number, replace(client, asks=asks))
-        for number, event in enumerate(self.events):
-            for shorter in _simpler(event, _SIMPLE_EVENT):
-                yield replace(self, events=(*self.events[:number], shorter, *self.events[number + 1 :]))
-        yield from _simpler(self, _SIMPLE_WORLD)
-
-    def _with(self, number: int, client: Client) -> World:
-        return replace(self, clients=(*self.clients[:number], client, *self.clients[number + 1 :]))
-
-
-#: The simplest value of each field that has one.
-_SIMPLE_CLIENT: Mapping[str, object] = {"drift": 0.0, "kind": "threads", "policy": "never", "start": "register"}
-_SIMPLE_ASK: Mapping[str, object] = {"after": 0.0, "at": 0.0, "patience": 0.0, "size": 1.0, "thread": 0, "then": "wait"}
-_SIMPLE_EVENT: Mapping[str, object] = {"at": 0.0, "lasts": 0.0, "size": 1.0}
-_SIMPLE_WORLD: Mapping[str, object] = {"lines": 0.0, "latency": 1e-4, "jitter": 0.0, "firmware": "5.10"}
-
-
-def _simpler(thing: T, simple: Mapping[str, object]) -> Iterator[T]:
-    """The same with one field at its simplest value, or rounded."""
-    for name, simplest in simple.items():
-        value = getattr(thing, name)
-        is_kept = name == "kind" and not {ask.what for ask in getattr(thing, "asks", ())} <= set(ASKED["threads"])
-        if value == simplest or is_kept:
-            continue
-        yield _changed(thing, name, simplest)
-        if isinstance(value, float) and value != round(value, 2):
-            yield _changed(thing, name, round(value, 2))
-
-
-def _changed(thing: T, name: str, value: object) -> T:
-    change: dict[str, Any] = {name: value}
-    return replace(thing, **change)
-
-
-def _without(event: Event, client: int, place: int) -> Event:
-    """The event after that ask of that client is gone."""
-    if event.client != client or event.ask is None or event.ask < place:
-        return event
-    return replace(event, ask=None if event.ask == place else event.ask - 1)
+_FIRMWARES = [str(row.since) for row in RELEASES for _ in range(1 if row.since.is_cb2 else 3)]
+#: Of so many worlds in a row, one is a scene that is varied.
+_SCENES = 4
 
 
 def draw(seed: int) -> World:
     """The world of a seed: a few kinds of asks and of events, which come again and again.
 
     In every other world they meet: threads and clients begin the same few things in the same moment, and what happens
-    happens then.
+    happens then. One in four is a scene instead, with other numbers and other motions.
     """
     chance = random.Random(seed)
+    if seed % _SCENES == 1:
+        return _varied(chance, seed, chance.choice(list(SCENES.values())))
     meeting = chance.choice((0.0, chance.uniform(0.05, 0.4)))
     shared = _menu(chance) if meeting else ()
     numbers = (1, 1, 2, 2) if meeting else (1, 1, 2, 2, 3)
     clients = tuple(_client(chance, meeting, shared) for _ in range(chance.choice(numbers)))
-    menu: Sequence[str] = chance.choice((_STOPS, _CABLES, HAPPENS, HAPPENS, chance.sample(HAPPENS, 3)))
+    menu: Sequence[str] = chance.choice((STOPS, CABLES, HAPPENS, HAPPENS, chance.sample(HAPPENS, 3)))
     events = tuple(_event(chance, meeting, menu, clients) for _ in range(chance.choice((0, 0, 1, 1, 2, 3))))
-    firmwares = [str(row.since) for row in RELEASES for _ in range(1 if row.since.is_cb2 else 3)]
     latency, jitter = chance.choice((5e-5, 5e-4, 5e-3)), chance.choice((0.0, 2e-4, 2e-3))
     lines = chance.choice((0.0, 0.0, 0.0, meeting + 0.1 * chance.random()))
-    return World(seed, chance.choice(firmwares), latency, jitter, clients, events, lines)
+    return World(seed, chance.choice(_FIRMWARES), latency, jitter, clients, events, lines)
 
 
 def _menu(chance: random.Random) -> tuple[str, ...]:
@@ -362,3 +81,50 @@ def _event(chance: random.Random, meeting: float, menu: Sequence[str], clients: 
         chance.random(),
         ask,
     )
+
+
+def _varied(chance: random.Random, seed: int, scene: World) -> World:
+    """A scene with some of its numbers drawn anew, and some of what is asked for and happens replaced by its like."""
+    clients = tuple(
+        replace(
+            client,
+            asks=tuple(_varied_ask(chance, ask, client.kind) for ask in client.asks),
+            kind=chance.choice((client.kind,) * 3 + ("asyncio",)) if client.kind == "threads" else client.kind,
+            drift=chance.uniform(-1e-4, 1e-4),
+        )
+        for client in scene.clients
+    )
+    events = [_varied_event(chance, event) for event in scene.events]
+    if chance.random() < 0.2:
+        events.append(_event(chance, 0.0, HAPPENS, clients))
+    firmware = chance.choice((scene.firmware, chance.choice(_FIRMWARES)))
+    latency, jitter = chance.choice((scene.latency, scene.latency, 5e-4)), chance.choice((0.0, 0.0, 2e-4))
+    lines = chance.choice((scene.lines, scene.lines, scene.lines, 0.1))
+    return World(seed, firmware, latency, jitter, clients, tuple(events), lines)
+
+
+def _varied_ask(chance: random.Random, ask: Ask, kind: str) -> Ask:
+    what = ask.what
+    if chance.random() < 0.4:
+        what = chance.choice(next((each for each in (MOTIONS, BLOCKS, CALLS) if what in each), ASKED[kind]))
+    return replace(
+        ask,
+        what=what,
+        then=chance.choice((ask.then,) * 4 + (chance.choice(THEN),)),
+        size=chance.choice((ask.size, chance.random())),
+        after=_near(chance, ask.after),
+        at=_near(chance, ask.at),
+        patience=_near(chance, ask.patience),
+    )
+
+
+def _varied_event(chance: random.Random, event: Event) -> Event:
+    what = event.what
+    if chance.random() < 0.25:
+        what = chance.choice(next((each for each in (STOPS, CABLES) if what in each), (what,)))
+    return replace(event, what=what, at=_near(chance, event.at), lasts=_near(chance, event.lasts))
+
+
+def _near(chance: random.Random, seconds: float) -> float:
+    """These seconds, or others near to them; two threads that begin together mostly still do."""
+    return seconds * chance.choice((1.0, 1.0, chance.uniform(0.5, 1.5)))

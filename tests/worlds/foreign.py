@@ -12,7 +12,7 @@ import struct
 import time
 from collections.abc import Callable, Iterator
 
-from .drawn import Ask
+from .world import Ask
 
 __all__ = ["FOREIGN", "RAW"]
 

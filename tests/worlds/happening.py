@@ -10,8 +10,8 @@ from linkcore.simulated.network import Listener, Network
 from urlink.simulator import Controller, Demonstration, Still
 
 from .asked import PENDANT_PROGRAM
-from .drawn import Event
 from .watch import Watch
+from .world import Event
 
 __all__ = ["at_the_robot", "elsewhere"]
 

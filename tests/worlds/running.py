@@ -25,10 +25,10 @@ from urlink.interfaces.enums import ProgramState
 from urlink.simulator import Controller, Still
 
 from .asked import BLOCK, CALL, DURING, MOTION, PENDANT_PROGRAM, UR_RTDE, URX
-from .drawn import AT_THE_ROBOT, Ask, Client, Event, World
 from .foreign import RAW
 from .happening import at_the_robot, elsewhere
 from .watch import BRAKING, Outcome, Watch
+from .world import AT_THE_ROBOT, Ask, Client, Event, World
 
 __all__ = ["Outcome", "Run", "run"]
 

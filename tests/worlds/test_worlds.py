@@ -12,8 +12,9 @@ import pytest
 from linkcore.errors import Cancelled
 from linkcore.handle import Lifecycle
 from tests.worlds.__main__ import shrunk
-from tests.worlds.drawn import Ask, Client, Event, World, draw
+from tests.worlds.drawn import draw
 from tests.worlds.running import run
+from tests.worlds.world import Ask, Client, Event, World
 from urlink.commanding.programs import Programs
 
 # A client that is killed closes nothing.
@@ -35,7 +36,7 @@ def test_nothing_moves_unasked(seeds: range) -> None:
 def test_the_same_seed_is_the_same_world_in_every_process() -> None:
     """With other hashes and addresses; here these worlds come after others, there they are the first."""
     program = (
-        "from tests.worlds.drawn import Ask, Client, Event, World, draw\nfrom tests.worlds.running import run\n"
+        "from tests.worlds.drawn import draw\nfrom tests.worlds.running import run\n"
         "print([run(draw(seed)).trace for seed in (3, 17)])"
     )
     env = {**os.environ, "PYTHONHASHSEED": "7"}
