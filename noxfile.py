@@ -8,7 +8,7 @@ import nox
 from packaging.requirements import Requirement
 
 nox.needs_version = ">=2025.2.9"
-nox.options.sessions = ["tests", "lint", "types", "docs"]
+nox.options.sessions = ["tests", "slow", "lint", "types", "docs"]
 nox.options.error_on_external_run = True
 
 ROOT = Path(__file__).parent
@@ -37,11 +37,13 @@ def present(*paths: str) -> list[str]:
 
 @nox.session
 def tests(session: nox.Session) -> None:
-    """Run the tests, and the examples in docstrings, docs and README."""
+    """Run the tests that are not slow, and the examples in docstrings, docs and README."""
     session.install("-e", f".{EXTRAS}", *group("tests"))
     # One pytest run, so that its last line is the verdict on everything.
     everything = [
         *PARALLEL,
+        "-m",
+        "not slow",
         "--durations=10",
         "--doctest-modules",
         "--doctest-glob=*.md",
@@ -51,10 +53,18 @@ def tests(session: nox.Session) -> None:
     session.run("pytest", *(session.posargs or everything), env=COMPILED)
 
 
+@nox.session
+def slow(session: nox.Session) -> None:
+    """Run the tests that take a second of processor time or more, most of them minutes of a simulated arm."""
+    session.install("-e", f".{EXTRAS}", *group("tests"))
+    session.run("pytest", *PARALLEL, "-m", "slow", *(session.posargs or ["tests"]), env=COMPILED)
+
+
 @nox.session(python=["3.10", "3.11", "3.12", "3.13", "3.14"])
 def pythons(session: nox.Session) -> None:
     """Run all tests on each Python that this machine has."""
     tests(session)
+    slow(session)
 
 
 @nox.session(python="3.10", venv_backend="uv")

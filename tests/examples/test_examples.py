@@ -132,6 +132,7 @@ def shown(cell: dict[str, Any], names: dict[str, Any]) -> list[str]:
     ]
 
 
+@pytest.mark.slow
 def test_the_notebook_runs_cell_by_cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As a kernel would run it, and each cell's last value shows as a notebook would show it."""
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
@@ -225,6 +226,7 @@ def test_servo_loop() -> None:
     assert second.startswith("off by less than")
 
 
+@pytest.mark.slow
 def test_policy_chunks() -> None:
     text = output("policy_chunks.py", "--duration", "1.5")
     assert re.fullmatch(r"\d+ chunks in 1\.5 s, starved 0 times\n", text)
@@ -271,6 +273,7 @@ def way(path: Path) -> list[tuple[float, float]]:
     return [(float(x), float(y)) for x, y in (point.split(",") for point in line.attrib["points"].split())]
 
 
+@pytest.mark.slow
 def test_rhd_spiral_closes(tmp_path: Path) -> None:
     text = output("rhd_spiral.py", str(tmp_path / "spiral.svg"))
     assert re.search(r"ended 0\.0[0-2] m from the start", text), text
@@ -289,6 +292,7 @@ def test_rhd_arc_ends_where_it_should(tmp_path: Path, options: tuple[str, ...]) 
     assert len(way(tmp_path / "arc.svg")) > 50
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_rhd_mission_docks_however_it_was_begun(tmp_path: Path) -> None:
     """From Python, from the command line, and through the server's port."""

@@ -25,6 +25,7 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "testing.md"
 OPTIONS = ("-p", "pytest_urlink", "-p", "no:cacheprovider", "--strict-markers", "-W", "error")
 
 
+@pytest.mark.slow
 def test_the_examples_of_the_page_are_suites_that_pass(pytester: pytest.Pytester) -> None:
     blocks = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
     pytester.makepyfile(**{f"test_block_{number}": block for number, block in enumerate(blocks)})

@@ -49,6 +49,7 @@ LOCKSTEP = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.captures("mrc")
 @pytest.mark.parametrize("drive", [f"{kind}_{name}" for kind in ("vw", "smr") for name in LOCKSTEP])
 def test_recorded_commands_give_the_recorded_drive(drives: Path, drive: str) -> None:

@@ -417,6 +417,7 @@ def test_every_method_is_tried_or_known_to_send_nothing() -> None:
     assert own == {*CALLS, *SENDS_NOTHING.split()}
 
 
+@pytest.mark.slow
 def test_an_error_that_is_kept_was_never_raised(robot: Robot) -> None:
     motion = robot.motion.move_joints(HOME + 0.2)
     motion.cancel()

@@ -154,6 +154,7 @@ def test_they_begin_and_move_together(firmwares: tuple[str, str]) -> None:
                 assert side.robot.realtime.wait().q_target == pytest.approx(goal, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_the_slower_of_both_sets_the_pace() -> None:
     """Each slider in turn, to a half, to 0 for half a second, and back."""
     with pair(3) as both:
@@ -167,6 +168,7 @@ def test_the_slower_of_both_sets_the_pace() -> None:
         assert both.radians_apart() < 0.01
 
 
+@pytest.mark.slow
 def test_a_pause_of_one_halts_the_other_and_both_go_on() -> None:
     with pair(4) as both:
         motion = both.group.follow(both.steady(2.4))
@@ -185,6 +187,7 @@ def test_a_pause_of_one_halts_the_other_and_both_go_on() -> None:
             assert side.robot.realtime.wait().q_target == pytest.approx(path.q[-1], abs=1e-3)
 
 
+@pytest.mark.slow
 def test_a_stop_of_one_reaches_the_other() -> None:
     """Within two cycles, and the ways of the network from one controller and to the other."""
     latency = 1e-3
@@ -208,6 +211,7 @@ def test_a_stop_of_one_reaches_the_other() -> None:
         assert speed[-1] == 0.0
 
 
+@pytest.mark.slow
 def test_who_cancels_one_cancels_all() -> None:
     with pair(6) as both:
         motion = both.group.follow(both.steady())
@@ -227,6 +231,7 @@ def test_who_cancels_one_cancels_all() -> None:
         assert [side.controller.arm.is_moving for side in both.sides] == [False, False]
 
 
+@pytest.mark.slow
 def test_stop_stops_each() -> None:
     with pair(7) as both:
         motion = both.group.follow(both.steady())

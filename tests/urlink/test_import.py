@@ -134,6 +134,7 @@ def test_who_connects_and_reads_imports_nothing_that_commands() -> None:
     assert those(modules, NOT_NEEDED_TO_READ) == []
 
 
+@pytest.mark.slow
 def test_the_simulator_is_imported_by_who_asks_for_it() -> None:
     assert "urlink.simulator" in outcome("import urlink.simulator")["modules"]
     # Its sockets only by who starts it.

@@ -60,7 +60,7 @@ def test_the_newest_state_is_there_while_nothing_here_reads(controller: Controll
         is_held.set()
         assert goes_on.wait(30)
 
-    with urlink.connect(controller.address, isolate=True) as robot:
+    with urlink.connect(controller.address, isolate=True, timeout=60.0) as robot:
         states = robot.realtime.iterate(urlink.block, timeout=10)
         times = [next(states).time for _ in range(10)]
         holding = robot.realtime.subscribe(hold, inline=True)
@@ -92,7 +92,7 @@ def test_the_newest_state_is_there_while_nothing_here_reads(controller: Controll
 def test_it_ends_with_its_parent(controller: Controller) -> None:
     program = (
         "import sys, urlink\n"
-        "robot = urlink.connect(sys.argv[1], isolate=True)\n"
+        "robot = urlink.connect(sys.argv[1], isolate=True, timeout=60.0)\n"
         "robot.realtime.wait(20)\n"
         "print(robot.realtime._connection._transport._process.pid, flush=True)\n"
         "sys.stdin.read()\n"

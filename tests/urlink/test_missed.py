@@ -154,7 +154,7 @@ def test_asyncio(controller: Controller) -> None:
 @pytest.mark.real_time
 def test_what_another_process_reads(controller: Controller) -> None:
     period = 1 / urlink.Firmware.parse(controller.firmware).rate
-    with urlink.connect(controller.address, isolate=True) as robot:
+    with urlink.connect(controller.address, isolate=True, timeout=60.0) as robot:
         times: list[float] = []
         robot.realtime.subscribe(lambda state: times.append(state.time), inline=True)
         until(lambda: len(times) > 10)

@@ -57,6 +57,7 @@ def test_guesses_are_counted() -> None:
     assert guesses('"""Its `guesses`."""\nguess = guesses(1)  # as guess_sender does\n') == 0
 
 
+@pytest.mark.slow
 def test_no_guess_is_outside_the_table() -> None:
     """A module with more comments and docstrings about guesses than rows that name it has one that stands nowhere."""
     listed = Counter(place(row) for row in ROWS if row.evidence == "guess")

@@ -30,6 +30,7 @@ class Truth:
         return (cycles - (self._state.cycle - self._state.uptime)) / self._rate
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("firmware", "seed", "drift", "latency", "jitter"),
     [("5.11", 1, 100e-6, 1e-4, 5e-5), ("5.11", 2, -100e-6, 2e-3, 4e-3), ("3.15", 3, 60e-6, 5e-4, 1e-3)],

@@ -23,7 +23,6 @@ pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pyte
 ROOT = Path(__file__).resolve().parents[2]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seeds", [range(first, first + 10) for first in range(0, 300, 10)], ids=str)
 def test_nothing_moves_unasked(seeds: range) -> None:
     for seed in seeds:

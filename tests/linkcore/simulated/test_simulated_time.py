@@ -149,6 +149,7 @@ def lazy_between_lines(sim: Simulation) -> int:
     return lazy(sim)
 
 
+@pytest.mark.slow
 def test_a_race_between_two_lines_is_found_where_threads_make_way_there() -> None:
     seeds = range(200)
     assert {outcome(seed, lazy)[0] for seed in seeds} == {1}

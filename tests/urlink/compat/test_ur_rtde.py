@@ -138,6 +138,7 @@ def test_moves(controller: Controller, control: RTDEControlInterface) -> None:
         control.moveJ(NEAR, 20.0)
 
 
+@pytest.mark.slow
 def test_servo_and_speed(controller: Controller, control: RTDEControlInterface) -> None:
     assert control.moveJ(NEAR, 2.0, 6.0)
     q = list(NEAR)

@@ -115,6 +115,7 @@ with urlink.connect("sim://") as robot, robot.record(sys.argv[1]):
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGKILL")
 @pytest.mark.real_time
 def test_a_killed_program_leaves_a_file_that_opens(tmp_path: Path) -> None:

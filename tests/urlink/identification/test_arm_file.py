@@ -92,6 +92,7 @@ def samples() -> Samples:
     return Samples(Path("planted"), {"timestamp": np.array(times), **columns}, "UR5e")
 
 
+@pytest.mark.slow
 def test_a_planted_arm_is_identified(samples: Samples) -> None:
     assert samples["timestamp"][-1] == pytest.approx(10.2, abs=0.1)
     found, expected = identify(samples), planted()
@@ -132,6 +133,7 @@ def test_a_file_of_another_arm_is_refused(tmp_path: Path) -> None:
             read_arm_file(tmp_path / "arm.json")
 
 
+@pytest.mark.slow
 def test_the_command(samples: Samples, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "run.csv"
     with path.open("w", newline="") as file:
@@ -166,6 +168,7 @@ def test_what_is_no_recording_of_an_arm(tmp_path: Path) -> None:
     assert MODEL.name == "UR5e"
 
 
+@pytest.mark.slow
 def test_a_recording_beside_the_simulator(samples: Samples) -> None:
     """Of the same arm it differs by noise alone; of the published one by what was planted."""
     same, other = compare(samples, planted()), compare(samples, ArmFile("UR5e", {}))

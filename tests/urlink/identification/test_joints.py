@@ -31,6 +31,7 @@ def pairs(found: JointFit) -> dict[str, tuple[Estimate, float]]:
     return every | {"payload": (found.payload, PAYLOAD)}
 
 
+@pytest.mark.slow
 def test_planted_parameters_are_found_within_their_intervals() -> None:
     """In 95 of 100 trials at least, each of the 25 of them."""
     held: Counter[str] = Counter()

@@ -192,6 +192,7 @@ def test_an_older_controller_has_none() -> None:
             robot.io.set_tool_communication()
 
 
+@pytest.mark.slow
 def test_a_stream_of_set_points_loses_nothing_beside_it(robot: urlink.Robot) -> None:
     robot.io.set_tool_communication()
     over = threading.Event()

@@ -42,6 +42,7 @@ class Yielding(SoftTool):
         self.go(0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("axis", "in_tool"), [(axis, bool(axis % 2)) for axis in range(6)])
 def test_a_wrench_moves_the_tool_by_force_over_stiffness(axis: int, in_tool: bool) -> None:
     soft = Yielding(in_tool=in_tool)
@@ -57,6 +58,7 @@ def test_a_wrench_moves_the_tool_by_force_over_stiffness(axis: int, in_tool: boo
     assert np.abs(moved - expected).max() < 0.05 * expected[axis]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("firmware", ["5.10", "10.7"])
 def test_it_goes_where_it_is_led_and_rests_after_its_end(firmware: str) -> None:
     soft = Yielding(firmware)

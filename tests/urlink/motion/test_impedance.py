@@ -173,6 +173,7 @@ def test_gains_go_over_to_others_without_a_leap() -> None:
     assert hardest < 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [0.1, 0.3, 1.0])
 def test_a_joint_swings_as_its_damping_ratio_says(ratio: float) -> None:
     """The base let go of 30 mrad from its aim: each swing is smaller than the last by what a ratio takes away.
@@ -243,6 +244,7 @@ def test_an_arm_that_was_moved_while_its_program_was_paused_stays_there() -> Non
     assert soft.q[0] == pytest.approx(elsewhere[0] + 0.1, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_the_way_to_a_target_goes_by_the_slider() -> None:
     soft = Soft()
     soft.controller.speed_fraction = 0.5
@@ -361,6 +363,7 @@ def slid(intervals: Sequence[tuple[float, bool]]) -> tuple[float, float]:
     return max(forces), float(np.mean(forces))
 
 
+@pytest.mark.slow
 def test_targets_at_10_hz_with_gaps_press_no_harder_than_steady_ones() -> None:
     _, steady = slid([(0.004, False)] * 500)
     draw = np.random.default_rng(3)
@@ -516,6 +519,7 @@ class World:
         return np.array(energies), largest
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @settings(max_examples=max(settings.default.max_examples // 2, 20) if settings.default else 20)
 @given(st.integers(0, 2**31))

@@ -58,6 +58,7 @@ def comes_to_rest(cell: Cell) -> FloatArray:
     return np.array(cell.controller.arm.setpoint.q)
 
 
+@pytest.mark.slow
 @pytest.mark.matrix(3)
 @pytest.mark.parametrize("way", WAYS)
 def test_goes_on_smoothly_from_where_it_was_paused(cell: Callable[[str, str], Cell], way: str) -> None:
@@ -163,6 +164,7 @@ def test_what_the_controller_executes_goes_on_after_a_pause(cell: Callable[[str,
     assert one.robot.realtime.wait().q_target == pytest.approx(goal, abs=NEAR)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["streamed at 500 Hz", "points at 500 Hz"])
 def test_an_arm_that_was_moved_a_little_goes_on_from_there(cell: Callable[[str, str], Cell], way: str) -> None:
     """By hand, in freedrive, within `start_tolerance`."""
@@ -295,6 +297,7 @@ def test_stopped_at_the_pendant_and_moved(cell: Callable[[str, str], Cell], way:
     assert away.max() < 0.05 + NEAR
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["streamed at 500 Hz", "points at 500 Hz"])
 def test_stopped_by_the_safety_system_and_played_again(cell: Callable[[str, str], Cell], way: str) -> None:
     """Universal_Robots_ROS2_Driver#1084: after a protective stop that is unlocked, *play* leads to the old target."""

@@ -166,6 +166,7 @@ def followed(cell: Cell, **options: Any) -> tuple[Motion, list[TrajectoryFeedbac
     return motion, told, moving(cell.path)
 
 
+@pytest.mark.slow
 @pytest.mark.matrix(3)
 @pytest.mark.parametrize("way", WAYS)
 def test_on_its_path_whatever_the_slider_does(cell: Callable[[str, str], Cell], way: str) -> None:
@@ -184,6 +185,7 @@ def test_on_its_path_whatever_the_slider_does(cell: Callable[[str, str], Cell], 
     assert times[-1, 0] > times[-1, 1] + 2.5
 
 
+@pytest.mark.slow
 def test_tolerances_count_the_time_of_the_trajectory(cell: Callable[[str, str], Cell]) -> None:
     """At a tenth of the speed the arm has ten times as long to arrive, and at 0 no time passes."""
     one = cell("UR5", "3.15")
@@ -202,6 +204,7 @@ def test_tolerances_count_the_time_of_the_trajectory(cell: Callable[[str, str], 
     assert one.robot.realtime.wait().q_actual == pytest.approx(READY, abs=0.001)
 
 
+@pytest.mark.slow
 def test_by_the_controllers_clock_the_arm_leaves_its_path(cell: Callable[[str, str], Cell]) -> None:
     """What `scaling="ignore"` costs: the set-points that were skipped are cut off, the faster the less was slowed."""
     one = cell("UR5e", "5.11")

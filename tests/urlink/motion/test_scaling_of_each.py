@@ -185,6 +185,7 @@ def test_each_motion_has_a_row() -> None:
     assert set(rows()) == set(WAYS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WAYS)
 def test_what_the_slider_does_to(name: str) -> None:
     half, none = rows()[name]

@@ -170,6 +170,7 @@ def test_a_motion_begins_where_the_one_before_has_ended(connect: Callable[[str, 
     assert np.allclose(robot.realtime.wait(TIMEOUT).q_target, goal, atol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seconds", [0.1, 1.0])
 def test_a_stop_that_local_control_ignored_is_sent_again(connect: Callable[[str, str], Robot], seconds: float) -> None:
     robot = connect("ur5e", "5.11")

@@ -44,6 +44,7 @@ def points() -> list[TrajectoryPoint]:
     return made
 
 
+@pytest.mark.slow
 @pytest.mark.matrix(3)
 @pytest.mark.parametrize(("arm", "firmware"), FIRMWARES)
 @pytest.mark.parametrize("moved", [0.0, 0.03, -0.03])
@@ -78,6 +79,7 @@ def test_goes_on_smoothly_from_where_it_stands(
     assert stream.phase is Phase.DONE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("arm", "firmware"), FIRMWARES)
 def test_an_arm_that_was_jogged_away_is_left_there(cell: Callable[[str, str], Cell], arm: str, firmware: str) -> None:
     one = cell(arm, firmware)

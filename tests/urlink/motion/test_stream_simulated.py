@@ -61,6 +61,7 @@ def stands(robot: Robot) -> bool:
     return bool(np.abs(robot.realtime.wait(5).qd_actual).max() < 1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.matrix(3)
 @pytest.mark.parametrize(
     ("arm", "firmware", "link"),
@@ -118,6 +119,7 @@ def test_its_block_stops_the_arm(connect: Callable[..., Robot], link: LinkName) 
         robot.motion.stream().append(points(4, 5))
 
 
+@pytest.mark.slow
 @pytest.mark.matrix(2)
 @pytest.mark.parametrize(("slider", "link"), [(0.5, "reverse"), (0.2, "reverse"), (0.2, "rtde")])
 def test_the_slider_slows_it_down_on_its_path(connect: Callable[..., Robot], slider: float, link: LinkName) -> None:
@@ -141,6 +143,7 @@ def test_the_slider_slows_it_down_on_its_path(connect: Callable[..., Robot], sli
     assert robot.realtime.wait(5).q_actual == pytest.approx(READY, abs=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("link", ["reverse", "rtde"])
 def test_replaced_and_cleared(connect: Callable[..., Robot], link: LinkName) -> None:
     robot = connect()
@@ -162,6 +165,7 @@ def test_replaced_and_cleared(connect: Callable[..., Robot], link: LinkName) -> 
         assert stream.starved == 1  # a pose carries no speed at which it would rest
 
 
+@pytest.mark.slow
 def test_registers_hold_one_stream_after_another_and_other_motions_between(connect: Callable[..., Robot]) -> None:
     robot = connect()
     for angle in (0.1, 0.2):
@@ -183,6 +187,7 @@ def test_a_register_that_another_client_holds(connect: Callable[..., Robot]) -> 
         assert stream.is_dry
 
 
+@pytest.mark.slow
 def test_outputs_that_do_not_come_any_more_end_it(connect: Callable[..., Robot]) -> None:
     """What the program says is not known then; it brakes when it gets no words."""
     robot = connect()

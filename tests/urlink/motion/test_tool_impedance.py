@@ -91,6 +91,7 @@ class SoftTool(Soft):
         return float(energy.sum() + 0.5 * np.array(self.tool.posture) @ bent**2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("axis", "in_tool"), [(axis, bool(axis % 2)) for axis in range(6)])
 def test_a_wrench_moves_the_tool_by_force_over_stiffness(axis: int, in_tool: bool) -> None:
     stiffness = [500.0, 400.0, 700.0, 30.0, 25.0, 40.0]
@@ -114,6 +115,7 @@ def place(pose: Sequence[float], *way: float) -> list[float]:
     return moved
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("in_tool", [False, True])
 def test_it_goes_where_it_is_led_and_rests_after_its_end(in_tool: bool) -> None:
     soft = SoftTool(in_tool=in_tool)
@@ -136,6 +138,7 @@ def test_it_goes_where_it_is_led_and_rests_after_its_end(in_tool: bool) -> None:
     assert soft.q.tolist() == rests.tolist()
 
 
+@pytest.mark.slow
 def test_orientations_are_approached_the_short_way() -> None:
     """Also where the rotation vectors of both are far apart, as those of tools that look down are."""
     soft = SoftTool(q=(0.0, -1.5, 2.0, -2.07, -1.57, 0.0), posture=(0.0,) * 6)
@@ -154,6 +157,7 @@ def test_orientations_are_approached_the_short_way() -> None:
         assert turned_by < 0.35
 
 
+@pytest.mark.slow
 def test_gains_go_over_to_others_without_a_leap() -> None:
     soft = SoftTool()
     start = soft.pose
@@ -170,6 +174,7 @@ def test_gains_go_over_to_others_without_a_leap() -> None:
     assert hardest < 1.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [0.1, 0.4])
 def test_the_tool_swings_as_its_damping_ratio_says(ratio: float) -> None:
     """Let go of sideways, on a soft spring, with all other axes stiff: those, and the joints, damp a little too."""
@@ -197,6 +202,7 @@ def test_the_tool_swings_as_its_damping_ratio_says(ratio: float) -> None:
 # -- the posture, singular poses ---------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_posture_moves_what_no_spring_of_the_tool_holds() -> None:
     """An axis without stiffness is turned to the posture, and the tool stays where it is."""
     soft = SoftTool(stiffness=[500.0, 500.0, 500.0, 0.0, 0.0, 0.0], posture=(2.0,) * 6)
@@ -209,6 +215,7 @@ def test_the_posture_moves_what_no_spring_of_the_tool_holds() -> None:
     assert np.abs(soft.off(start)[:3]).max() < 1e-3
 
 
+@pytest.mark.slow
 def test_an_arm_that_was_stretched_comes_back_with_its_elbow_on_the_same_side() -> None:
     """By a target out of reach, which `Impedance.send` refuses: straight, it is a little beyond, and comes back."""
     soft = SoftTool(q=(0.0, -0.3, 0.35, -1.57, -1.57, 0.0), posture=(2.0,) * 6, stiffness=(500.0,) * 3 + (0.0,) * 3)
@@ -230,6 +237,7 @@ def test_an_arm_that_was_stretched_comes_back_with_its_elbow_on_the_same_side() 
 # -- what bounds it -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_tool_gets_no_faster_than_it_may_where_a_contact_ends() -> None:
     soft = SoftTool(damping=[0.0] * 6, tool_speed=(0.15,) * 3 + (0.8,) * 3)
     wall = soft.controller.world.add(Plane(soft.pose[:3], (0.0, -1.0, 0.0)))
@@ -246,6 +254,7 @@ def test_the_tool_gets_no_faster_than_it_may_where_a_contact_ends() -> None:
     assert not soft.is_stopped
 
 
+@pytest.mark.slow
 def test_force_is_bounded_however_far_the_target_is() -> None:
     soft = SoftTool(force=(20.0,) * 3 + (5.0,) * 3, torque=(60.0, 60.0, 60.0, 14.0, 14.0, 14.0))
     x, y, z = soft.pose[:3]
@@ -268,6 +277,7 @@ def test_a_joint_is_turned_back_before_the_end_of_its_range() -> None:
     assert not soft.is_stopped
 
 
+@pytest.mark.slow
 def test_an_arm_that_was_moved_while_its_program_was_paused_stays_there() -> None:
     soft = SoftTool()
     soft.lead(soft.pose, 0.3)
@@ -283,6 +293,7 @@ def test_an_arm_that_was_moved_while_its_program_was_paused_stays_there() -> Non
     assert soft.is_running
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end", ["told", "silent"])
 def test_its_end_in_a_contact_is_no_leap(end: str) -> None:
     soft = SoftTool(stiffness=(2000.0,) * 3 + (50.0,) * 3)
@@ -335,6 +346,7 @@ def slid(intervals: Sequence[tuple[float, bool]]) -> tuple[float, float]:
     return max(forces), float(np.mean(forces))
 
 
+@pytest.mark.slow
 def test_targets_at_10_hz_with_gaps_press_no_harder_than_steady_ones() -> None:
     _, steady = slid([(0.004, False)] * 450)
     draw = np.random.default_rng(3)
@@ -408,6 +420,7 @@ class ToolWorld(World):
         return np.array(energies), largest
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @settings(max_examples=max(settings.default.max_examples // 2, 5) if settings.default else 5)
 @given(st.integers(0, 2**31))

@@ -53,6 +53,7 @@ def test_tool_vectors_are_the_kinematics_of_the_joints(name: str) -> None:
         assert state.elbow_position == pytest.approx(elbow, abs=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "firmware"), [("UR5e", "5.11"), ("UR10", "3.14"), ("UR5", "1.8")])
 def test_speeds_are_the_derivatives_of_positions(name: str, firmware: str) -> None:
     controller = Controller(name, firmware, motion=Demonstration())
@@ -247,6 +248,7 @@ def test_momentum_is_that_of_a_mass_that_moves() -> None:
     assert run(controller, 500)[-1].linear_momentum_norm == 0.0
 
 
+@pytest.mark.slow
 def test_temperatures_rise_slowly() -> None:
     controller = Controller("UR5", "3.14", motion=Demonstration())
     cold = run(controller, 1)[0].motor_temperatures

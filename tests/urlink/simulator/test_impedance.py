@@ -87,6 +87,7 @@ def program(axes: tuple[int, int]) -> str:
     return CIRCLE.replace("    AXES\n", lines).replace("SECONDS", str(SECONDS))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axes", [HORIZONTAL, UPRIGHT])
 def test_an_impedance_follows_a_large_circle_from_the_home_posture(axes: tuple[int, int]) -> None:
     controller = Controller("UR5e", "5.25", motion=Still(), seed=1, files={"circle.urp": program(axes)})

