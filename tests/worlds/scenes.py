@@ -29,7 +29,7 @@ def _world(*clients: Client, events: tuple[Event, ...] = (), latency: float = 1e
     return World(0, "5.11", latency, 0.0, clients, events, lines)
 
 
-#: By the names of their defects.
+#: By the names of their defects; those of them that `planted` puts back have a patch.
 SCENES: Mapping[str, World] = {
     # The program's text is lost on the way and sent again, when a stop has come and is over.
     "held-program-goes-on": _world(
@@ -74,5 +74,10 @@ SCENES: Mapping[str, World] = {
     "two-connections-claim-the-same": _world(
         Client((_ask("registers", size=0.4, at=0.1), _ask("registers", size=0.4, thread=1, at=0.1)), 0.0),
         lines=0.3,
+    ),
+    # What the cable has kept back comes in one piece: a stop, its end, and the beginning of the program.
+    "let-go-before-the-stop-is-read": _world(
+        Client((_ask("speed_joints"), _ask("script", size=0.5)), 0.0),
+        events=(Event("cut", 0.0, 0.5, 0, 1.0, 1), Event("protective_stop", 0.0, 0.2, 0, 1.0, 1)),
     ),
 }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,9 @@ from linkcore.errors import Cancelled
 from linkcore.handle import Lifecycle
 from tests.worlds.__main__ import shrunk
 from tests.worlds.drawn import draw
+from tests.worlds.planted import NAMES
 from tests.worlds.running import run
+from tests.worlds.scenes import SCENES
 from tests.worlds.world import Ask, Client, Event, World
 from urlink.commanding.programs import Programs
 
@@ -43,6 +46,13 @@ def test_the_same_seed_is_the_same_world_in_every_process() -> None:
         [sys.executable, "-c", program], cwd=ROOT, env=env, capture_output=True, text=True, check=True, timeout=55
     )
     assert there.stdout == f"{[run(draw(seed)).trace for seed in (3, 17)]}\n"
+
+
+@pytest.mark.parametrize("name", SCENES.keys() - set(NAMES))
+def test_a_scene_whose_defect_is_mended(name: str) -> None:
+    for seed in range(3):
+        outcome = run(replace(SCENES[name], seed=seed))
+        assert outcome.faults == [], "\n".join(outcome.log)
 
 
 @pytest.fixture

@@ -20,6 +20,7 @@ __all__ = ["FanOut", "Sink"]
 _new = tuple.__new__
 
 K = TypeVar("K")
+_Offer = Callable[[Sequence[Any]], None]
 
 
 class Sink(Protocol):
@@ -47,7 +48,7 @@ class Sink(Protocol):
 class _Route(NamedTuple):
     sink: Sink
     group: type
-    offer: Callable[[Sequence[Any]], None]
+    offer: _Offer
 
 
 class FanOut:
@@ -80,8 +81,8 @@ class FanOut:
         self._lock = threading.RLock()
         self._routes: tuple[_Route, ...] = ()
         self._deliveries: tuple[Delivery, ...] = ()
-        # What the reader looks at, made from the routes.
-        self._offers: tuple[Callable[[Sequence[Any]], None], ...] = ()
+        # What the reader looks at, made from the routes: of the queues, and of the inline callbacks.
+        self._offers: tuple[tuple[_Offer, ...], tuple[_Offer, ...]] = ((), ())
         self.taps: tuple[Sink, ...] = ()
         self._last: Any = None  # where no packet has parts, which is the quick case
         self._newest: dict[type, tuple[int, Any]] = {}
@@ -97,7 +98,11 @@ class FanOut:
             sink.offer((_new(Chunk, (data, stamp)),))
 
     def publish(self, packets: Sequence[Any]) -> None:
-        """Packets, in order, at least one."""
+        """Packets, in order, at least one.
+
+        Each goes to all inline callbacks before the next one does: one of them may decide by what another one has
+        learnt, such as whether a program may go on that has begun after a stop, all in the same bytes.
+        """
         if self._parts is None:
             self._last = packets[-1]
         else:
@@ -105,8 +110,16 @@ class FanOut:
                 self._remember(packet)
                 for part in self._parts(packet):
                     self._remember(part)
-        for offer in self._offers:
+        queues, callbacks = self._offers
+        for offer in queues:
             offer(packets)
+        if len(callbacks) == 1 or len(packets) == 1:
+            for offer in callbacks:
+                offer(packets)
+        else:
+            for packet in packets:
+                for offer in callbacks:
+                    offer((packet,))
 
     def tell(self, event: ConnectionEvent) -> None:
         """A change of the connection."""
@@ -164,7 +177,7 @@ class FanOut:
     def add(self, sink: Sink, kind: type) -> None:
         """Offer to `sink` each packet that is or holds a `kind`."""
         group: type = object
-        offer: Callable[[Sequence[Any]], None] = sink.offer
+        offer: _Offer = sink.offer
         if kind in (Traffic, ConnectionEvent):
             group = kind
         elif kind is not self._kind or self._parts is not None:
@@ -172,7 +185,7 @@ class FanOut:
         with self._lock:
             self._set_routes((*self._routes, _Route(sink, group, offer)))
 
-    def _filtered(self, kind: type, sink: Sink) -> Callable[[Sequence[Any]], None]:
+    def _filtered(self, kind: type, sink: Sink) -> _Offer:
         expand = self.expand
 
         def offer(packets: Sequence[Any]) -> None:
@@ -190,7 +203,11 @@ class FanOut:
     def _set_routes(self, routes: tuple[_Route, ...]) -> None:
         # Inline callbacks come last: one that is slow then keeps no queue waiting.
         self._routes = tuple(sorted(routes, key=lambda route: route.sink.is_inline))
-        self._offers = tuple(route.offer for route in self._routes if route.group is object)
+        offered = [route for route in self._routes if route.group is object]
+        self._offers = (
+            tuple(route.offer for route in offered if not route.sink.is_inline),
+            tuple(route.offer for route in offered if route.sink.is_inline),
+        )
         self.taps = tuple(route.sink for route in self._routes if route.group is Traffic)
 
     # -- callbacks -------------------------------------------------------------------------------

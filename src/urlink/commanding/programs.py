@@ -149,6 +149,7 @@ class Programs:
         self._told = -math.inf  # when it was
         #: name of the program that was given up and that the controller may keep, paused by a stop of the robot
         self._kept: str | None = None
+        self._was_clear = False  # by the state before, nothing kept that program from being stopped
         #: when the last one ended; what a robot's states showed until then may be from before it
         self.ended = -math.inf
         self._is_closed = False
@@ -428,7 +429,10 @@ class Programs:
         now = self._clock()
         if self._kept is None and self._has_keys and now - self._told > _IGNORED:
             self._kept = self._stopping
-        if self._kept is None or self._monitor.refusal(is_stop=True) is not None:
+        is_clear = self._kept is not None and self._monitor.refusal(is_stop=True) is None
+        was_clear, self._was_clear = self._was_clear, is_clear
+        # By the second state without a stop: which program runs by the first one is told behind it.
+        if not (is_clear and was_clear):
             return
 
         def claim() -> None:

@@ -92,7 +92,13 @@ def test_a_script_that_nobody_gave_up_may_go_on(controller: Controller, robot: u
     until(lambda: moves(controller))
 
 
-def test_a_program_that_the_pendant_began_instead_is_left_alone(controller: Controller, robot: urlink.Robot) -> None:
+@pytest.mark.parametrize("is_first", [False, True], ids=["programs first", "safety first"])
+def test_a_program_that_the_pendant_began_instead_is_left_alone(
+    controller: Controller, robot: urlink.Robot, is_first: bool
+) -> None:
+    """Whichever listens first to the interface that tells of both."""
+    if is_first:
+        robot.safety.wait_enabled(5)
     move(robot)
     until(lambda: moves(controller))
     controller.faults.protective_stop()

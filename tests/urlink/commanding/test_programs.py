@@ -75,6 +75,23 @@ def test_two_threads_begin_their_first_program(robot: StandIn, monkeypatch: pyte
     program.cancel()
 
 
+def test_a_stop_that_comes_with_the_beginning_of_the_first_program(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All in one piece, as after a cable was out: what it says of a stop is known before the program is let go on."""
+    with StandIn() as robot:
+        robot.state()
+        program = robot.script.run("movej(q)")
+        piece: list[bytes] = []
+        with monkeypatch.context() as held:
+            held.setattr(robot.slow, "put", piece.append)
+            robot.state(safety=SafetyMode.PROTECTIVE_STOP, fast=False)
+            robot.state(fast=False)
+            robot.begins(program)
+        robot.slow.put(b"".join(piece))
+        with pytest.raises(SafetyStop):
+            program.wait(5)
+        assert robot.sent == uploaded(robot)
+
+
 def test_sent_running_finished(robot: StandIn) -> None:
     program = run(robot, "def job():\n  textmsg(1)\nend")
     assert program.phase is Phase.SENT
