@@ -63,4 +63,6 @@ class MotionContext:
         if newest is not None and is_newer(newest):
             return newest
         with self.section.waiting():
-            return self.realtime.wait_until(is_newer)
+            first = self.realtime.wait_until(is_newer)
+        # Of states that were held up and came in the same bytes, the first may be from before the end.
+        return self.realtime.latest or first

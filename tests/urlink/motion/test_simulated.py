@@ -170,6 +170,21 @@ def test_a_motion_begins_where_the_one_before_has_ended(connect: Callable[[str, 
     assert np.allclose(robot.realtime.wait(TIMEOUT).q_target, goal, atol=1e-3)
 
 
+def test_of_states_that_come_together_after_the_end_the_newest_counts(
+    connect: Callable[[str, str], Robot], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They were held up, and the first of them show the arm as it was before."""
+    robot = connect("ur5e", "5.11")
+    before = robot.realtime.wait(TIMEOUT)
+    robot.motion.move_joints(READY + [0, 0, 0, 0, 0, 0.2], speed=2.0, acceleration=10.0).wait(TIMEOUT)
+    context = robot.motion._context
+    context.programs.ended = float("inf")  # no state that is there already is newer
+    monkeypatch.setattr(robot.realtime, "wait_until", lambda condition: before)
+    state = context.state()
+    assert state.time > before.time
+    assert state.q_target[5] == pytest.approx(READY[5] + 0.2, abs=1e-3)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seconds", [0.1, 1.0])
 def test_a_stop_that_local_control_ignored_is_sent_again(connect: Callable[[str, str], Robot], seconds: float) -> None:
