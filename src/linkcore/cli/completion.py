@@ -7,41 +7,28 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 
-from .options import Subparsers, add_command
-
-__all__ = ["add_parser", "completed_from"]
-
-_DESCRIPTION = """\
-Print the lines by which a shell completes commands, options, and the names that a command takes, such as RTDE
-variables. They belong into the file that the shell reads when it starts."""
+from .options import argument, command, completed_words
 
 #: zsh runs the functions of bash after this.
 _ZSH = "autoload -U +X compinit && compinit -u\nautoload -U +X bashcompinit && bashcompinit\n"
-#: The attribute of an argument with the words that it takes.
-_WORDS = "completed_from"
 
 
-def completed_from(action: argparse.Action, words: Callable[[], Iterable[str]]) -> None:
-    """Let the values of an argument be completed from words, which are computed for the script only."""
-    setattr(action, _WORDS, words)
-
-
-def add_parser(subparsers: Subparsers) -> None:
-    """Declare the command."""
-    name = subparsers._prog_prefix
-    examples = (
-        f"{name} completion bash >> ~/.bashrc",
-        f"{name} completion zsh >> ~/.zshrc",
-        f"{name} completion bash > ~/.local/share/bash-completion/completions/{name}",
-    )
-    parser = add_command(subparsers, "completion", "complete words in bash and zsh", _DESCRIPTION, examples)
-    parser.add_argument("shell", choices=("bash", "zsh"), help="whose lines to print")
-    parser.set_defaults(run=_run)
-
-
+@command(
+    "completion",
+    "complete words in bash and zsh",
+    argument("shell", choices=("bash", "zsh"), help="whose lines to print"),
+)
 def _run(args: argparse.Namespace) -> int:
+    """Print the lines by which a shell completes commands, options, and the names that a command takes, such as RTDE
+    variables. They belong into the file that the shell reads when it starts.
+
+    examples:
+      {program} completion bash >> ~/.bashrc
+      {program} completion zsh >> ~/.zshrc
+      {program} completion bash > ~/.local/share/bash-completion/completions/{program}
+    """
     parser: argparse.ArgumentParser = args.all_commands()
     print((_ZSH if args.shell == "zsh" else "") + script(parser), end="")
     return 0
@@ -80,7 +67,7 @@ def _values(commands: dict[str, argparse.ArgumentParser]) -> Iterator[tuple[str,
         for action in parser._actions:
             if action.option_strings and action.nargs != 0:
                 for option in action.option_strings:
-                    yield name, option, list(_choices(action))
+                    yield name, option, list(completed_words(action))
 
 
 def _words(parser: argparse.ArgumentParser) -> Iterator[str]:
@@ -89,10 +76,4 @@ def _words(parser: argparse.ArgumentParser) -> Iterator[str]:
         if action.option_strings:
             yield from action.option_strings
         else:
-            yield from _choices(action)
-
-
-def _choices(action: argparse.Action) -> Iterator[str]:
-    words: Callable[[], Iterable[str]] = getattr(action, _WORDS, tuple)
-    yield from words()
-    yield from map(str, action.choices or ())
+            yield from completed_words(action)

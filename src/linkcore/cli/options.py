@@ -1,53 +1,128 @@
-"""What commands have in common: options with checked numbers, a progress bar on stderr, and the command `export`."""
+"""A command of a program as one row: its name, its help, its arguments and the function that it runs."""
 
 from __future__ import annotations
 
 import argparse
+import inspect
 import math
 import os
-import sys
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 from ..recording.file import Progress
-from ..text import printable
+from .terminal import ProgressBar
 
 __all__ = [
+    "DURATION",
+    "RECORDING",
     "Exportable",
-    "ProgressBar",
-    "Subparsers",
-    "add_command",
-    "add_export",
+    "Row",
+    "Subcommand",
+    "argument",
+    "command",
+    "completed_words",
+    "export",
+    "exporting",
+    "one_of",
     "positive_int",
     "positive_number",
     "seconds",
 ]
 
-Subparsers = Any  # argparse's own class for it is private
+#: What declares arguments at a parser, or at a group of one.
+Row = Callable[[Any], None]
+#: The attribute of argparse's own argument with the words that it takes.
+_WORDS = "completed_words"
 
 
-def add_command(
-    subparsers: Subparsers, name: str, summary: str, description: str, examples: Sequence[str]
-) -> argparse.ArgumentParser:
-    """A subcommand whose help ends with examples."""
-    parser: argparse.ArgumentParser = subparsers.add_parser(
-        name,
-        help=summary,
-        description=description,
-        epilog="examples:\n" + "\n".join(f"  {example}" for example in examples),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument(
-        "-v", "--verbose", action="count", default=0, help="log to stderr what happens; twice for everything"
-    )
-    parser.add_argument("-q", "--quiet", action="store_true", help="draw no progress bar")
-    parser.set_defaults(
-        usage_error=parser.error, options=lambda: [option for each in parser._actions for option in each.option_strings]
-    )
-    return parser
+def argument(*names: str, words: Callable[[], Iterable[str]] | None = None, trailing: bool = False, **how: Any) -> Row:
+    """One argument.
+
+    Args:
+        names, how: those of `argparse.ArgumentParser.add_argument`.
+        words: what a shell completes it from, computed for the script of `completion` only.
+        trailing: takes words that come after an option too, which argparse does not do for a variable number of them.
+    """
+
+    def declare(parser: Any) -> None:
+        action = parser.add_argument(*names, **how)
+        if words is not None:
+            setattr(action, _WORDS, words)
+        if trailing:
+            parser.set_defaults(trailing=action.dest)
+
+    return declare
+
+
+def one_of(*rows: Row) -> Row:
+    """Arguments of which one can be given."""
+
+    def declare(parser: Any) -> None:
+        group = parser.add_mutually_exclusive_group()
+        for row in rows:
+            row(group)
+
+    return declare
+
+
+def completed_words(action: argparse.Action) -> Iterable[str]:
+    """The words that a shell completes an argument from."""
+    words: Callable[[], Iterable[str]] = getattr(action, _WORDS, tuple)
+    return [*words(), *map(str, action.choices or ())]
+
+
+class Subcommand(NamedTuple):
+    """A command of a program.
+
+    Attributes:
+        name: on the command line.
+        summary: its line in the help of the program.
+        rows: its arguments, in the order of its help.
+        run: gets the parsed arguments, and returns the exit status. Its docstring is the help of the command.
+        listing: makes lines that follow the description; called when the command is declared.
+    """
+
+    name: str
+    summary: str
+    rows: tuple[Row, ...]
+    run: Callable[[argparse.Namespace], int]
+    listing: Callable[[], str] | None = None
+
+    def declare(self, subparsers: Any) -> None:
+        """Add its parser to those of the program; `subparsers` is of a class that is argparse's own."""
+        text = (inspect.getdoc(self.run) or "").replace("{program}", subparsers._prog_prefix)
+        description, heading, examples = text.partition("\n\nexamples:\n")
+        if self.listing is not None:
+            description += f"\n{self.listing()}"
+        parser: argparse.ArgumentParser = subparsers.add_parser(
+            self.name,
+            help=self.summary,
+            description=description,
+            epilog=heading.strip() + "\n" + examples,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        parser.add_argument(
+            "-v", "--verbose", action="count", default=0, help="log to stderr what happens; twice for everything"
+        )
+        parser.add_argument("-q", "--quiet", action="store_true", help="draw no progress bar")
+        for row in self.rows:
+            row(parser)
+        parser.set_defaults(
+            run=self.run,
+            usage_error=parser.error,
+            options=lambda: [option for each in parser._actions for option in each.option_strings],
+        )
+
+
+def command(
+    name: str, summary: str, *rows: Row, listing: Callable[[], str] | None = None
+) -> Callable[[Callable[[argparse.Namespace], int]], Subcommand]:
+    """Make a command of a function, whose docstring ends with lines of examples below ``examples:``.
+
+    `program` finds it in its module. The arguments are those of `Subcommand`.
+    """
+    return lambda run: Subcommand(name, summary, rows, run, listing)
 
 
 def seconds(text: str) -> float:
@@ -77,49 +152,10 @@ def positive_int(text: str) -> int:
     return int(text)
 
 
-#: Characters of a bar.
-_WIDTH = 30
-#: Seconds between two drawings, and before the first: shorter work needs no bar.
-_PERIOD = 0.2
-
-
-class ProgressBar:
-    """A progress bar, as a context manager; call it with the fraction that is done, 0 to 1.
-
-    Args:
-        text: what is being done.
-        quiet: do not draw on a terminal either.
-
-    Attributes:
-        is_shown: whether it is drawn.
-    """
-
-    def __init__(self, text: str, quiet: bool = False) -> None:
-        self._text = text
-        self.is_shown = sys.stderr.isatty() and not quiet
-        self._next = time.monotonic() + _PERIOD
-        self._is_drawn = False
-
-    def __call__(self, part: float) -> None:
-        """Draw it, if the last drawing is old enough."""
-        now = time.monotonic()
-        if not self.is_shown or now < self._next or part <= 0.0:  # 0: there is no progress to show
-            return
-        self._next = now + _PERIOD
-        done = round(min(max(part, 0.0), 1.0) * _WIDTH)
-        # The rest of the line is erased: the bar before may have been longer.
-        bar = f"\r{printable(self._text)} [{'=' * done}{' ' * (_WIDTH - done)}] {part:4.0%}\x1b[K"
-        print(bar, end="", file=sys.stderr, flush=True)
-        self._is_drawn = True
-
-    def __enter__(self) -> ProgressBar:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._is_drawn:  # erased, so that what is printed next stands alone
-            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+#: For how long a command runs.
+DURATION = argument("--duration", type=seconds, metavar="S", help="end after S seconds (never)")
+#: The file that a command reads.
+RECORDING = argument("file", metavar="FILE", help="a recording")
 
 
 class Exportable(Protocol):
@@ -150,43 +186,36 @@ class Load(Protocol[_T_co]):
     def __call__(self, path: str, /, *, progress: Progress | None = None) -> _T_co: ...
 
 
-def add_export(
-    subparsers: Subparsers,
-    description: str,
-    examples: Sequence[str],
-    load: Load[_T],
-    content: Callable[[_T], str],
-    tell: Callable[[str], None],
-) -> None:
-    """Declare the command.
+#: The command `export` of a package, made of a function that calls `export`.
+exporting = command(
+    "export",
+    "write a recording to a file of another program",
+    RECORDING,
+    argument("to", metavar="OUT", help="file to write; its suffix says the format"),
+    argument("fields", metavar="FIELD", nargs="*", trailing=True, help="write only these fields"),
+    argument("--rate", type=positive_number, metavar="HZ", help="resample to so many rows a second"),
+)
+
+
+def export(args: argparse.Namespace, load: Load[_T], content: Callable[[_T], str], tell: Callable[[str], None]) -> int:
+    """Export, and print what was missing.
 
     Args:
         load: reads a recording, and reports the progress.
         content: describes what is in it, for the line at the end.
         tell: prints a line on stderr.
+
+    Raises:
+        BadRecording: no such recording, or the file cannot be written.
+        BadValue: unknown suffix or field.
+        LocalError: the package that writes the format is not installed.
     """
-    parser = add_command(subparsers, "export", "write a recording to a file of another program", description, examples)
-    parser.add_argument("file", metavar="FILE", help="a recording")
-    parser.add_argument("to", metavar="OUT", help="file to write; its suffix says the format")
-    parser.add_argument("fields", metavar="FIELD", nargs="*", help="write only these fields")
-    parser.add_argument("--rate", type=positive_number, metavar="HZ", help="resample to so many rows a second")
-
-    def run(args: argparse.Namespace) -> int:
-        """Export, and print what was missing.
-
-        Raises:
-            BadRecording: no such recording, or the file cannot be written.
-            BadValue: unknown suffix or field.
-            LocalError: the package that writes the format is not installed.
-        """
-        with ProgressBar(f"reading {args.file}", args.quiet) as reading:
-            recording = load(args.file, progress=reading)
-            with ProgressBar(f"writing {args.to}", args.quiet) as writing:
-                recording.export(args.to, args.fields or None, args.rate, progress=writing)
-            missing = recording.missing
-        for each in missing:
-            tell(f"missing: {each}")
-        print(f"{args.to}: {content(recording)}")
-        return 0
-
-    parser.set_defaults(run=run, trailing="fields")
+    with ProgressBar(f"reading {args.file}", args.quiet) as reading:
+        recording = load(args.file, progress=reading)
+        with ProgressBar(f"writing {args.to}", args.quiet) as writing:
+            recording.export(args.to, args.fields or None, args.rate, progress=writing)
+        missing = recording.missing
+    for each in missing:
+        tell(f"missing: {each}")
+    print(f"{args.to}: {content(recording)}")
+    return 0

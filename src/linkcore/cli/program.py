@@ -1,4 +1,4 @@
-"""What surrounds every command: parsing, logging, errors, ends from outside and the exit status."""
+"""What surrounds every command: parsing, logging, errors and the exit status."""
 
 from __future__ import annotations
 
@@ -7,115 +7,20 @@ import contextlib
 import io
 import logging
 import os
-import signal
 import sys
-import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib import import_module
-from types import FrameType, TracebackType
-from typing import Any, Protocol
 
 from ..errors import LinkError
 from ..text import printable, similar
-from .options import Subparsers
+from .options import Subcommand
+from .terminal import Interrupted, raise_on_sigterm
 
-__all__ = ["CommandModule", "Interrupted", "Interruption", "program"]
-
-
-class Interrupted(KeyboardInterrupt):
-    """Raised by a signal that ends the program.
-
-    Attributes:
-        number: of the signal.
-    """
-
-    def __init__(self, number: int) -> None:
-        super().__init__(number)
-        self.number = number
-
-
-def raise_on_sigterm() -> contextlib.AbstractContextManager[object]:
-    """A context in which SIGTERM unwinds the program as Ctrl-C does."""
-
-    def handler(number: int, frame: FrameType | None) -> None:
-        raise Interrupted(number)
-
-    return _Handlers({signal.SIGTERM: handler})
-
-
-class Interruption:
-    """A context in which Ctrl-C and SIGTERM are only noted, so that no call is interrupted; a second one raises.
-
-    Attributes:
-        number: the signal that came, or None.
-    """
-
-    def __init__(self) -> None:
-        self.number: int | None = None
-        self._handlers = _Handlers({signal.SIGINT: self._note, signal.SIGTERM: self._note})
-
-    def _note(self, number: int, frame: FrameType | None) -> None:
-        if self.number is not None:
-            raise Interrupted(number)  # the second signal: end at once, without cleaning up
-        self.number = number
-
-    def wait(self, seconds: float) -> bool:
-        """Sleep until a signal comes, at most `seconds`; returns whether one has come."""
-        until = time.monotonic() + seconds
-        while self.number is None:
-            left = until - time.monotonic()
-            if left <= 0:
-                return False
-            # A signal that is only noted does not end a sleep, so it sleeps in short steps.
-            time.sleep(min(left, 0.05))
-        return True
-
-    def raise_if_any(self) -> None:
-        """End the program as the signal would have ended it.
-
-        Raises:
-            Interrupted: a signal has come.
-        """
-        if self.number is not None:
-            raise Interrupted(self.number)
-
-    def __enter__(self) -> Interruption:
-        self._handlers.__enter__()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._handlers.__exit__(kind, error, trace)
-
-
-class _Handlers:
-    def __init__(self, wanted: dict[signal.Signals, Any]) -> None:
-        self._wanted = wanted
-        self._before: dict[signal.Signals, Any] = {}
-
-    def __enter__(self) -> None:
-        # Only the main thread may set handlers; elsewhere the surrounding program handles signals.
-        with contextlib.suppress(ValueError):
-            for number, handler in self._wanted.items():
-                self._before[number] = signal.signal(number, handler)
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
+__all__ = ["program"]
 
 
 #: The distribution of all packages.
 _DISTRIBUTION = "urlink"
-
-
-class CommandModule(Protocol):
-    """A module with a subcommand; `run` gets the parsed arguments and returns the exit status."""
-
-    def add_parser(self, subparsers: Subparsers) -> None:
-        """Declare the command."""
 
 
 def program(
@@ -125,7 +30,7 @@ def program(
 
     Args:
         name: of the package, and of the program.
-        commands: each command -> the module in the package's `cli` that declares it, in the order of the help. Only the
+        commands: each command -> the module in the package's `cli` that has it, in the order of the help. Only the
             module of the given command is imported: importing all of them takes longer than most commands.
         description, epilog: of the help.
         argv: the arguments; those of the process by default.
@@ -141,15 +46,15 @@ def program(
     subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", dest="command", required=True)
     asked = next((word for word in argv if not word.startswith("-")), "")
 
-    def declare(modules: Iterable[str]) -> argparse.ArgumentParser:
-        for module in modules:
-            command: CommandModule = import_module(module if "." in module else f"{name}.cli.{module}")
-            command.add_parser(subparsers)
+    def declare(names: Iterable[str]) -> argparse.ArgumentParser:
+        for each in names:
+            where = commands[each]
+            found = vars(import_module(where if "." in where else f"{name}.cli.{where}")).values()
+            next(row for row in found if isinstance(row, Subcommand) and row.name == each).declare(subparsers)
         return parser
 
-    everything = dict.fromkeys(commands.values())
-    declare((commands[asked],) if asked in commands else everything)
-    parser.set_defaults(all_commands=lambda: declare(each for each in everything if each != commands[asked]))
+    declare([asked] if asked in commands else commands)
+    parser.set_defaults(all_commands=lambda: declare(each for each in commands if each != asked))
     try:
         if asked and asked not in commands and argv[0] == asked:
             parser.error(f"no command {asked!r}{similar(asked, commands) or ';'} there are {', '.join(commands)}")

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from linkcore.cli.options import Subparsers, add_command, positive_int
+from linkcore.cli.options import argument, command, positive_int
 from linkcore.errors import BadRecording
 from linkcore.recording.file import RecordingFile
 from linkcore.text import printable, strict_json
@@ -17,40 +17,31 @@ from linkcore.text import printable, strict_json
 from ..recording import received
 from ..wire.dissection import PackagePart, Piece, dissect, guess_sender, tables_in
 
-__all__ = ["add_parser", "lines"]
+__all__ = ["lines"]
 
-_DESCRIPTION = """\
-Show every package in the bytes of one direction of a connection: offset, bytes in hex, meaning. FILE holds
-raw bytes, such as the payload of a network capture, or is a recording.
 
-The bytes of a client do not say how long its variables are: --tables names a file with the bytes of the server
-from the same connection. The number of words of a time stamp, 2 or 4, is found from the server's handshake,
-unless --width is given. Bytes that belong to no package are shown too: nothing is hidden."""
-
-_EXAMPLES = (
-    "rhdlink dissect server.bin",
-    "rhdlink dissect client.bin --tables server.bin --count 3",
-    "rhdlink dissect drive.urlog --json",
+@command(
+    "dissect",
+    "show the bytes of a connection",
+    argument("file", metavar="FILE", help="raw bytes of one direction, or a recording"),
+    argument("--from", dest="sender", choices=("server", "client"), help="who sent them (guessed)"),
+    argument("--tables", metavar="FILE", help="raw bytes of the server, for those of its client"),
+    argument("--width", type=int, choices=(2, 4), help="32-bit words of a time stamp (as found, or 2)"),
+    argument("--count", type=positive_int, metavar="N", help="only the first N packages"),
+    argument("--json", action="store_true", help="one JSON object a line, for each package"),
 )
-
-
-def add_parser(subparsers: Subparsers) -> None:
-    """Declare the command."""
-    parser = add_command(subparsers, "dissect", "show the bytes of a connection", _DESCRIPTION, _EXAMPLES)
-    parser.add_argument("file", metavar="FILE", help="raw bytes of one direction, or a recording")
-    parser.add_argument("--from", dest="sender", choices=("server", "client"), help="who sent them (guessed)")
-    parser.add_argument("--tables", metavar="FILE", help="raw bytes of the server, for those of its client")
-    parser.add_argument("--width", type=int, choices=(2, 4), help="32-bit words of a time stamp (as found, or 2)")
-    parser.add_argument("--count", type=positive_int, metavar="N", help="only the first N packages")
-    parser.add_argument("--json", action="store_true", help="one JSON object a line, for each package")
-    parser.set_defaults(run=run)
-
-
 def run(args: argparse.Namespace) -> int:
-    """Show the file.
+    """Show every package in the bytes of one direction of a connection: offset, bytes in hex, meaning. FILE holds
+    raw bytes, such as the payload of a network capture, or is a recording.
 
-    Raises:
-        BadRecording: no such file, or it holds no bytes.
+    The bytes of a client do not say how long its variables are: --tables names a file with the bytes of the server
+    from the same connection. The number of words of a time stamp, 2 or 4, is found from the server's handshake,
+    unless --width is given. Bytes that belong to no package are shown too: nothing is hidden.
+
+    examples:
+      rhdlink dissect server.bin
+      rhdlink dissect client.bin --tables server.bin --count 3
+      rhdlink dissect drive.urlog --json
     """
     shown = read = 0
     for piece in _pieces(args):

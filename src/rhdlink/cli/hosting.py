@@ -5,13 +5,12 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-import time
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, get_args
 
-from linkcore.cli.options import Subparsers, add_command, seconds
-from linkcore.cli.program import Interruption
+from linkcore.cli.options import DURATION, Row, argument, command, seconds
+from linkcore.cli.terminal import Interruption
 
 from ..address import PORT
 from ..host.config import read_config
@@ -21,100 +20,14 @@ from ..plugins.turtle import SmrTurtle, Turtle
 from ..wire.decoder import Limits
 from ..wire.schema import WIDTHS
 from ..world import save
-from .options import add_world, port, tell, world
-
-__all__ = ["add_parser"]
-
-_SERVE = """\
-Host a robot: run the plugins that an rhdconfig.xml names, and serve their variables, until Ctrl-C, SIGTERM or
---duration. Plugins are closed at the end.
-
-The file is that of the original daemon, with plugins in Python: lib="package.module:Class". Modules are
-searched in Python's path, then in the folder of the file. Without <address value="..."/> in <server> only
-programs on this machine can connect: whoever can connect can drive the robot. When a plugin with
-critical="true" fails, the robot is shut down with exit status 1; other plugins that fail are disabled."""
-
-_SERVE_EXAMPLES = (
-    "rhdlink serve rhdconfig.xml",
-    "rhdlink serve rhdconfig.xml --port 0 --duration 10",
-    "rhdlink serve rhdconfig.xml --listen 0.0.0.0 -v",
-)
-
-_TURTLE = """\
-Run a simulated robot in a walled square of 11 x 11 m, until Ctrl-C, SIGTERM or --duration; programs connect to
-it as to a real one.
-
-  --drive velocity   speed and turn rate: cmdtransvel, cmdrotvel; transpos, rotpos
-  --drive smr        two wheels: speedl, speedr; encl, encr, irsensor, linesensor
-
-It stops when its master leaves, and at walls. With --lockstep simulated time advances with each request of the
-master and not otherwise: the same each time, and as fast as the program requests. With --picture the path is
-drawn at the end."""
-
-_TURTLE_EXAMPLES = (
-    "rhdlink turtle",
-    "rhdlink turtle --drive smr --picture way.svg --duration 60",
-    "rhdlink turtle --port 0 --lockstep",
-)
+from .options import WORLD, port, tell, world
 
 
-def add_parser(subparsers: Subparsers) -> None:
-    """Declare the commands."""
-    parser = add_command(subparsers, "serve", "run plugins and serve their variables", _SERVE, _SERVE_EXAMPLES)
-    parser.add_argument("config", metavar="CONFIG.xml", help="an rhdconfig.xml")
-    parser.add_argument("--port", type=port, metavar="P", help="listen on port P, 0 for a free one (the file's)")
-    parser.add_argument("--listen", metavar="H", help="listen on the address H (the file's, or 127.0.0.1)")
-    _add_service(parser, "the file's, or ")
-    parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds (never)")
-    parser.set_defaults(run=_serve)
-
-    parser = add_command(subparsers, "turtle", "run a simulated robot in a square world", _TURTLE, _TURTLE_EXAMPLES)
-    parser.add_argument("--drive", choices=("velocity", "smr"), default="velocity", help="kind of robot (velocity)")
-    parser.add_argument(
-        "--port", type=port, default=PORT, metavar="P", help=f"listen on port P, 0 for a free one ({PORT})"
-    )
-    parser.add_argument("--period", type=seconds, default=0.01, metavar="S", help="seconds between ticks (0.01)")
-    parser.add_argument("--lockstep", action="store_true", help="one tick with each request of the master")
-    _add_service(parser, "")
-    add_world(parser)
-    parser.add_argument("--picture", metavar="FILE", help="draw the path into FILE at the end: .svg or .png")
-    parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds (never)")
-    parser.set_defaults(run=_turtle)
-
-
-def _add_service(parser: argparse.ArgumentParser, default: str) -> None:
-    parser.add_argument(
-        "--width",
-        type=int,
-        choices=WIDTHS,
-        help="32-bit words of a time stamp, as the clients have it: 4 if they are 64-bit builds of the original's "
-        f"ordinary sources, which would decode garbage ({default}2)",
-    )
-    parser.add_argument(
-        "--resend",
-        choices=get_args(Resend),
-        help=f"variables in a reply: those set since the last one, or all that were ever set ({default}changed)",
-    )
-    parser.add_argument(
-        "--client-timeout",
-        type=seconds,
-        metavar="S",
-        help=f"seconds for a request to be complete, or a reply to be read ({default}5)",
-    )
-    parser.add_argument(
-        "--inactivity-timeout",
-        type=seconds,
-        metavar="S",
-        help=f"seconds without a request after which a reader may lose its slot ({default}10)",
-    )
-    parser.add_argument(
-        "--limit",
-        action="append",
-        default=[],
-        type=_limit,
-        metavar="NAME=N",
-        help=f"the most that a client may request: {', '.join(_LIMITS)} (in bytes); can be repeated",
-    )
+def _service(args: argparse.Namespace, limits: Limits) -> dict[str, Any]:
+    """The options of the service; those that were not given come from `limits`."""
+    names = ("width", "resend", "client_timeout", "inactivity_timeout")
+    said = {name: value for name in names if (value := getattr(args, name)) is not None}
+    return {**said, "limits": replace(limits, **dict(args.limit))}
 
 
 _LIMITS = tuple(field.name for field in fields(Limits))
@@ -128,19 +41,65 @@ def _limit(text: str) -> tuple[str, int]:
     return name, int(number)
 
 
-def _service(args: argparse.Namespace, limits: Limits) -> dict[str, Any]:
-    """The options of the service; those that were not given come from `limits`."""
-    names = ("width", "resend", "client_timeout", "inactivity_timeout")
-    said = {name: value for name in names if (value := getattr(args, name)) is not None}
-    return {**said, "limits": replace(limits, **dict(args.limit))}
+def _service_rows(default: str) -> tuple[Row, ...]:
+    return (
+        argument(
+            "--width",
+            type=int,
+            choices=WIDTHS,
+            help="32-bit words of a time stamp, as the clients have it: 4 if they are 64-bit builds of the original's "
+            f"ordinary sources, which would decode garbage ({default}2)",
+        ),
+        argument(
+            "--resend",
+            choices=get_args(Resend),
+            help=f"variables in a reply: those set since the last one, or all that were ever set ({default}changed)",
+        ),
+        argument(
+            "--client-timeout",
+            type=seconds,
+            metavar="S",
+            help=f"seconds for a request to be complete, or a reply to be read ({default}5)",
+        ),
+        argument(
+            "--inactivity-timeout",
+            type=seconds,
+            metavar="S",
+            help=f"seconds without a request after which a reader may lose its slot ({default}10)",
+        ),
+        argument(
+            "--limit",
+            action="append",
+            default=[],
+            type=_limit,
+            metavar="NAME=N",
+            help=f"the most that a client may request: {', '.join(_LIMITS)} (in bytes); can be repeated",
+        ),
+    )
 
 
+@command(
+    "serve",
+    "run plugins and serve their variables",
+    argument("config", metavar="CONFIG.xml", help="an rhdconfig.xml"),
+    argument("--port", type=port, metavar="P", help="listen on port P, 0 for a free one (the file's)"),
+    argument("--listen", metavar="H", help="listen on the address H (the file's, or 127.0.0.1)"),
+    *_service_rows("the file's, or "),
+    DURATION,
+)
 def _serve(args: argparse.Namespace) -> int:
-    """Serve until interrupted.
+    """Host a robot: run the plugins that an rhdconfig.xml names, and serve their variables, until Ctrl-C, SIGTERM or
+    --duration. Plugins are closed at the end.
 
-    Raises:
-        BadConfiguration: the file, or a plugin in it, cannot be used.
-        PluginFailed: a critical plugin raised.
+    The file is that of the original daemon, with plugins in Python: lib="package.module:Class". Modules are
+    searched in Python's path, then in the folder of the file. Without <address value="..."/> in <server> only
+    programs on this machine can connect: whoever can connect can drive the robot. When a plugin with
+    critical="true" fails, the robot is shut down with exit status 1; other plugins that fail are disabled.
+
+    examples:
+      rhdlink serve rhdconfig.xml
+      rhdlink serve rhdconfig.xml --port 0 --duration 10
+      rhdlink serve rhdconfig.xml --listen 0.0.0.0 -v
     """
     config = read_config(args.config)
     folder = str(Path(args.config).resolve().parent)
@@ -153,16 +112,36 @@ def _serve(args: argparse.Namespace) -> int:
         ended = _serve_until_told(host, f"{args.config}: {names}", args.duration)
     finally:
         sys.path.remove(folder)
-    ended.raise_if_any()
-    return 0
+    return ended.status
 
 
+@command(
+    "turtle",
+    "run a simulated robot in a square world",
+    argument("--drive", choices=("velocity", "smr"), default="velocity", help="kind of robot (velocity)"),
+    argument("--port", type=port, default=PORT, metavar="P", help=f"listen on port P, 0 for a free one ({PORT})"),
+    argument("--period", type=seconds, default=0.01, metavar="S", help="seconds between ticks (0.01)"),
+    argument("--lockstep", action="store_true", help="one tick with each request of the master"),
+    *_service_rows(""),
+    *WORLD,
+    argument("--picture", metavar="FILE", help="draw the path into FILE at the end: .svg or .png"),
+    DURATION,
+)
 def _turtle(args: argparse.Namespace) -> int:
-    """Serve until interrupted.
+    """Run a simulated robot in a walled square of 11 x 11 m, until Ctrl-C, SIGTERM or --duration; programs connect to
+    it as to a real one.
 
-    Raises:
-        BadAddress: the port is taken.
-        BadValue: the picture cannot be written.
+      --drive velocity   speed and turn rate: cmdtransvel, cmdrotvel; transpos, rotpos
+      --drive smr        two wheels: speedl, speedr; encl, encr, irsensor, linesensor
+
+    It stops when its master leaves, and at walls. With --lockstep simulated time advances with each request of the
+    master and not otherwise: the same each time, and as fast as the program requests. With --picture the path is
+    drawn at the end.
+
+    examples:
+      rhdlink turtle
+      rhdlink turtle --drive smr --picture way.svg --duration 60
+      rhdlink turtle --port 0 --lockstep
     """
     robot = Turtle(world(args)) if args.drive == "velocity" else SmrTurtle(world(args))
     if args.picture is not None:
@@ -179,8 +158,7 @@ def _turtle(args: argparse.Namespace) -> int:
     tell(f"ended at x {pose.x:.3f} m, y {pose.y:.3f} m, heading {math.degrees(pose.theta):.1f} deg")
     if args.picture is not None:
         save(robot.world, args.picture)
-    ended.raise_if_any()
-    return 0
+    return ended.status
 
 
 def _serve_until_told(host: Host, what: str, duration: float | None) -> Interruption:
@@ -197,11 +175,9 @@ def _serve_until_told(host: Host, what: str, duration: float | None) -> Interrup
         with host:
             tell(f"{what}; Ctrl-C ends it; connect to")
             print(host.address, flush=True)
-            until = None if duration is None else time.monotonic() + duration
-            while until is None or time.monotonic() < until:
-                left = 0.1 if until is None else min(0.1, max(until - time.monotonic(), 0.0))
-                if host.wait(0.0) or interruption.wait(left):
-                    break
+            interruption.end_after(duration)
+            while not host.wait(0.0) and not interruption.wait(0.1):
+                pass
         stats = host.stats
         tell(
             f"{stats.ticks} ticks, late by {1e3 * stats.late_median:.3f} ms (median), {1e3 * stats.late_p99:.3f} ms "

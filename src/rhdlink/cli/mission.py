@@ -9,8 +9,8 @@ import sys
 import time
 from pathlib import Path
 
-from linkcore.cli.options import Subparsers, add_command, seconds
-from linkcore.cli.program import Interruption
+from linkcore.cli.options import argument, command, one_of, seconds
+from linkcore.cli.terminal import Interruption
 from linkcore.errors import LinkError
 from linkcore.text import printable
 
@@ -23,71 +23,63 @@ from ..smrcl.robot_conf import RobotConf, read_robot_conf
 from ..smrcl.robot_link import ClientLink, PluginLink, RobotLink
 from ..smrcl.server import PORT, MissionServer
 from ..world import World, save
-from .options import add_world, port, tell, world
-
-__all__ = ["add_parser"]
-
-_DESCRIPTION = """\
-Run a mission: a script in SMR-CL, the language of DTU's mobile robot controller MRC, on a robot, or on a turtle
-in this process. The script is checked before it begins; an error names its line, and the robot stops.
-
-Text of `print` and values of `eval` go to stdout, everything else to stderr. With --trace each line is shown as
-it is executed. With --profile mrc the robot does what MRC would do, tick by tick, and what MRC prints is printed.
-
-With --check the script is only checked, with --serve clients of MRC can connect and send commands."""
-
-_EXAMPLES = (
-    "rhdlink mission square.smr --turtle",
-    "rhdlink mission square.smr --robot smr12 --trace",
-    "rhdlink mission spiral.smr --turtle --profile mrc --svg spiral.svg",
-    "rhdlink mission dock.smr --turtle smr --floor floor.svg --start 1.5,2,0 --svg way.svg",
-    "rhdlink mission --check square.smr",
-    "rhdlink mission --serve --robot smr12",
-)
+from .options import WORLD, port, tell, world
 
 #: Seconds between two drawings of the live view.
 _VIEW = 0.2
 
 
-def add_parser(subparsers: Subparsers) -> None:
-    """Declare the command."""
-    parser = add_command(subparsers, "mission", "run a script in SMR-CL", _DESCRIPTION, _EXAMPLES)
-    parser.add_argument("file", metavar="FILE", nargs="?", help="the script")
-    where = parser.add_mutually_exclusive_group()
-    where.add_argument("--robot", metavar="ADDRESS", help="a host, or host:port; the port is 24902 unless named")
-    where.add_argument(
-        "--turtle",
-        nargs="?",
-        const="velocity",
-        choices=("velocity", "smr"),
-        help="a robot in a walled square of 11 x 11 m in this process, driven by velocity (default) or by two wheels",
-    )
-    parser.add_argument("--profile", choices=sorted(PROFILES), default="sound", help="as MRC does it, or sound (sound)")
-    parser.add_argument("--conf", metavar="PATH", help="a robot.conf, or the folder calib/ that it is in")
-    parser.add_argument(
+@command(
+    "mission",
+    "run a script in SMR-CL",
+    argument("file", metavar="FILE", nargs="?", help="the script"),
+    one_of(
+        argument("--robot", metavar="ADDRESS", help="a host, or host:port; the port is 24902 unless named"),
+        argument(
+            "--turtle",
+            nargs="?",
+            const="velocity",
+            choices=("velocity", "smr"),
+            help="a robot in a walled square of 11 x 11 m in this process, "
+            "driven by velocity (default) or by two wheels",
+        ),
+    ),
+    argument("--profile", choices=sorted(PROFILES), default="sound", help="as MRC does it, or sound (sound)"),
+    argument("--conf", metavar="PATH", help="a robot.conf, or the folder calib/ that it is in"),
+    argument(
         "--calibration", metavar="NAME", help="of the calibrations in --conf (the robot's name, or this computer's)"
-    )
-    parser.add_argument("--trace", action="store_true", help="show each line as it is executed")
-    parser.add_argument("--svg", metavar="FILE", help="draw the turtle's path into FILE at the end: .svg or .png")
-    add_world(parser)
-    parser.add_argument("--realtime", action="store_true", help="run the turtle in real time, not as fast as possible")
-    parser.add_argument("--lockstep", action="store_true", help="the robot waits for each request: $time counts ticks")
-    parser.add_argument("--log-folder", metavar="DIR", help="where the script's logs go (nowhere)")
-    parser.add_argument("--timeout", type=seconds, default=5.0, metavar="S", help="fail after S seconds of silence (5)")
-    what = parser.add_mutually_exclusive_group()
-    what.add_argument("--check", action="store_true", help="only check the script")
-    what.add_argument("--serve", action="store_true", help="serve clients of MRC until Ctrl-C, SIGTERM or --duration")
-    parser.add_argument("--port", type=port, default=PORT, metavar="P", help=f"of --serve, 0 for a free one ({PORT})")
-    parser.add_argument("--listen", default="127.0.0.1", metavar="H", help="address of --serve (127.0.0.1)")
-    parser.add_argument("--duration", type=seconds, metavar="S", help="end --serve after S seconds (never)")
-    parser.set_defaults(run=_run)
-
-
+    ),
+    argument("--trace", action="store_true", help="show each line as it is executed"),
+    argument("--svg", metavar="FILE", help="draw the turtle's path into FILE at the end: .svg or .png"),
+    *WORLD,
+    argument("--realtime", action="store_true", help="run the turtle in real time, not as fast as possible"),
+    argument("--lockstep", action="store_true", help="the robot waits for each request: $time counts ticks"),
+    argument("--log-folder", metavar="DIR", help="where the script's logs go (nowhere)"),
+    argument("--timeout", type=seconds, default=5.0, metavar="S", help="fail after S seconds of silence (5)"),
+    one_of(
+        argument("--check", action="store_true", help="only check the script"),
+        argument("--serve", action="store_true", help="serve clients of MRC until Ctrl-C, SIGTERM or --duration"),
+    ),
+    argument("--port", type=port, default=PORT, metavar="P", help=f"of --serve, 0 for a free one ({PORT})"),
+    argument("--listen", default="127.0.0.1", metavar="H", help="address of --serve (127.0.0.1)"),
+    argument("--duration", type=seconds, metavar="S", help="end --serve after S seconds (never)"),
+)
 def _run(args: argparse.Namespace) -> int:
-    """Run the command.
+    """Run a mission: a script in SMR-CL, the language of DTU's mobile robot controller MRC, on a robot, or on a turtle
+    in this process. The script is checked before it begins; an error names its line, and the robot stops.
 
-    Raises:
-        LinkError: an error of the script, the robot or a file.
+    Text of `print` and values of `eval` go to stdout, everything else to stderr. With --trace each line is shown as
+    it is executed. With --profile mrc the robot does what MRC would do, tick by tick, and what MRC prints is printed.
+
+    With --check the script is only checked, with --serve clients of MRC can connect and send commands.
+
+    examples:
+      rhdlink mission square.smr --turtle
+      rhdlink mission square.smr --robot smr12 --trace
+      rhdlink mission spiral.smr --turtle --profile mrc --svg spiral.svg
+      rhdlink mission dock.smr --turtle smr --floor floor.svg --start 1.5,2,0 --svg way.svg
+      rhdlink mission --check square.smr
+      rhdlink mission --serve --robot smr12
     """
     if args.serve:
         return _serve(args)
@@ -125,12 +117,11 @@ def _execute(args: argparse.Namespace) -> int:
             tell(f"ended at x {pose.x:.3f} m, y {pose.y:.3f} m, heading {math.degrees(pose.theta):.1f} deg")
             if args.svg is not None:
                 save(driven, args.svg, mission.name)
-        interruption.raise_if_any()
-        if error is not None:
+        if error is not None and interruption.number is None:
             raise error
+        return interruption.status
     finally:
         link.close()
-    return 0
 
 
 def _watch(run: MissionRun, interruption: Interruption, args: argparse.Namespace) -> None:
@@ -215,16 +206,14 @@ def _serve(args: argparse.Namespace) -> int:
                     f"[{args.listen}]:{server.port}" if ":" in args.listen else f"{args.listen}:{server.port}",
                     flush=True,
                 )
-                until = math.inf if args.duration is None else time.monotonic() + args.duration
-                while time.monotonic() < until and not server.wait(0.0):
-                    if interruption.wait(min(0.1, max(until - time.monotonic(), 0.0))):
-                        break
+                interruption.end_after(args.duration)
+                while not server.wait(0.0) and not interruption.wait(0.1):
+                    pass
             if driven is not None and args.svg is not None:
                 save(driven, args.svg, "served")
-            interruption.raise_if_any()
+            return interruption.status
     finally:
         link.close()
-    return 0
 
 
 def _conf(args: argparse.Namespace) -> RobotConf | str | None:

@@ -6,34 +6,24 @@ import argparse
 import math
 import sys
 
-from linkcore.cli.options import seconds
+from linkcore.cli.options import argument, seconds
 from linkcore.text import printable
 
 from ..scene import Scene
 from ..world import World
 
-__all__ = ["add_address", "add_world", "port", "tell", "world"]
+__all__ = ["ADDRESS", "WORLD", "port", "tell", "world"]
+
+#: The address of a robot, and how long to wait for it.
+ADDRESS = (
+    argument("address", metavar="ADDRESS", help="a host, or host:port; the port is 24902 unless named"),
+    argument(
+        "--timeout", type=seconds, default=5.0, metavar="S", help="give up when the robot is silent for S seconds (5)"
+    ),
+)
 
 #: The size of a turtle's world, m.
 _SIZE = 11.0
-
-
-def add_address(parser: argparse.ArgumentParser) -> None:
-    """The address of a robot, and how long to wait for it."""
-    parser.add_argument("address", metavar="ADDRESS", help="a host, or host:port; the port is 24902 unless named")
-    parser.add_argument(
-        "--timeout", type=seconds, default=5.0, metavar="S", help="give up when the robot is silent for S seconds (5)"
-    )
-
-
-def add_world(parser: argparse.ArgumentParser) -> None:
-    """The options of a turtle's world: tape, walls, and the turtle's pose."""
-    parser.add_argument(
-        "--floor", metavar="FILE.svg", help="tape and walls of the turtle's world: lines of the drawing, walls by class"
-    )
-    parser.add_argument(
-        "--start", type=pose, metavar="X,Y,DEG", help="where the turtle begins, m and degrees (the middle, 0)"
-    )
 
 
 def world(args: argparse.Namespace) -> World:
@@ -55,6 +45,15 @@ def pose(text: str) -> tuple[float, float, float]:
     if not all(map(math.isfinite, (x, y, degrees))):
         raise argparse.ArgumentTypeError(f"{text!r} is no pose; expected X,Y,DEG")
     return x, y, math.radians(degrees)
+
+
+#: The options of a turtle's world: tape, walls, and the turtle's pose.
+WORLD = (
+    argument(
+        "--floor", metavar="FILE.svg", help="tape and walls of the turtle's world: lines of the drawing, walls by class"
+    ),
+    argument("--start", type=pose, metavar="X,Y,DEG", help="where the turtle begins, m and degrees (the middle, 0)"),
+)
 
 
 def port(text: str) -> int:

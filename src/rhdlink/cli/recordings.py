@@ -7,8 +7,8 @@ import itertools
 import time
 from collections.abc import Iterator
 
-from linkcore.cli.options import ProgressBar, Subparsers, add_command, add_export, positive_int, seconds
-from linkcore.cli.program import Interruption
+from linkcore.cli.options import DURATION, RECORDING, argument, command, export, exporting, positive_int, seconds
+from linkcore.cli.terminal import Interruption, ProgressBar
 from linkcore.errors import BadRecording
 from linkcore.recording.file import RecordingFile
 from linkcore.recording.player import ReplayClock
@@ -18,72 +18,8 @@ from ..client import connect
 from ..loading import load
 from ..recording import Summary, play, summarise
 from ..variables.snapshot import Update
-from .options import add_address, tell
+from .options import ADDRESS, tell
 from .units import in_units, update_as_json, words_of, words_text
-
-__all__ = ["add_parser"]
-
-_RECORD = """\
-Record the raw bytes that a robot sends to a reader, with the times at which they came, into a new file.
-
-Every variable is in it from the first batch on, whether this library knows its meaning or not. A lost
-connection is noted and made again. Ctrl-C, SIGTERM, --duration and --count end the recording properly.
-After a crash the file can still be read up to the crash. Play it with `rhdlink replay`, look into it with
-`rhdlink dissect`."""
-
-_RECORD_EXAMPLES = (
-    "rhdlink record localhost drive.urlog",
-    "rhdlink record smr12 drive.urlog --duration 10",
-    "rhdlink record localhost drive.urlog --period 0.1 --count 100",
-)
-
-_REPLAY = """\
-Print what is in a recording: how long it is, how many batches, how often each variable was set.
-
-With --rate print what was set instead, a line for each batch that set a variable: at R times the speed
-at which it was recorded, or at once with --rate max. Recordings are made by `rhdlink record`, or by the
-logger plugin in a file that ends in .urlog."""
-
-_REPLAY_EXAMPLES = (
-    "rhdlink replay drive.urlog",
-    "rhdlink replay drive.urlog transpos rotpos --rate 1",
-    "rhdlink replay drive.urlog --rate max --json > drive.jsonl",
-)
-
-_EXPORT = """\
-Write a recording to a file of another program: .csv, .parquet, .mat (MATLAB), .h5 (HDF5) or .mcap (Foxglove,
-ros2 bag), by its suffix.
-
-A column for each variable, as 32-bit words, and a row or message for each batch that the robot sent. A file of
-that name is replaced once the new one is complete. .parquet, .mat, .h5 and .mcap need the extra of the same name:
-pip install 'urlink[parquet]', or 'urlink[data]' for all."""
-
-_EXPORT_EXAMPLES = (
-    "rhdlink export drive.urlog drive.csv encl encr",
-    "rhdlink export drive.urlog drive.parquet --rate 50",
-    "rhdlink export drive.urlog drive.mcap",
-)
-
-
-def add_parser(subparsers: Subparsers) -> None:
-    """Declare the commands."""
-    parser = add_command(subparsers, "record", "record what a robot sends", _RECORD, _RECORD_EXAMPLES)
-    add_address(parser)
-    parser.add_argument("file", metavar="FILE", help="file to make; it must not exist yet")
-    parser.add_argument("--period", type=seconds, metavar="S", help="seconds between syncs (every tick of the robot)")
-    parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds (never)")
-    parser.add_argument("--count", type=positive_int, metavar="N", help="end after N syncs (never)")
-    parser.set_defaults(run=_record)
-
-    parser = add_command(subparsers, "replay", "print what is in a recording, or play it", _REPLAY, _REPLAY_EXAMPLES)
-    parser.add_argument("file", metavar="FILE", help="a recording")
-    parser.add_argument("names", metavar="NAME", nargs="*", help="print only these variables")
-    parser.add_argument("--rate", type=_rate, metavar="R", help="play at R times the recorded speed, or max")
-    parser.add_argument("--count", type=positive_int, metavar="N", help="end after N lines (never)")
-    parser.add_argument("--json", action="store_true", help="one JSON object a line")
-    parser.set_defaults(run=_replay, trailing="names")
-
-    add_export(subparsers, _EXPORT, _EXPORT_EXAMPLES, load, lambda recording: f"{len(recording)} batches", tell)
 
 
 def _rate(text: str) -> float:
@@ -97,12 +33,27 @@ def _rate(text: str) -> float:
     return value
 
 
+@command(
+    "record",
+    "record what a robot sends",
+    *ADDRESS,
+    argument("file", metavar="FILE", help="file to make; it must not exist yet"),
+    argument("--period", type=seconds, metavar="S", help="seconds between syncs (every tick of the robot)"),
+    DURATION,
+    argument("--count", type=positive_int, metavar="N", help="end after N syncs (never)"),
+)
 def _record(args: argparse.Namespace) -> int:
-    """Record until interrupted, and print what is in the file.
+    """Record the raw bytes that a robot sends to a reader, with the times at which they came, into a new file.
 
-    Raises:
-        BadRecording: the file exists, or cannot be made or written.
-        RemoteError: the robot cannot be connected to.
+    Every variable is in it from the first batch on, whether this library knows its meaning or not. A lost
+    connection is noted and made again. Ctrl-C, SIGTERM, --duration and --count end the recording properly.
+    After a crash the file can still be read up to the crash. Play it with `rhdlink replay`, look into it with
+    `rhdlink dissect`.
+
+    examples:
+      rhdlink record localhost drive.urlog
+      rhdlink record smr12 drive.urlog --duration 10
+      rhdlink record localhost drive.urlog --period 0.1 --count 100
     """
     with (
         Interruption() as interruption,
@@ -111,27 +62,37 @@ def _record(args: argparse.Namespace) -> int:
     ):
         tell(f"recording {robot.address} into {args.file}; Ctrl-C ends it")
         begin = time.monotonic()
-        until = None if args.duration is None else begin + args.duration
+        interruption.end_after(args.duration)
         sync_thread = robot.background(args.period)
-        while until is None or time.monotonic() < until:
-            left = 0.02 if until is None else min(0.02, max(until - time.monotonic(), 0.0))
-            if interruption.wait(left) or (args.count is not None and sync_thread.syncs >= args.count):
-                break
+        while not interruption.wait(0.02) and (args.count is None or sync_thread.syncs < args.count):
             by_time = 0.0 if args.duration is None else (time.monotonic() - begin) / args.duration
             progress(max(by_time, 0.0 if args.count is None else sync_thread.syncs / args.count))
             if sync_thread.failure is not None:
                 raise sync_thread.failure
     print(_summary_text(_summary(args)))
-    interruption.raise_if_any()
-    return 0
+    return interruption.status
 
 
+@command(
+    "replay",
+    "print what is in a recording, or play it",
+    RECORDING,
+    argument("names", metavar="NAME", nargs="*", help="print only these variables", trailing=True),
+    argument("--rate", type=_rate, metavar="R", help="play at R times the recorded speed, or max"),
+    argument("--count", type=positive_int, metavar="N", help="end after N lines (never)"),
+    argument("--json", action="store_true", help="one JSON object a line"),
+)
 def _replay(args: argparse.Namespace) -> int:
-    """Print a summary, or play.
+    """Print what is in a recording: how long it is, how many batches, how often each variable was set.
 
-    Raises:
-        BadRecording: no such file, or no recording, or it does not have this variable.
-        PacketError: it has bytes that are no batch.
+    With --rate print what was set instead, a line for each batch that set a variable: at R times the speed
+    at which it was recorded, or at once with --rate max. Recordings are made by `rhdlink record`, or by the
+    logger plugin in a file that ends in .urlog.
+
+    examples:
+      rhdlink replay drive.urlog
+      rhdlink replay drive.urlog transpos rotpos --rate 1
+      rhdlink replay drive.urlog --rate max --json > drive.jsonl
     """
     if args.rate is None:
         if args.names or args.count is not None:
@@ -143,8 +104,7 @@ def _replay(args: argparse.Namespace) -> int:
     with Interruption() as interruption:
         for update in itertools.islice(_updates(recording, args, interruption), args.count):
             print(strict_json(update_as_json(update)) if args.json else _line(update), flush=True)
-    interruption.raise_if_any()
-    return 0
+    return interruption.status
 
 
 def _summary(args: argparse.Namespace) -> Summary:
@@ -192,3 +152,20 @@ def _summary_text(summary: Summary) -> str:
     width = max(map(len, map(printable, summary.variables)), default=0)
     lines += [f"  {printable(name):{width}}  set {count} times" for name, count in summary.variables.items()]
     return "\n".join(lines)
+
+
+@exporting
+def _export(args: argparse.Namespace) -> int:
+    """Write a recording to a file of another program: .csv, .parquet, .mat (MATLAB), .h5 (HDF5) or .mcap (Foxglove,
+    ros2 bag), by its suffix.
+
+    A column for each variable, as 32-bit words, and a row or message for each batch that the robot sent. A file of
+    that name is replaced once the new one is complete. .parquet, .mat, .h5 and .mcap need the extra of the same name:
+    pip install 'urlink[parquet]', or 'urlink[data]' for all.
+
+    examples:
+      rhdlink export drive.urlog drive.csv encl encr
+      rhdlink export drive.urlog drive.parquet --rate 50
+      rhdlink export drive.urlog drive.mcap
+    """
+    return export(args, load, lambda recording: f"{len(recording)} batches", tell)

@@ -4,84 +4,18 @@ from __future__ import annotations
 
 import argparse
 import re
-import time
 from collections.abc import Collection, Iterable
 
-from linkcore.cli.options import Subparsers, add_command, seconds
-from linkcore.cli.program import Interruption
+from linkcore.cli.options import argument, command, seconds
+from linkcore.cli.terminal import Interruption
 from linkcore.text import printable, strict_json
 
 from ..client import Variables, connect
 from ..errors import NotThere
-from .options import add_address, tell
+from .options import ADDRESS, tell
 from .units import TYPES, as_columns, as_json, in_units, typed, words_of, words_text
 
-__all__ = ["add_parser", "check_names"]
-
-_LIST = """\
-List the variables of a robot: direction, id, name, words, meaning, and when each was set.
-
-`read` variables go from the robot to programs, `write` variables from programs to the robot. A robot sends
-only the name and the length of a variable; the meaning after the `=` is that of the name by convention. A
-time of 0 means that a variable was never set."""
-
-_LIST_EXAMPLES = (
-    "rhdlink vars localhost",
-    "rhdlink vars smr12:24902 --json",
-    "rhdlink vars localhost --json | jq -r .name",
-)
-
-_GET = """\
-Print the values of variables, one line each, in the order in which they are named.
-
-The words come first, as they are on the wire; after the `=` stands their meaning, if the name has one by
-convention. If a read and a write variable have the same name, the read variable is printed.
-
-With --as the words are decoded as values of a type, and only these are printed."""
-
-_GET_EXAMPLES = (
-    "rhdlink get localhost tick",
-    "rhdlink get smr12 encl encr linesensor",
-    "rhdlink get localhost transpos rotpos --json",
-    "rhdlink get localhost bearing --as float64",
-)
-
-_SET = """\
-Write a variable, as the master of the robot. A robot has one master at a time: while another program is
-master, this fails.
-
-VALUEs are the words of the variable as they are on the wire: whole numbers of 32 bits, one for each word;
-30000, and not 0.3 m/s. Many robots stop when their master leaves, which this does at once unless --hold
-says how long to stay; Ctrl-C ends that earlier. THIS MOVES A REAL ROBOT."""
-
-_SET_EXAMPLES = (
-    "rhdlink set localhost cmdtransvel 30000 --hold 2",
-    "rhdlink set smr12 speedl 10 --hold 1",
-    "rhdlink set localhost cmdrotvel -- -20000",
-)
-
-
-def add_parser(subparsers: Subparsers) -> None:
-    """Declare the commands."""
-    parser = add_command(subparsers, "vars", "list the variables of a robot", _LIST, _LIST_EXAMPLES)
-    add_address(parser)
-    parser.add_argument("--json", action="store_true", help="one JSON object a line, for each variable")
-    parser.set_defaults(run=_list)
-
-    parser = add_command(subparsers, "get", "print the values of variables", _GET, _GET_EXAMPLES)
-    add_address(parser)
-    parser.add_argument("names", metavar="NAME", nargs="+", help="a variable of the robot")
-    parser.add_argument("--as", dest="type", choices=tuple(TYPES), help="decode the words as values of this type")
-    parser.add_argument("--order", choices=("little", "big"), default="little", help="of values of two words (little)")
-    parser.add_argument("--json", action="store_true", help="one JSON object a line, for each variable")
-    parser.set_defaults(run=_get, trailing="names")
-
-    parser = add_command(subparsers, "set", "write a variable, as master", _SET, _SET_EXAMPLES)
-    add_address(parser)
-    parser.add_argument("name", metavar="NAME", help="a write variable of the robot")
-    parser.add_argument("values", metavar="VALUE", nargs="+", type=_word, help="its words")
-    parser.add_argument("--hold", type=seconds, metavar="S", help="stay master for S seconds (leave at once)")
-    parser.set_defaults(run=_set)
+__all__ = ["check_names"]
 
 
 def check_names(names: Iterable[str], robot: Variables | Collection[str], where: str) -> None:
@@ -97,7 +31,24 @@ def _word(text: str) -> int:
     return int(text)
 
 
+@command(
+    "vars",
+    "list the variables of a robot",
+    *ADDRESS,
+    argument("--json", action="store_true", help="one JSON object a line, for each variable"),
+)
 def _list(args: argparse.Namespace) -> int:
+    """List the variables of a robot: direction, id, name, words, meaning, and when each was set.
+
+    `read` variables go from the robot to programs, `write` variables from programs to the robot. A robot sends
+    only the name and the length of a variable; the meaning after the `=` is that of the name by convention. A
+    time of 0 means that a variable was never set.
+
+    examples:
+      rhdlink vars localhost
+      rhdlink vars smr12:24902 --json
+      rhdlink vars localhost --json | jq -r .name
+    """
     with connect(args.address, timeout=args.timeout) as robot:
         # The values of the handshake are the newest.
         found = robot.variables
@@ -115,7 +66,29 @@ def _list(args: argparse.Namespace) -> int:
     return 0
 
 
+@command(
+    "get",
+    "print the values of variables",
+    *ADDRESS,
+    argument("names", metavar="NAME", nargs="+", help="a variable of the robot", trailing=True),
+    argument("--as", dest="type", choices=tuple(TYPES), help="decode the words as values of this type"),
+    argument("--order", choices=("little", "big"), default="little", help="of values of two words (little)"),
+    argument("--json", action="store_true", help="one JSON object a line, for each variable"),
+)
 def _get(args: argparse.Namespace) -> int:
+    """Print the values of variables, one line each, in the order in which they are named.
+
+    The words come first, as they are on the wire; after the `=` stands their meaning, if the name has one by
+    convention. If a read and a write variable have the same name, the read variable is printed.
+
+    With --as the words are decoded as values of a type, and only these are printed.
+
+    examples:
+      rhdlink get localhost tick
+      rhdlink get smr12 encl encr linesensor
+      rhdlink get localhost transpos rotpos --json
+      rhdlink get localhost bearing --as float64
+    """
     with connect(args.address, timeout=args.timeout) as robot:
         by_name = {variable.name: variable for variable in reversed(robot.variables)}
         check_names(args.names, by_name, robot.address)
@@ -134,7 +107,27 @@ def _get(args: argparse.Namespace) -> int:
     return 0
 
 
+@command(
+    "set",
+    "write a variable, as master",
+    *ADDRESS,
+    argument("name", metavar="NAME", help="a write variable of the robot"),
+    argument("values", metavar="VALUE", nargs="+", type=_word, help="its words"),
+    argument("--hold", type=seconds, metavar="S", help="stay master for S seconds (leave at once)"),
+)
 def _set(args: argparse.Namespace) -> int:
+    """Write a variable, as the master of the robot. A robot has one master at a time: while another program is
+    master, this fails.
+
+    VALUEs are the words of the variable as they are on the wire: whole numbers of 32 bits, one for each word;
+    30000, and not 0.3 m/s. Many robots stop when their master leaves, which this does at once unless --hold
+    says how long to stay; Ctrl-C ends that earlier. THIS MOVES A REAL ROBOT.
+
+    examples:
+      rhdlink set localhost cmdtransvel 30000 --hold 2
+      rhdlink set smr12 speedl 10 --hold 1
+      rhdlink set localhost cmdrotvel -- -20000
+    """
     with connect(args.address, access="w", timeout=args.timeout) as robot, Interruption() as interruption:
         robot[args.name] = args.values if len(args.values) > 1 else args.values[0]
         robot.sync()  # the reply confirms the write
@@ -143,8 +136,7 @@ def _set(args: argparse.Namespace) -> int:
         meaning = in_units("w", args.name, words)
         tell(f"{args.name} is {words_text(words)}" + (f" = {meaning}" if meaning else ""))
         if args.hold is not None:
-            until = time.monotonic() + args.hold
-            while interruption.number is None and time.monotonic() < until:
+            interruption.end_after(args.hold)
+            while not interruption.is_over:
                 robot.sync()
-    interruption.raise_if_any()
-    return 0
+    return interruption.status

@@ -14,51 +14,35 @@ from ..acceptance.bundle import opened, pack
 from ..acceptance.person import AtTheTerminal
 from ..acceptance.report import judge
 from ..acceptance.requirements import from_file, requirements
-from .options import Subparsers, add_address, add_command, seconds, tell
+from .options import address, argument, command, seconds, tell
 
-__all__ = ["add_parser"]
 
-_DESCRIPTION = """\
-Test a controller and this library together, and print a page that can be signed.
-
-Stage 0 only reads, stage 1 moves nothing, stage 2 MOVES wrist 3 by some degrees, stage 3 MOVES each joint alone
-by 17 degrees to either side. Each stage, and each joint of stage 3, is begun with your consent: --yes gives it for
-the stages that --stage names; a simulated arm needs none. Each requirement has a
-verdict: held, NOT HELD, or not tried and why. The status is 0 where all that was tried is held."""
-
-_EXAMPLES = (
-    "urlink accept sim://ur5e",
-    "urlink accept 192.168.56.101 --stage 0 --yes --html page.html",
-    "urlink accept 192.168.56.101 --requirements cell.toml --bundle run.zip",
-    "urlink accept --replay run.zip",
+@command(
+    "accept",
+    "prove a controller, and leave evidence",
+    *address("?"),
+    argument("--stage", type=int, action="append", choices=list(stages.STAGES), help="run this one; repeatable (all)"),
+    argument("--yes", action="store_true", help="consent to the stages that --stage names"),
+    argument("--dead-man", type=int, choices=range(8), metavar="N", help="digital input, on while it may move"),
+    argument("--duration", type=seconds, default=10.0, metavar="S", help="listen for S seconds (10)"),
+    argument("--requirements", metavar="FILE", help="limits of your own, and whose cell it is (TOML)"),
+    argument("--bundle", metavar="FILE", help="leave the evidence in this new file, a ZIP archive"),
+    argument("--replay", metavar="FILE", help="judge a bundle again, without a controller"),
+    argument("--html", metavar="FILE", help="write the page as HTML too"),
 )
-
-
-def add_parser(subparsers: Subparsers) -> None:
-    """Declare the command."""
-    parser = add_command(subparsers, "accept", "prove a controller, and leave evidence", _DESCRIPTION, _EXAMPLES)
-    add_address(parser, nargs="?")
-    numbers = list(stages.STAGES)
-    parser.add_argument("--stage", type=int, action="append", choices=numbers, help="run this one; repeatable (all)")
-    parser.add_argument("--yes", action="store_true", help="consent to the stages that --stage names")
-    parser.add_argument(
-        "--dead-man", type=int, choices=range(8), metavar="N", help="digital input, on while it may move"
-    )
-    parser.add_argument("--duration", type=seconds, default=10.0, metavar="S", help="listen for S seconds (10)")
-    parser.add_argument("--requirements", metavar="FILE", help="limits of your own, and whose cell it is (TOML)")
-    parser.add_argument("--bundle", metavar="FILE", help="leave the evidence in this new file, a ZIP archive")
-    parser.add_argument("--replay", metavar="FILE", help="judge a bundle again, without a controller")
-    parser.add_argument("--html", metavar="FILE", help="write the page as HTML too")
-    parser.set_defaults(run=run)
-
-
 def run(args: argparse.Namespace) -> int:
-    """Run the stages, or open a bundle, and print the page; the status is 1 if something that was tried is not held.
+    """Test a controller and this library together, and print a page that can be signed.
 
-    Raises:
-        BadValue: the address is a recording, or a file cannot be used.
-        BadRecording: no such bundle, or it cannot be written.
-        RemoteError: the controller cannot be reached.
+    Stage 0 only reads, stage 1 moves nothing, stage 2 MOVES wrist 3 by some degrees, stage 3 MOVES each joint alone
+    by 17 degrees to either side. Each stage, and each joint of stage 3, is begun with your consent: --yes gives it for
+    the stages that --stage names; a simulated arm needs none. Each requirement has a
+    verdict: held, NOT HELD, or not tried and why. The status is 0 where all that was tried is held.
+
+    examples:
+      urlink accept sim://ur5e
+      urlink accept 192.168.56.101 --stage 0 --yes --html page.html
+      urlink accept 192.168.56.101 --requirements cell.toml --bundle run.zip
+      urlink accept --replay run.zip
     """
     if (args.address is None) == (args.replay is None):
         args.usage_error("expected an address, or --replay and a bundle")

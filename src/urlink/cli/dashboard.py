@@ -4,50 +4,39 @@ from __future__ import annotations
 
 import argparse
 
-from linkcore.cli.completion import completed_from
 from linkcore.errors import LocalError
 from linkcore.text import printable
 
 from ..interfaces.dashboard.commands import COMMANDS, COULD_NOT_UNDERSTAND
 from ..robot import connect
-from .options import Subparsers, add_address, add_command, seconds
+from .options import ADDRESS, argument, command, seconds
 
-__all__ = ["add_parser"]
 
-_DESCRIPTION = """\
-Send a command to the dashboard server and print its reply; `start` powers the arm on, releases its brakes and
-waits until it runs. THE ARM MAY MOVE after `play`, `brake release` and `start`. The exit status is 1 if the reply
-does not confirm the command.
-
-Commands, on the firmware that has them:
-"""
-
-_EXAMPLES = (
-    "urlink dashboard 192.168.56.101 robotmode",
-    "urlink dashboard 192.168.56.101 start",
-    "urlink dashboard sim:// popup mind the gap",
+@command(
+    "dashboard",
+    "send a dashboard command",
+    *ADDRESS,
+    argument(
+        "command",
+        nargs="+",
+        metavar="COMMAND",
+        help="the command, and its text where it takes one",
+        words=lambda: ["start", *(word for name in COMMANDS for word in name.split())],
+    ),
+    argument("--timeout", type=seconds, metavar="S", help="wait S seconds for the reply (5; start: 30)"),
+    listing=lambda: "\n".join(f"  {name}" for name in COMMANDS),
 )
-
-
-def add_parser(subparsers: Subparsers) -> None:
-    """Declare the command."""
-    commands = "\n".join(f"  {name}" for name in COMMANDS)
-    parser = add_command(subparsers, "dashboard", "send a dashboard command", _DESCRIPTION + commands, _EXAMPLES)
-    add_address(parser)
-    command = parser.add_argument(
-        "command", nargs="+", metavar="COMMAND", help="the command, and its text where it takes one"
-    )
-    completed_from(command, lambda: ["start", *(word for name in COMMANDS for word in name.split())])
-    parser.add_argument("--timeout", type=seconds, metavar="S", help="wait S seconds for the reply (5; start: 30)")
-    parser.set_defaults(run=run)
-
-
 def run(args: argparse.Namespace) -> int:
-    """Send it, and print the reply.
+    """Send a command to the dashboard server and print its reply; `start` powers the arm on, releases its brakes and
+    waits until it runs. THE ARM MAY MOVE after `play`, `brake release` and `start`. The exit status is 1 if the reply
+    does not confirm the command.
 
-    Raises:
-        LocalError: the robot has no dashboard, or the line cannot be sent.
-        RemoteError: there was no reply.
+    Commands, on the firmware that has them:
+
+    examples:
+      urlink dashboard 192.168.56.101 robotmode
+      urlink dashboard 192.168.56.101 start
+      urlink dashboard sim:// popup mind the gap
     """
     command = " ".join(args.command)
     if not command.strip():

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from linkcore.cli.options import ProgressBar
+from linkcore.cli.terminal import ProgressBar
 from linkcore.errors import BadRecording, PacketError, WrongPeer
 from linkcore.recording.file import Kind, Progress, RecordingFile
 from linkcore.text import printable, strict_json
@@ -29,10 +29,10 @@ from ..interfaces.primary.protocol import PackageBoundary
 from ..interfaces.primary.robot_message import VersionMessage
 from ..interfaces.primary.robot_state import RobotState
 from ..interfaces.realtime.protocol import RealtimeBoundary
-from .options import Subparsers, add_command, positive_int
+from .options import argument, command, positive_int
 from .values import as_text, plain
 
-__all__ = ["PacketPiece", "Stretch", "add_parser", "cut", "dissect", "guess_interface"]
+__all__ = ["PacketPiece", "Stretch", "cut", "dissect", "guess_interface"]
 
 _BOUNDARIES: dict[Interface, Callable[[], PackageBoundary | RealtimeBoundary]] = {
     "primary": PackageBoundary,
@@ -97,34 +97,6 @@ def _filled(data: bytes, interface: Interface) -> int:
     return sum(len(each.data) for each in cut(data, interface) if each.is_packet or each.expected is not None)
 
 
-_DESCRIPTION = """\
-Show every packet in a file, field by field: offset, bytes in hex, name, value, unit, meaning.
-
-FILE holds raw bytes, as cut from a network capture, or is a recording. Robot states are shown sub-package
-by sub-package. Bytes that no known layout explains are shown as `tail`, packets that cannot be decoded with
-the reason. Bytes outside packets, and packets that are cut off, are shown too: nothing is hidden.
-
-Offsets count from the beginning of the file's bytes; in a recording from the first byte of the connection.
-The layout of a packet is found from its size, unless --firmware is given."""
-
-_EXAMPLES = (
-    "urlink dissect packet.bin",
-    "urlink dissect run.urlog --interface primary --count 1",
-    "urlink dissect packet.bin --interface realtime --firmware 3.4 --json",
-)
-
-
-def add_parser(subparsers: Subparsers) -> None:
-    """Declare the command."""
-    parser = add_command(subparsers, "dissect", "show the bytes of packets, field by field", _DESCRIPTION, _EXAMPLES)
-    parser.add_argument("file", metavar="FILE", help="raw bytes, or a recording")
-    parser.add_argument("--interface", choices=INTERFACES, help="interface that the bytes come from (guessed)")
-    parser.add_argument("--firmware", type=_firmware, metavar="X.Y", help="firmware that sent them (guessed)")
-    parser.add_argument("--count", type=positive_int, metavar="N", help="only the first N packets or stretches")
-    parser.add_argument("--json", action="store_true", help="one JSON object a line, for each packet or stretch")
-    parser.set_defaults(run=run)
-
-
 def _firmware(text: str) -> Firmware:
     try:
         return known_firmware(text)
@@ -132,11 +104,29 @@ def _firmware(text: str) -> Firmware:
         raise argparse.ArgumentTypeError(str(error)) from None
 
 
+@command(
+    "dissect",
+    "show the bytes of packets, field by field",
+    argument("file", metavar="FILE", help="raw bytes, or a recording"),
+    argument("--interface", choices=INTERFACES, help="interface that the bytes come from (guessed)"),
+    argument("--firmware", type=_firmware, metavar="X.Y", help="firmware that sent them (guessed)"),
+    argument("--count", type=positive_int, metavar="N", help="only the first N packets or stretches"),
+    argument("--json", action="store_true", help="one JSON object a line, for each packet or stretch"),
+)
 def run(args: argparse.Namespace) -> int:
-    """Show the file.
+    """Show every packet in a file, field by field: offset, bytes in hex, name, value, unit, meaning.
 
-    Raises:
-        BadRecording: no such file, or nothing in it can be shown.
+    FILE holds raw bytes, as cut from a network capture, or is a recording. Robot states are shown sub-package
+    by sub-package. Bytes that no known layout explains are shown as `tail`, packets that cannot be decoded with
+    the reason. Bytes outside packets, and packets that are cut off, are shown too: nothing is hidden.
+
+    Offsets count from the beginning of the file's bytes; in a recording from the first byte of the connection.
+    The layout of a packet is found from its size, unless --firmware is given.
+
+    examples:
+      urlink dissect packet.bin
+      urlink dissect run.urlog --interface primary --count 1
+      urlink dissect packet.bin --interface realtime --firmware 3.4 --json
     """
     shown = read = 0
     # On a terminal the printed packets show the progress.

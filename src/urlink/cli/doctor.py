@@ -23,22 +23,7 @@ from ..interfaces.primary.robot_state import RobotModeData, RobotState
 from ..interfaces.realtime.packets import RealtimeState
 from ..robot import Robot, connect
 from ..rtde import OUTPUTS
-from .options import Subparsers, Tap, add_address, add_command, seconds
-
-__all__ = ["add_parser"]
-
-_DESCRIPTION = """\
-Check a controller, the network to it and this computer, and say what is wrong.
-
-One line for each check: "ok", "look" for what may be intended, "BAD" for what keeps something from working,
-with what to do about it. Nothing is moved or switched. Each free RTDE input is claimed for some milliseconds
-to see whether another client holds it; a client that claims it at that moment is refused."""
-
-_EXAMPLES = (
-    "urlink doctor 192.168.56.101",
-    "urlink doctor sim:// --duration 1",
-    "urlink doctor 192.168.56.101 --json",
-)
+from .options import ADDRESS, Tap, argument, command, seconds
 
 #: What each port is for, if it should be open.
 _PORTS = {
@@ -65,22 +50,24 @@ class Finding(NamedTuple):
     remedy: str = ""
 
 
-def add_parser(subparsers: Subparsers) -> None:
-    """Declare the command."""
-    parser = add_command(subparsers, "doctor", "check a robot, the network and this computer", _DESCRIPTION, _EXAMPLES)
-    add_address(parser)
-    parser.add_argument(
-        "--duration", type=seconds, default=2.0, metavar="S", help="listen to packets for S seconds (2)"
-    )
-    parser.add_argument("--json", action="store_true", help="one JSON object a line")
-    parser.set_defaults(run=run)
-
-
+@command(
+    "doctor",
+    "check a robot, the network and this computer",
+    *ADDRESS,
+    argument("--duration", type=seconds, default=2.0, metavar="S", help="listen to packets for S seconds (2)"),
+    argument("--json", action="store_true", help="one JSON object a line"),
+)
 def run(args: argparse.Namespace) -> int:
-    """Run the checks, and print the findings; the status is 1 if one of them is BAD.
+    """Check a controller, the network to it and this computer, and say what is wrong.
 
-    Raises:
-        BadValue: the address is a recording.
+    One line for each check: "ok", "look" for what may be intended, "BAD" for what keeps something from working,
+    with what to do about it. Nothing is moved or switched. Each free RTDE input is claimed for some milliseconds
+    to see whether another client holds it; a client that claims it at that moment is refused.
+
+    examples:
+      urlink doctor 192.168.56.101
+      urlink doctor sim:// --duration 1
+      urlink doctor 192.168.56.101 --json
     """
     worst = "ok"
     for finding in _findings(args.address, args.connect_timeout, args.duration):

@@ -8,7 +8,6 @@ import sys
 from collections.abc import Callable, Iterable
 from typing import Any, TypeGuard
 
-from linkcore.cli.completion import completed_from
 from linkcore.text import strict_json
 from linkcore.wire.packet import State
 
@@ -17,52 +16,10 @@ from ..decoding import INTERFACES
 from ..interfaces.primary.robot_state import RobotState
 from ..interfaces.realtime.packets import RealtimeState
 from ..robot import Robot, connect
-from .options import Subparsers, Tap, add_address, add_command, positive_int, seconds
+from .options import ADDRESS, Tap, argument, command, positive_int, seconds
 from .values import NoSuchField, as_json, as_line, as_text, getter, plain
 
-__all__ = ["add_options", "add_parser", "echo", "kind_of", "shower"]
-
-_DESCRIPTION = """\
-Print packets, one line each: every packet, in order.
-
-Without a FIELD a line has all of them. A field of the real-time interface is named as it is, q_actual; one of
-robot states (--interface primary) comes after its sub-package, joint_data.q_actual. --type selects
-sub-packages, messages or other packages by their class. A field that the controller does not send is "-",
-in JSON null. If the output is too slow, packets are dropped, and counted on stderr at the end."""
-
-_EXAMPLES = (
-    "urlink echo 192.168.56.101 q_actual tcp_force",
-    "urlink echo sim:// --json --count 1",
-    "urlink echo 192.168.56.101 --interface primary joint_data.T_motor robot_mode_data.robot_mode",
-    "urlink echo 192.168.56.101 --type RobotMessage",
-)
-
-
-def add_parser(subparsers: Subparsers) -> None:
-    """Declare the command."""
-    parser = add_command(subparsers, "echo", "print packets, one line each", _DESCRIPTION, _EXAMPLES)
-    add_address(parser)
-    add_options(parser)
-    parser.set_defaults(run=run)
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Options that say what to print, and how."""
-    fields = parser.add_argument("fields", metavar="FIELD", nargs="*", help="print only these fields")
-    completed_from(fields, lambda: RealtimeState.FIELDS)
-    parser.set_defaults(trailing="fields")
-    parser.add_argument(
-        "--interface", choices=INTERFACES, help="interface to read (realtime; primary where --type needs it)"
-    )
-    parser.add_argument(
-        "--type",
-        metavar="CLASS",
-        type=_packet_class,
-        help="class of packet: RobotModeData, TextMessage, State for all, ...",
-    )
-    parser.add_argument("--json", action="store_true", help="one JSON object a line; NaN and infinities are null")
-    parser.add_argument("--count", type=positive_int, metavar="N", help="end after N lines (never)")
-    parser.add_argument("--timeout", type=seconds, metavar="S", help="fail when nothing comes for S seconds (never)")
+__all__ = ["PRINTED", "echo", "kind_of", "shower"]
 
 
 def _packet_class(name: str) -> type[State]:
@@ -77,8 +34,44 @@ def _is_packet_class(value: object) -> TypeGuard[type[State]]:
     return isinstance(value, type) and issubclass(value, State)
 
 
+#: What to print, and how.
+PRINTED = (
+    argument(
+        "fields",
+        metavar="FIELD",
+        nargs="*",
+        words=lambda: RealtimeState.FIELDS,
+        trailing=True,
+        help="print only these fields",
+    ),
+    argument("--interface", choices=INTERFACES, help="interface to read (realtime; primary where --type needs it)"),
+    argument(
+        "--type",
+        metavar="CLASS",
+        type=_packet_class,
+        help="class of packet: RobotModeData, TextMessage, State for all, ...",
+    ),
+    argument("--json", action="store_true", help="one JSON object a line; NaN and infinities are null"),
+    argument("--count", type=positive_int, metavar="N", help="end after N lines (never)"),
+    argument("--timeout", type=seconds, metavar="S", help="fail when nothing comes for S seconds (never)"),
+)
+
+
+@command("echo", "print packets, one line each", *ADDRESS, *PRINTED)
 def run(args: argparse.Namespace) -> int:
-    """Print until interrupted, or until there is nothing more to print."""
+    """Print packets, one line each: every packet, in order.
+
+    Without a FIELD a line has all of them. A field of the real-time interface is named as it is, q_actual; one of
+    robot states (--interface primary) comes after its sub-package, joint_data.q_actual. --type selects
+    sub-packages, messages or other packages by their class. A field that the controller does not send is "-",
+    in JSON null. If the output is too slow, packets are dropped, and counted on stderr at the end.
+
+    examples:
+      urlink echo 192.168.56.101 q_actual tcp_force
+      urlink echo sim:// --json --count 1
+      urlink echo 192.168.56.101 --interface primary joint_data.T_motor robot_mode_data.robot_mode
+      urlink echo 192.168.56.101 --type RobotMessage
+    """
     interface, kind = kind_of(args)
     show = shower(args, kind)
     with connect(args.address, timeout=args.connect_timeout) as robot:

@@ -18,41 +18,32 @@ from ..interfaces.primary.robot_state import RobotState
 from ..interfaces.realtime.packets import RealtimeState
 from ..robot import connect
 from .glance import counted
-from .options import Subparsers, Tap, add_address, add_command, add_interface, positive_int, seconds
+from .options import ADDRESS, DURATION, Tap, argument, command, interface_of, positive_int
 
-__all__ = ["add_parser", "line", "measure"]
+__all__ = ["line", "measure"]
 
-_DESCRIPTION = """\
-Measure how regularly states come, by the times at which their bytes arrived here.
 
-One line a second: the rate, the shortest, mean and longest period and its standard deviation over the
-last --window periods, and what the stream has counted since the start; missed is what never came, by the
-controller's own clock. States that arrive in one segment have a period of zero between them. On e-Series
-the real-time interface sends 500 states a second, on CB2 and CB3 125, the primary and secondary interface
-10."""
-
-_EXAMPLES = (
-    "urlink hz 192.168.56.101",
-    "urlink hz sim:// --duration 10 --window 5000",
-    "urlink hz 192.168.56.101 --interface primary",
+@command(
+    "hz",
+    "measure how regularly states come",
+    *ADDRESS,
+    interface_of(INTERFACES),
+    argument("--window", type=positive_int, default=1000, metavar="N", help="periods to look back on (1000)"),
+    DURATION,
 )
-
-
-def add_parser(subparsers: Subparsers) -> None:
-    """Declare the command."""
-    parser = add_command(subparsers, "hz", "measure how regularly states come", _DESCRIPTION, _EXAMPLES)
-    add_address(parser)
-    add_interface(parser, INTERFACES)
-    parser.add_argument("--window", type=positive_int, default=1000, metavar="N", help="periods to look back on (1000)")
-    parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds (never)")
-    parser.set_defaults(run=run)
-
-
 def run(args: argparse.Namespace) -> int:
-    """Measure until the time is up, or a recording is over.
+    """Measure how regularly states come, by the times at which their bytes arrived here.
 
-    Raises:
-        RemoteError: the robot cannot be connected to, or no state came.
+    One line a second: the rate, the shortest, mean and longest period and its standard deviation over the
+    last --window periods, and what the stream has counted since the start; missed is what never came, by the
+    controller's own clock. States that arrive in one segment have a period of zero between them. On e-Series
+    the real-time interface sends 500 states a second, on CB2 and CB3 125, the primary and secondary interface
+    10.
+
+    examples:
+      urlink hz 192.168.56.101
+      urlink hz sim:// --duration 10 --window 5000
+      urlink hz 192.168.56.101 --interface primary
     """
     kind = RealtimeState if args.interface == "realtime" else RobotState
     with connect(args.address, timeout=args.connect_timeout) as robot:

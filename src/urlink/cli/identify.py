@@ -11,70 +11,11 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from ..robot import connect
-from .options import Subparsers, add_address, add_command, seconds, tell
+from .options import ADDRESS, argument, command, seconds, tell
 
 if TYPE_CHECKING:
     from ..arm_file import ArmFile, Estimate
     from ..identification.exercise import Exercise
-
-__all__ = ["add_parser"]
-
-_DESCRIPTION = """\
-Identify an arm from a recording of it in motion: calibration, payload, rotor inertias, torque constants,
-friction, lag, the ramp of programs, noise. Each number has the interval that holds it with 99 %; what the
-recording does not tell says which motion would. The file that --out writes makes the simulator that arm:
-sim://ur5e?like=arm.json.
-
-RECORDING is a file of `urlink record` (the real-time interface, or RTDE with the targets of the joints), or a
-table of RTDE variables as `urlink rtde --csv` prints it."""
-
-_EXAMPLES = (
-    "urlink identify run.urlog --out arm.json",
-    "urlink identify run.csv --model UR3e",
-    "urlink identify run.urlog --json",
-)
-
-_EXERCISE = """\
-Move each joint about where it stands, slowly, and then all of them together: what `urlink identify` needs.
-THE ARM MOVES, for a minute or two. Where to is printed first, and nothing moves before you have said that this
-box is free. No part of the arm is faster than 0.25 m/s, and the speed slider slows it down further: try it at
-a low slider, and record it at 100 %.
-
-Stand at the emergency stop. --dead-man names a digital input that has to be on while the arm moves. Ctrl-C
-stops it. It ends where it began."""
-
-_EXERCISE_EXAMPLES = (
-    "urlink exercise 192.168.56.101",
-    "urlink exercise 192.168.56.101 --out run.urlog --dead-man 0",
-    "urlink exercise 'sim://ur5e?like=arm.json' --out run.urlog --swing 20",
-)
-
-_COMPARISON = """\
-Run what an arm was commanded in a recording on the simulator, and print by how much the two differ: for each
-movement between two rests how much longer the simulator takes, and for each quantity the root mean square by
-joint. The exit status is 1 if a movement differs by more than --tolerance: a regression test of a cell.
-
-A recording does not hold commands, so each movement is run as the movej or movel that fits its targets."""
-
-_COMPARISON_EXAMPLES = (
-    "urlink compare run.urlog --like arm.json",
-    "urlink compare run.csv --model UR3e",
-    "urlink compare run.urlog --like arm.json --tolerance 0.005",
-)
-
-
-def _add_exercise(subparsers: Subparsers) -> None:
-    parser = add_command(subparsers, "exercise", "a slow motion to record", _EXERCISE, _EXERCISE_EXAMPLES)
-    add_address(parser)
-    parser.add_argument("--out", metavar="FILE", help="record it in this new file, for `urlink identify`")
-    parser.add_argument(
-        "--swing", type=_degrees, default=17.0, metavar="DEG", help="degrees to either side, 6 to 45 (17)"
-    )
-    parser.add_argument(
-        "--dead-man", type=int, choices=range(8), metavar="N", help="digital input, on while it may move"
-    )
-    parser.add_argument("--yes", action="store_true", help="the box is free; a simulated arm is not asked for")
-    parser.set_defaults(run=exercise)
 
 
 def _degrees(text: str) -> float:
@@ -83,13 +24,28 @@ def _degrees(text: str) -> float:
     return seconds(text)
 
 
+@command(
+    "exercise",
+    "a slow motion to record",
+    *ADDRESS,
+    argument("--out", metavar="FILE", help="record it in this new file, for `urlink identify`"),
+    argument("--swing", type=_degrees, default=17.0, metavar="DEG", help="degrees to either side, 6 to 45 (17)"),
+    argument("--dead-man", type=int, choices=range(8), metavar="N", help="digital input, on while it may move"),
+    argument("--yes", action="store_true", help="the box is free; a simulated arm is not asked for"),
+)
 def exercise(args: argparse.Namespace) -> int:
-    """Plan the motion, ask whether its box is free, and move; the status is 1 if nobody says so.
+    """Move each joint about where it stands, slowly, and then all of them together: what `urlink identify` needs.
+    THE ARM MOVES, for a minute or two. Where to is printed first, and nothing moves before you have said that this
+    box is free. No part of the arm is faster than 0.25 m/s, and the speed slider slows it down further: try it at
+    a low slider, and record it at 100 %.
 
-    Raises:
-        BadValue: a joint would leave its limits.
-        BadRecording: the file exists, or cannot be made.
-        LinkError: what has ended it.
+    Stand at the emergency stop. --dead-man names a digital input that has to be on while the arm moves. Ctrl-C
+    stops it. It ends where it began.
+
+    examples:
+      urlink exercise 192.168.56.101
+      urlink exercise 192.168.56.101 --out run.urlog --dead-man 0
+      urlink exercise 'sim://ur5e?like=arm.json' --out run.urlog --swing 20
     """
     from ..identification.exercise import BESIDE, Guard, input_is_on, plan_from_here, slider_of
     from ..identification.exercise import exercise as moved
@@ -128,22 +84,25 @@ def _box_text(model: str, planned: Exercise, slider: float) -> str:
     return "\n".join(lines)
 
 
-def _add_comparison(subparsers: Subparsers) -> None:
-    parser = add_command(subparsers, "compare", "a recording beside the simulator", _COMPARISON, _COMPARISON_EXAMPLES)
-    parser.add_argument("recording", metavar="RECORDING", help="a .urlog or a .csv")
-    parser.add_argument("--like", metavar="FILE", help="the arm, as urlink identify wrote it")
-    parser.add_argument("--model", metavar="NAME", help="arm, if neither --like nor the recording says it")
-    parser.add_argument(
-        "--tolerance", type=seconds, default=0.01, metavar="S", help="by which a movement may take longer (0.01)"
-    )
-    parser.set_defaults(run=compare)
-
-
+@command(
+    "compare",
+    "a recording beside the simulator",
+    argument("recording", metavar="RECORDING", help="a .urlog or a .csv"),
+    argument("--like", metavar="FILE", help="the arm, as urlink identify wrote it"),
+    argument("--model", metavar="NAME", help="arm, if neither --like nor the recording says it"),
+    argument("--tolerance", type=seconds, default=0.01, metavar="S", help="by which a movement may take longer (0.01)"),
+)
 def compare(args: argparse.Namespace) -> int:
-    """Print by how much recording and simulator differ.
+    """Run what an arm was commanded in a recording on the simulator, and print by how much the two differ: for each
+    movement between two rests how much longer the simulator takes, and for each quantity the root mean square by
+    joint. The exit status is 1 if a movement differs by more than --tolerance: a regression test of a cell.
 
-    Raises:
-        LocalError: no such recording, or no model.
+    A recording does not hold commands, so each movement is run as the movej or movel that fits its targets.
+
+    examples:
+      urlink compare run.urlog --like arm.json
+      urlink compare run.csv --model UR3e
+      urlink compare run.urlog --like arm.json --tolerance 0.005
     """
     from ..arm_file import ArmFile, read_arm_file
     from ..identification.comparison import QUANTITIES
@@ -172,23 +131,27 @@ def compare(args: argparse.Namespace) -> int:
     return int(worst > args.tolerance)
 
 
-def add_parser(subparsers: Subparsers) -> None:
-    """Declare the commands."""
-    _add_exercise(subparsers)
-    parser = add_command(subparsers, "identify", "what a recording tells of its arm", _DESCRIPTION, _EXAMPLES)
-    parser.add_argument("recording", metavar="RECORDING", help="a .urlog or a .csv")
-    parser.add_argument("--model", metavar="NAME", help="arm, if the recording does not say it")
-    parser.add_argument("--out", metavar="FILE", help="write what was found, for sim://...?like=FILE")
-    parser.add_argument("--json", action="store_true", help="one object a line: name, joint, value, low, high, needs")
-    parser.set_defaults(run=run)
-    _add_comparison(subparsers)
-
-
+@command(
+    "identify",
+    "what a recording tells of its arm",
+    argument("recording", metavar="RECORDING", help="a .urlog or a .csv"),
+    argument("--model", metavar="NAME", help="arm, if the recording does not say it"),
+    argument("--out", metavar="FILE", help="write what was found, for sim://...?like=FILE"),
+    argument("--json", action="store_true", help="one object a line: name, joint, value, low, high, needs"),
+)
 def run(args: argparse.Namespace) -> int:
-    """Print what the recording tells.
+    """Identify an arm from a recording of it in motion: calibration, payload, rotor inertias, torque constants,
+    friction, lag, the ramp of programs, noise. Each number has the interval that holds it with 99 %; what the
+    recording does not tell says which motion would. The file that --out writes makes the simulator that arm:
+    sim://ur5e?like=arm.json.
 
-    Raises:
-        LocalError: no such recording, no model, or the file cannot be written.
+    RECORDING is a file of `urlink record` (the real-time interface, or RTDE with the targets of the joints), or a
+    table of RTDE variables as `urlink rtde --csv` prints it.
+
+    examples:
+      urlink identify run.urlog --out arm.json
+      urlink identify run.csv --model UR3e
+      urlink identify run.urlog --json
     """
     from ..identification.identified import identify
     from ..identification.samples import read_samples

@@ -13,34 +13,24 @@ from ..data.recording import load
 from ..firmware import release_of
 from ..interfaces.primary.robot_state import SUB_PACKAGES
 from ..robot import Robot, connect
-from .options import Subparsers, add_address, add_command
+from .options import ADDRESS, argument, command
 
-__all__ = ["add_parser"]
 
-_DESCRIPTION = """\
-Say which controller this is: firmware and arm, and what this library knows of that firmware.
-
-Sizes and rates are those of the row of the firmware table that holds for it; `evidence` says what backs that
-row. If a controller does not send its version, the firmware is the oldest that sends packages of the same
-sizes, and is said to be inferred. Of a recording it says what is missing in it."""
-
-_EXAMPLES = (
-    "urlink info 192.168.56.101",
-    "urlink info 'sim://ur10?firmware=3.4'",
-    "urlink info replay:///tmp/run.urlog --json",
+@command(
+    "info", "say which controller this is", *ADDRESS, argument("--json", action="store_true", help="one JSON object")
 )
-
-
-def add_parser(subparsers: Subparsers) -> None:
-    """Declare the command."""
-    parser = add_command(subparsers, "info", "say which controller this is", _DESCRIPTION, _EXAMPLES)
-    add_address(parser)
-    parser.add_argument("--json", action="store_true", help="one JSON object")
-    parser.set_defaults(run=run)
-
-
 def run(args: argparse.Namespace) -> int:
-    """Ask, and print the answer."""
+    """Say which controller this is: firmware and arm, and what this library knows of that firmware.
+
+    Sizes and rates are those of the row of the firmware table that holds for it; `evidence` says what backs that
+    row. If a controller does not send its version, the firmware is the oldest that sends packages of the same
+    sizes, and is said to be inferred. Of a recording it says what is missing in it.
+
+    examples:
+      urlink info 192.168.56.101
+      urlink info 'sim://ur10?firmware=3.4'
+      urlink info replay:///tmp/run.urlog --json
+    """
     with connect(args.address, timeout=args.connect_timeout) as robot:
         answer = _facts(robot)
     if args.json:

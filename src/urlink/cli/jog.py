@@ -10,33 +10,12 @@ import sys
 from collections.abc import Iterator
 from typing import get_args
 
-from linkcore.cli.program import Interruption
+from linkcore.cli.terminal import Interruption
 from linkcore.errors import LocalError
 
 from ..motion.jog import FULL_SPEED, FrameName, Jog
 from ..robot import Robot, connect
-from .options import Subparsers, add_address, add_command, seconds
-
-__all__ = ["add_parser"]
-
-_DESCRIPTION = """\
-Move the arm by the keys of a terminal. THE ARM MOVES while a key is held, and brakes when it is released.
-
-  1 2 3 4 5 6   joints 1 to 6 one way; in a frame of the tool: along x, y, z and about x, y, z
-  q w e r t y   the other way
-  f             from joints to the base frame, to the tool frame, and back
-  + -           faster, slower
-  space         brake
-  x, Ctrl-C     end
-
-A terminal reports a held key by sending it again and again, the second time after a pause. --hold says for how
-long the arm moves after each of them: if this is shorter than the pause, the arm stutters at first."""
-
-_EXAMPLES = (
-    "urlink jog 192.168.56.101",
-    "urlink jog sim:// --frame tool --speed 0.2",
-    "urlink jog 192.168.56.101 --speed 0.05 --hold 1",
-)
+from .options import ADDRESS, argument, command, seconds
 
 #: Keys that move each of the six one way, and the other way.
 _FORWARD, _BACKWARD = b"123456", b"qwerty"
@@ -44,17 +23,6 @@ _FORWARD, _BACKWARD = b"123456", b"qwerty"
 _SLOWEST, _FACTOR = 0.01, 1.5
 #: Bytes that end it: x, Ctrl-C if the terminal sends it as a byte, Ctrl-D.
 _END = b"x\x03\x04"
-
-
-def add_parser(subparsers: Subparsers) -> None:
-    """Declare the command."""
-    parser = add_command(subparsers, "jog", "move the arm by keys", _DESCRIPTION, _EXAMPLES)
-    add_address(parser)
-    frames = get_args(FrameName)
-    parser.add_argument("--frame", choices=frames, default=frames[0], help=f"what keys move at first ({frames[0]})")
-    parser.add_argument("--speed", type=_part, default=0.2, metavar="PART", help="part of full speed, 0.01 to 1 (0.2)")
-    parser.add_argument("--hold", type=_hold, default=0.6, metavar="S", help="move for S seconds after each key (0.6)")
-    parser.set_defaults(run=run)
 
 
 def _part(text: str) -> float:
@@ -73,12 +41,31 @@ def _hold(text: str) -> float:
     return seconds(text)
 
 
+@command(
+    "jog",
+    "move the arm by keys",
+    *ADDRESS,
+    argument("--frame", choices=get_args(FrameName), default="joints", help="what keys move at first (joints)"),
+    argument("--speed", type=_part, default=0.2, metavar="PART", help="part of full speed, 0.01 to 1 (0.2)"),
+    argument("--hold", type=_hold, default=0.6, metavar="S", help="move for S seconds after each key (0.6)"),
+)
 def run(args: argparse.Namespace) -> int:
-    """Move by keys until one of them ends it, or a signal.
+    """Move the arm by the keys of a terminal. THE ARM MOVES while a key is held, and brakes when it is released.
 
-    Raises:
-        LocalError: there is no terminal.
-        LinkError: the error that ended it.
+      1 2 3 4 5 6   joints 1 to 6 one way; in a frame of the tool: along x, y, z and about x, y, z
+      q w e r t y   the other way
+      f             from joints to the base frame, to the tool frame, and back
+      + -           faster, slower
+      space         brake
+      x, Ctrl-C     end
+
+    A terminal reports a held key by sending it again and again, the second time after a pause. --hold says for how
+    long the arm moves after each of them: if this is shorter than the pause, the arm stutters at first.
+
+    examples:
+      urlink jog 192.168.56.101
+      urlink jog sim:// --frame tool --speed 0.2
+      urlink jog 192.168.56.101 --speed 0.05 --hold 1
     """
     with (
         _keys() as terminal,
@@ -90,8 +77,7 @@ def run(args: argparse.Namespace) -> int:
             hand.use(terminal, interruption)
         q = robot.realtime.wait().q_actual
         print(f"q: {', '.join(f'{each:.4f}' for each in q)}", flush=True)
-    interruption.raise_if_any()
-    return 0
+    return interruption.status
 
 
 class _Hand:

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import os
-import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
 
-from linkcore.cli.program import Interruption
+from linkcore.cli.terminal import Interruption, drawing
 from linkcore.errors import LinkError, LinkTimeout
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from linkcore.streaming.stream import Stream
@@ -20,67 +18,59 @@ from ..address import RecordingAddress, SimulatorAddress, parse_address
 from ..interfaces.primary.robot_message import RobotMessage, UnnamedMessage12, VersionMessage
 from ..robot import Robot, connect
 from .glance import Glance, StreamStatus, line, status_of
-from .options import Subparsers, add_address, add_command, add_interface, seconds
+from .options import ADDRESS, DURATION, argument, command, interface_of, tell
 from .reading import Reading, read
 from .values import as_text
 
-__all__ = ["add_parser", "watch", "with_motion"]
+if TYPE_CHECKING:
+    from .picture import Picture
 
-_DESCRIPTION = """\
-Watch a robot: joints, tool, modes, inputs and outputs, and how regularly its data arrives.
+__all__ = ["watch", "with_motion"]
 
-On a terminal the view is drawn ten times a second; elsewhere it is one line a second, as with --plain. It
-says SLOW where less than 95 % of the states that the controller sends arrive, and counts as missed what
-never came by the controller's own clock. When the connection is lost the view says LOST, shows the last
-values as old, and goes on as soon as the controller is back. The real-time interface shows tool speed and
-force 125 or 500 times a second; the primary interface ten times a second, with the analogue signals and
-the messages of the controller."""
 
-_EXAMPLES = (
-    "urlink monitor 192.168.56.101",
-    "urlink monitor 'sim://ur10?firmware=3.4' --interface primary",
-    "urlink monitor 'replay:///tmp/run.urlog?rate=2' --plain",
+@command(
+    "monitor",
+    "watch a robot live",
+    *ADDRESS,
+    interface_of(("realtime", "primary")),
+    DURATION,
+    argument("--plain", action="store_true", help="plain lines, one a second, also on a terminal"),
 )
-
-
-def add_parser(subparsers: Subparsers) -> None:
-    """Declare the command."""
-    parser = add_command(subparsers, "monitor", "watch a robot live", _DESCRIPTION, _EXAMPLES)
-    add_address(parser)
-    add_interface(parser, ("realtime", "primary"))
-    parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds (never)")
-    parser.add_argument("--plain", action="store_true", help="plain lines, one a second, also on a terminal")
-    parser.set_defaults(run=run)
-
-
 def run(args: argparse.Namespace) -> int:
-    """Watch until the time is up, a recording is over, or Ctrl-C.
+    """Watch a robot: joints, tool, modes, inputs and outputs, and how regularly its data arrives.
 
-    Raises:
-        RemoteError: the robot cannot be connected to, or no state came.
+    On a terminal the view is drawn ten times a second; elsewhere it is one line a second, as with --plain. It
+    says SLOW where less than 95 % of the states that the controller sends arrive, and counts as missed what
+    never came by the controller's own clock. When the connection is lost the view says LOST, shows the last
+    values as old, and goes on as soon as the controller is back. The real-time interface shows tool speed and
+    force 125 or 500 times a second; the primary interface ten times a second, with the analogue signals and
+    the messages of the controller.
+
+    examples:
+      urlink monitor 192.168.56.101
+      urlink monitor 'sim://ur10?firmware=3.4' --interface primary
+      urlink monitor 'replay:///tmp/run.urlog?rate=2' --plain
     """
     with connect(with_motion(args.address), timeout=args.connect_timeout) as robot:
         glances = watch(robot, args.interface)
         next(glances)  # connects: an error is printed before anything is drawn
-        show, pause = _painter(args.plain)
-        until = None if args.duration is None else time.monotonic() + args.duration
-        with Interruption() as interruption, show as draw:
-            _await_first(glances, interruption, until)
+        with Interruption(args.duration) as interruption, drawing(args.plain, tell, _line, _picture) as (draw, pause):
+            _await_first(glances, interruption)
             while True:
-                glance = next(glances)
-                over = glance.status is StreamStatus.ENDED or (until is not None and time.monotonic() >= until)
                 # Once more at the end, so that the last values stay on the screen.
+                is_over = interruption.is_over
+                glance = next(glances)
                 draw(glance)
-                if over or interruption.wait(_next(pause, until)):
+                if is_over or glance.status is StreamStatus.ENDED:
                     break
-        interruption.raise_if_any()
-        if glance.reading is None:
+                interruption.wait(pause)
+        if glance.reading is None and interruption.number is None:
             raise LinkTimeout(
                 f"{args.address}: no state came"
                 + ("" if args.duration is None else f" within {args.duration:g} s")
                 + ("" if glance.trouble is None else f" ({glance.trouble})")
             )
-    return 0
+    return interruption.status
 
 
 def with_motion(address: str) -> str:
@@ -91,18 +81,13 @@ def with_motion(address: str) -> str:
     return f"{address}{'&' if '?' in address else '?'}motion=demo"
 
 
-def _await_first(glances: Iterator[Glance], interruption: Interruption, until: float | None) -> None:
+def _await_first(glances: Iterator[Glance], interruption: Interruption) -> None:
     """Wait briefly for the first state, so that the first picture has values."""
     deadline = time.monotonic() + 0.5
-    deadline = deadline if until is None else min(deadline, until)
     while time.monotonic() < deadline:
         glance = next(glances)
         if glance.reading is not None or glance.status is StreamStatus.ENDED or interruption.wait(0.01):
             break
-
-
-def _next(pause: float, until: float | None) -> float:
-    return pause if until is None else max(min(pause, until - time.monotonic()), 0.0)
 
 
 def watch(robot: Robot, interface: str) -> Iterator[Glance]:
@@ -194,37 +179,11 @@ class _Name:
             self._text = f"{identity.model or 'UR'}  firmware {identity.firmware}"
 
 
-_Draw = Callable[[Glance], None]
+def _line(glance: Glance) -> str:
+    return line(glance, time.strftime("%H:%M:%S"))
 
 
-def _painter(plain: bool) -> tuple[contextlib.AbstractContextManager[_Draw], float]:
-    """The function that shows glances, and the seconds between two of them."""
-    if plain or not sys.stdout.isatty() or os.environ.get("TERM") == "dumb":
-        return _lines(), 1.0
-    try:
-        import rich  # noqa: F401
-    except ImportError:
-        print("urlink: plain lines, since rich is not installed; pip install 'urlink[cli]' adds it", file=sys.stderr)
-        return _lines(), 1.0
-    return _pictures(), 0.1
+def _picture(glance: Glance) -> Picture:
+    from .picture import Picture  # it needs rich
 
-
-@contextlib.contextmanager
-def _lines() -> Iterator[_Draw]:
-    def draw(glance: Glance) -> None:
-        print(line(glance, time.strftime("%H:%M:%S")), flush=True)
-
-    yield draw
-
-
-@contextlib.contextmanager
-def _pictures() -> Iterator[_Draw]:
-    from rich.console import Console
-    from rich.live import Live
-
-    from .picture import Picture
-
-    # The last picture stays on the screen, where it can be read and copied.
-    console, to_terminal = Console(), sys.stderr.isatty()
-    with Live(console=console, auto_refresh=False, vertical_overflow="crop", redirect_stderr=to_terminal) as live:
-        yield lambda glance: live.update(Picture(glance), refresh=True)
+    return Picture(glance)

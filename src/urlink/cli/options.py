@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
-import argparse
 import math
 import sys
 import time
 from collections.abc import Iterator, Sequence
 from typing import Any, Literal
 
-from linkcore.cli.options import Subparsers, add_command, positive_int, positive_number, seconds
+from linkcore.cli.options import (
+    DURATION,
+    RECORDING,
+    Row,
+    argument,
+    command,
+    one_of,
+    positive_int,
+    positive_number,
+    seconds,
+)
 from linkcore.errors import LinkTimeout
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from linkcore.streaming.packet_queue import drop_oldest
@@ -18,11 +27,16 @@ from linkcore.text import printable
 from linkcore.wire.cycles import Missing
 
 __all__ = [
-    "Subparsers",
+    "ADDRESS",
+    "CONNECT_TIMEOUT",
+    "DURATION",
+    "RECORDING",
     "Tap",
-    "add_address",
-    "add_command",
-    "add_interface",
+    "address",
+    "argument",
+    "command",
+    "interface_of",
+    "one_of",
     "positive_int",
     "positive_number",
     "seconds",
@@ -31,19 +45,23 @@ __all__ = [
 
 _ADDRESS = "a host (192.168.56.101, ur://host?primary=40001), sim://, sim://ur10?firmware=3.4, or replay:///file"
 
+CONNECT_TIMEOUT = argument(
+    "--connect-timeout", type=seconds, default=5.0, metavar="S", help="give up connecting after S seconds (5)"
+)
 
-def add_address(parser: argparse.ArgumentParser, nargs: Literal["?"] | None = None) -> None:
+
+def address(nargs: Literal["?"] | None = None) -> tuple[Row, Row]:
     """The address of a robot, which may be left out where `nargs` is "?", and how long to wait for it."""
-    parser.add_argument("address", metavar="ADDRESS", nargs=nargs, help=_ADDRESS)
-    parser.add_argument(
-        "--connect-timeout", type=seconds, default=5.0, metavar="S", help="give up connecting after S seconds (5)"
-    )
+    return argument("address", metavar="ADDRESS", nargs=nargs, help=_ADDRESS), CONNECT_TIMEOUT
 
 
-def add_interface(parser: argparse.ArgumentParser, choices: Sequence[str], default: str = "realtime") -> None:
+ADDRESS = address()
+
+
+def interface_of(choices: Sequence[str]) -> Row:
     """Which interface of the controller to read."""
-    parser.add_argument(
-        "--interface", choices=choices, default=default, help=f"interface of the controller to read ({default})"
+    return argument(
+        "--interface", choices=choices, default="realtime", help="interface of the controller to read (realtime)"
     )
 
 

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
-from linkcore.cli.options import ProgressBar, add_export
-from linkcore.cli.program import Interruption
+from linkcore.cli.options import export, exporting
+from linkcore.cli.terminal import Interruption, ProgressBar
 from linkcore.recording.file import Kind, Progress, RecordingFile
 from linkcore.streaming.connection_life import ConnectionState
 from linkcore.streaming.stream import Stream
@@ -20,61 +20,41 @@ from linkcore.wire.packet import State
 
 from ..decoding import INTERFACES
 from ..robot import connect
-from .echo import add_options, echo, kind_of, shower
-from .options import Subparsers, add_address, add_command, positive_int, seconds, tell
+from .echo import PRINTED, echo, kind_of, shower
+from .options import ADDRESS, DURATION, RECORDING, argument, command, positive_int, tell
 from .summary import summarise
 
 if TYPE_CHECKING:
     from ..data.recording import Recording as Columns
 
-__all__ = ["add_parser"]
 
-
-def add_parser(subparsers: Subparsers) -> None:
-    """Declare the commands."""
-    for add in (_add_record, _add_replay, _add_plot, _add_export):
-        add(subparsers)
-
-
-_RECORD = """\
-Record the raw bytes of one or more interfaces, with the times at which they came, into a new file.
-
-Every byte is kept, whether this library can decode it or not. A lost connection is noted and made again.
-Ctrl-C, SIGTERM, --duration and --count end the recording properly. After a crash the file can still be read
-up to the crash. Play it with `urlink replay`, look into it with `urlink dissect`, or use it as an address:
-replay:///path/to/file. A file that ends in .mcap gets messages of ROS 2 instead, for Foxglove and ros2 bag,
-which cannot be replayed (pip install 'urlink[mcap]')."""
-
-_RECORD_EXAMPLES = (
-    "urlink record 192.168.56.101 run.urlog",
-    "urlink record sim:// run.urlog --interface realtime --duration 10",
-    "urlink record 192.168.56.101 run.urlog --interface primary --interface secondary --count 100",
-)
-
-
-def _add_record(subparsers: Subparsers) -> None:
-    parser = add_command(subparsers, "record", "record what a robot sends", _RECORD, _RECORD_EXAMPLES)
-    add_address(parser)
-    parser.add_argument("file", metavar="FILE", help="file to make; it must not exist yet")
-    parser.add_argument(
+@command(
+    "record",
+    "record what a robot sends",
+    *ADDRESS,
+    argument("file", metavar="FILE", help="file to make; it must not exist yet"),
+    argument(
         "--interface",
         action="append",
         choices=INTERFACES,
         help="interface to record; can be repeated (realtime and primary)",
-    )
-    parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds (never)")
-    parser.add_argument(
-        "--count", type=positive_int, metavar="N", help="end when N packets have come on each interface (never)"
-    )
-    parser.set_defaults(run=_record)
-
-
+    ),
+    DURATION,
+    argument("--count", type=positive_int, metavar="N", help="end when N packets have come on each interface (never)"),
+)
 def _record(args: argparse.Namespace) -> int:
-    """Record until interrupted, and print what is in the file.
+    """Record the raw bytes of one or more interfaces, with the times at which they came, into a new file.
 
-    Raises:
-        BadRecording: the file exists, or cannot be made.
-        RemoteError: the robot cannot be connected to, or a stream gave up.
+    Every byte is kept, whether this library can decode it or not. A lost connection is noted and made again.
+    Ctrl-C, SIGTERM, --duration and --count end the recording properly. After a crash the file can still be read
+    up to the crash. Play it with `urlink replay`, look into it with `urlink dissect`, or use it as an address:
+    replay:///path/to/file. A file that ends in .mcap gets messages of ROS 2 instead, for Foxglove and ros2 bag,
+    which cannot be replayed (pip install 'urlink[mcap]').
+
+    examples:
+      urlink record 192.168.56.101 run.urlog
+      urlink record sim:// run.urlog --interface realtime --duration 10
+      urlink record 192.168.56.101 run.urlog --interface primary --interface secondary --count 100
     """
     interfaces = list(dict.fromkeys(args.interface or ("realtime", "primary")))
     with connect(args.address, timeout=args.connect_timeout) as robot, Interruption() as interruption:
@@ -82,11 +62,8 @@ def _record(args: argparse.Namespace) -> int:
         with robot.record(args.file, interfaces), ProgressBar("recording", args.quiet) as progress:
             tell(f"recording {' and '.join(interfaces)} of {args.address} into {args.file}; Ctrl-C ends it")
             begin = time.monotonic()
-            until = None if args.duration is None else begin + args.duration
-            while until is None or time.monotonic() < until:
-                left = 0.05 if until is None else min(0.05, max(until - time.monotonic(), 0.0))
-                if interruption.wait(left):
-                    break
+            interruption.end_after(args.duration)
+            while not interruption.wait(0.05):
                 fewest = min(stream.stats.received for stream in streams)
                 progress(
                     max(
@@ -107,33 +84,7 @@ def _record(args: argparse.Namespace) -> int:
         with ProgressBar(f"reading {args.file}", args.quiet) as progress:
             summary = summarise(RecordingFile(args.file, progress), progress)
         print(summary.as_text())
-    interruption.raise_if_any()
-    return 0
-
-
-_REPLAY = """\
-Print what is in a recording; with --rate, play it.
-
-Without --rate: interfaces, robot, duration, bytes, packets, gaps, lost connections, and whether the file was
-closed properly. With --rate the packets are printed as `urlink echo` prints them, with the same options, and
-at the times at which they came, divided by the rate; `--rate max` prints them at once.
-
-A recording is an address as well: `urlink monitor replay:///tmp/run.urlog?rate=2` watches it, and so does
-every other command that takes one."""
-
-_REPLAY_EXAMPLES = (
-    "urlink replay run.urlog",
-    "urlink replay run.urlog --rate 1 q_actual tcp_force",
-    "urlink replay run.urlog --rate max --interface primary --json > states.jsonl",
-)
-
-
-def _add_replay(subparsers: Subparsers) -> None:
-    parser = add_command(subparsers, "replay", "print what is in a recording, or play it", _REPLAY, _REPLAY_EXAMPLES)
-    parser.add_argument("file", metavar="FILE", help="a recording")
-    add_options(parser)
-    parser.add_argument("--rate", type=_rate, metavar="R", help="play at R times the recorded speed, or max")
-    parser.set_defaults(run=_replay)
+    return interruption.status
 
 
 def _rate(text: str) -> str:
@@ -148,11 +99,27 @@ def _rate(text: str) -> str:
     return text
 
 
+@command(
+    "replay",
+    "print what is in a recording, or play it",
+    RECORDING,
+    *PRINTED,
+    argument("--rate", type=_rate, metavar="R", help="play at R times the recorded speed, or max"),
+)
 def _replay(args: argparse.Namespace) -> int:
-    """Print a summary, or play.
+    """Print what is in a recording; with --rate, play it.
 
-    Raises:
-        BadRecording: no such file, or no recording, or it does not have this interface.
+    Without --rate: interfaces, robot, duration, bytes, packets, gaps, lost connections, and whether the file was
+    closed properly. With --rate the packets are printed as `urlink echo` prints them, with the same options, and
+    at the times at which they came, divided by the rate; `--rate max` prints them at once.
+
+    A recording is an address as well: `urlink monitor replay:///tmp/run.urlog?rate=2` watches it, and so does
+    every other command that takes one.
+
+    examples:
+      urlink replay run.urlog
+      urlink replay run.urlog --rate 1 q_actual tcp_force
+      urlink replay run.urlog --rate max --interface primary --json > states.jsonl
     """
     if args.rate is None:
         for name in ("fields", "interface", "type", "count", "timeout"):
@@ -193,22 +160,6 @@ def _drawing(
     return show_and_draw
 
 
-_EXPORT = """\
-Write a recording to a file of another program: .csv, .parquet, .mat (MATLAB), .h5 (HDF5) or .mcap (Foxglove,
-ros2 bag), by its suffix.
-
-Without fields everything is written; into .csv and .parquet, which hold one table, everything of the first
-stream that was recorded. Fields are named as `urlink echo` names them: q_actual, joint_data.T_motor,
-rtde.actual_q. A file of that name is replaced once the new one is complete. .parquet, .mat, .h5 and .mcap need the
-extra of the same name: pip install 'urlink[mcap]', or 'urlink[data]' for all."""
-
-_EXPORT_EXAMPLES = (
-    "urlink export run.urlog run.csv q_actual tcp_force",
-    "urlink export run.urlog run.parquet --rate 100",
-    "urlink export run.urlog run.mcap",
-)
-
-
 def _load(path: str, *, progress: Progress | None = None) -> Columns:
     """A recording as columns, which `record` and `replay` do without."""
     from ..data.recording import load
@@ -216,49 +167,43 @@ def _load(path: str, *, progress: Progress | None = None) -> Columns:
     return load(path, progress=progress)
 
 
-def _add_export(subparsers: Subparsers) -> None:
-    add_export(
-        subparsers,
-        _EXPORT,
-        _EXPORT_EXAMPLES,
-        _load,
-        lambda recording: f"{recording.duration:.1f} s of {', '.join(recording.tables)}",
-        tell,
-    )
+@exporting
+def _export(args: argparse.Namespace) -> int:
+    """Write a recording to a file of another program: .csv, .parquet, .mat (MATLAB), .h5 (HDF5) or .mcap (Foxglove,
+    ros2 bag), by its suffix.
+
+    Without fields everything is written; into .csv and .parquet, which hold one table, everything of the first
+    stream that was recorded. Fields are named as `urlink echo` names them: q_actual, joint_data.T_motor,
+    rtde.actual_q. A file of that name is replaced once the new one is complete. .parquet, .mat, .h5 and .mcap need the
+    extra of the same name: pip install 'urlink[mcap]', or 'urlink[data]' for all.
+
+    examples:
+      urlink export run.urlog run.csv q_actual tcp_force
+      urlink export run.urlog run.parquet --rate 100
+      urlink export run.urlog run.mcap
+    """
+    return export(args, _load, lambda recording: f"{recording.duration:.1f} s of {', '.join(recording.tables)}", tell)
 
 
-_PLOT = """\
-Draw fields of a recording over time, a panel for each: in a window, or into a .png, .svg or .pdf.
-
-Fields are named as `urlink export` names them: q_actual, joint_data.T_motor, rtde.actual_q. It needs the extra
-plot: pip install 'urlink[plot]'."""
-
-_PLOT_EXAMPLES = (
-    "urlink plot run.urlog q_actual tcp_force",
-    "urlink plot run.urlog q_actual --output q.svg",
-    "urlink plot run.urlog tcp_force --start 2 --end 4.5 --output contact.png",
+@command(
+    "plot",
+    "draw fields of a recording",
+    RECORDING,
+    argument("fields", metavar="FIELD", nargs="+", help="field to draw; the first one is at the top", trailing=True),
+    argument("--output", "-o", metavar="OUT", help="picture to write (a window)"),
+    argument("--start", type=float, default=0.0, metavar="S", help="second at which it begins (0)"),
+    argument("--end", type=float, default=float("inf"), metavar="S", help="second at which it ends (the last)"),
 )
-
-
-def _add_plot(subparsers: Subparsers) -> None:
-    parser = add_command(subparsers, "plot", "draw fields of a recording", _PLOT, _PLOT_EXAMPLES)
-    parser.add_argument("file", metavar="FILE", help="a recording")
-    parser.add_argument("fields", metavar="FIELD", nargs="+", help="field to draw; the first one is at the top")
-    parser.add_argument("--output", "-o", metavar="OUT", help="picture to write (a window)")
-    parser.add_argument("--start", type=float, default=0.0, metavar="S", help="second at which it begins (0)")
-    parser.add_argument(
-        "--end", type=float, default=float("inf"), metavar="S", help="second at which it ends (the last)"
-    )
-    parser.set_defaults(run=_plot, trailing="fields")
-
-
 def _plot(args: argparse.Namespace) -> int:
-    """Draw the fields.
+    """Draw fields of a recording over time, a panel for each: in a window, or into a .png, .svg or .pdf.
 
-    Raises:
-        BadRecording: no such recording, or the picture cannot be written.
-        BadValue: no such field, or unknown suffix of the picture.
-        LocalError: matplotlib is not installed.
+    Fields are named as `urlink export` names them: q_actual, joint_data.T_motor, rtde.actual_q. It needs the extra
+    plot: pip install 'urlink[plot]'.
+
+    examples:
+      urlink plot run.urlog q_actual tcp_force
+      urlink plot run.urlog q_actual --output q.svg
+      urlink plot run.urlog tcp_force --start 2 --end 4.5 --output contact.png
     """
     with ProgressBar(f"reading {args.file}", args.quiet) as progress:
         recording = _load(args.file, progress=progress)

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
 from typing import Any
 
-from linkcore.cli.completion import completed_from
 from linkcore.errors import BadValue
 from linkcore.text import strict_json
 from linkcore.wire.packet import State
@@ -20,57 +19,51 @@ from ..interfaces.rtde.recipes import Outputs
 from ..robot import Robot, connect
 from ..rtde import INPUTS, OUTPUTS, OutputStream, Variable
 from .hz import measure
-from .options import Subparsers, Tap, add_address, add_command, positive_int, seconds, tell
+from .options import ADDRESS, DURATION, Tap, argument, command, one_of, positive_int, seconds, tell
 from .values import as_json, as_text, plain
 
-__all__ = ["add_parser"]
 
-_DESCRIPTION = """\
-Print variables of the controller over RTDE (port 30004), one line for each data package.
-
---list prints which variables this controller has, with their types and units, and which inputs another client
-holds. A variable that it does not have is an error, unless --leave-out is given. --record also writes the
-packages to a file; if the address is a recording, the variables need not be named."""
-
-_EXAMPLES = (
-    "urlink rtde 192.168.56.101 actual_q actual_TCP_pose --frequency 125",
-    "urlink rtde sim:// timestamp actual_q --csv --count 500 > run.csv",
-    "urlink rtde 192.168.56.101 --list",
-    "urlink rtde 192.168.56.101 timestamp --hz --duration 10",
-    "urlink rtde 192.168.56.101 actual_q output_double_register_24 --record run.urlog",
-    "urlink rtde replay:///tmp/run.urlog --json",
-)
-
-
-def add_parser(subparsers: Subparsers) -> None:
-    """Declare the command."""
-    parser = add_command(subparsers, "rtde", "print variables of the controller", _DESCRIPTION, _EXAMPLES)
-    add_address(parser)
-    names = parser.add_argument("names", metavar="NAME", nargs="*", help="variables to print, such as actual_q")
-    completed_from(names, lambda: OUTPUTS)
-    parser.set_defaults(trailing="names")
-    parser.add_argument("--list", action="store_true", help="print what this controller has, and end")
-    parser.add_argument("--frequency", type=float, metavar="HZ", help="packages a second (as many as it sends)")
-    parser.add_argument("--leave-out", action="store_true", help="leave out variables that it does not have")
-    form = parser.add_mutually_exclusive_group()
-    form.add_argument("--json", action="store_true", help="one JSON object a line; NaN and infinities are null")
-    form.add_argument("--csv", action="store_true", help="a header line, then one line each; a column for each number")
-    form.add_argument("--hz", action="store_true", help="measure how regularly packages come, as `urlink hz` does")
-    parser.add_argument("--record", metavar="FILE", help="record into a file too; it must not exist yet")
-    parser.add_argument(
+@command(
+    "rtde",
+    "print variables of the controller",
+    *ADDRESS,
+    argument(
+        "names",
+        metavar="NAME",
+        nargs="*",
+        help="variables to print, such as actual_q",
+        words=lambda: OUTPUTS,
+        trailing=True,
+    ),
+    argument("--list", action="store_true", help="print what this controller has, and end"),
+    argument("--frequency", type=float, metavar="HZ", help="packages a second (as many as it sends)"),
+    argument("--leave-out", action="store_true", help="leave out variables that it does not have"),
+    one_of(
+        argument("--json", action="store_true", help="one JSON object a line; NaN and infinities are null"),
+        argument("--csv", action="store_true", help="a header line, then one line each; a column for each number"),
+        argument("--hz", action="store_true", help="measure how regularly packages come, as `urlink hz` does"),
+    ),
+    argument("--record", metavar="FILE", help="record into a file too; it must not exist yet"),
+    argument(
         "--count", type=positive_int, metavar="N", help="end after N lines, which --hz prints each second (never)"
-    )
-    parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds (never)")
-    parser.add_argument("--timeout", type=seconds, metavar="S", help="fail when nothing comes for S seconds (never)")
-    parser.set_defaults(run=run)
-
-
+    ),
+    DURATION,
+    argument("--timeout", type=seconds, metavar="S", help="fail when nothing comes for S seconds (never)"),
+)
 def run(args: argparse.Namespace) -> int:
-    """Print until interrupted, or until there is nothing more to print.
+    """Print variables of the controller over RTDE (port 30004), one line for each data package.
 
-    Raises:
-        BadValue: a name or a frequency that no controller has.
-        RemoteError: the robot cannot be connected to, or the controller refuses.
+    --list prints which variables this controller has, with their types and units, and which inputs another client
+    holds. A variable that it does not have is an error, unless --leave-out is given. --record also writes the
+    packages to a file; if the address is a recording, the variables need not be named.
+
+    examples:
+      urlink rtde 192.168.56.101 actual_q actual_TCP_pose --frequency 125
+      urlink rtde sim:// timestamp actual_q --csv --count 500 > run.csv
+      urlink rtde 192.168.56.101 --list
+      urlink rtde 192.168.56.101 timestamp --hz --duration 10
+      urlink rtde 192.168.56.101 actual_q output_double_register_24 --record run.urlog
+      urlink rtde replay:///tmp/run.urlog --json
     """
     if args.list and args.duration is not None:
         args.usage_error("--list ends by itself; it takes no --duration")

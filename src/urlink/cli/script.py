@@ -6,47 +6,36 @@ import argparse
 import sys
 from pathlib import Path
 
-from linkcore.cli.program import Interruption
+from linkcore.cli.terminal import Interruption
 from linkcore.errors import BadValue, LinkError, LinkTimeout
 from linkcore.text import printable
 
 from ..errors import ScriptError
 from ..robot import Robot, connect
-from .options import Subparsers, add_address, add_command, seconds, tell
-
-__all__ = ["add_parser"]
-
-_DESCRIPTION = """\
-Send a URScript program, print the lines of its textmsg, and end when it does. THE ARM MOVES if the program
-says so.
-
-The program is a whole def, a sec, or bare statements, from a file or, with -, from stdin. Errors of the controller
-name the line and the column in that file. Ctrl-C stops the program."""
-
-_EXAMPLES = (
-    "urlink run 192.168.56.101 pick.script",
-    "echo 'textmsg(get_actual_joint_positions())' | urlink run sim:// -",
-    "urlink run sim:// pick.script --timeout 30",
-)
+from .options import ADDRESS, argument, command, seconds, tell
 
 #: Seconds to wait for a program that is being stopped.
 _STOPPING = 5.0
 
 
-def add_parser(subparsers: Subparsers) -> None:
-    """Declare the command."""
-    parser = add_command(subparsers, "run", "send a URScript program", _DESCRIPTION, _EXAMPLES)
-    add_address(parser)
-    parser.add_argument("file", metavar="FILE", help="the program; - for stdin")
-    parser.add_argument("--timeout", type=seconds, metavar="S", help="stop it after S seconds (never)")
-    parser.set_defaults(run=run)
-
-
+@command(
+    "run",
+    "send a URScript program",
+    *ADDRESS,
+    argument("file", metavar="FILE", help="the program; - for stdin"),
+    argument("--timeout", type=seconds, metavar="S", help="stop it after S seconds (never)"),
+)
 def run(args: argparse.Namespace) -> int:
-    """Send the program, and wait for its end.
+    """Send a URScript program, print the lines of its textmsg, and end when it does. THE ARM MOVES if the program
+    says so.
 
-    Raises:
-        LinkError: the error that ended it.
+    The program is a whole def, a sec, or bare statements, from a file or, with -, from stdin. Errors of the controller
+    name the line and the column in that file. Ctrl-C stops the program.
+
+    examples:
+      urlink run 192.168.56.101 pick.script
+      echo 'textmsg(get_actual_joint_positions())' | urlink run sim:// -
+      urlink run sim:// pick.script --timeout 30
     """
     source = _read(args.file)
     with Interruption() as interruption, connect(args.address, timeout=args.connect_timeout) as robot:
@@ -69,8 +58,7 @@ def run(args: argparse.Namespace) -> int:
             except ScriptError as error:
                 tell(f"{args.file}:{error.line}:{error.column}: {error.text}")
                 return 1
-    interruption.raise_if_any()
-    return 0
+    return interruption.status
 
 
 def _read(name: str) -> str:

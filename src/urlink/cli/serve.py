@@ -6,19 +6,18 @@ import argparse
 import contextlib
 import importlib.metadata
 import re
-import time
 from collections.abc import Iterable, Mapping
 from typing import Protocol, get_args
 
-from linkcore.cli.program import Interruption
+from linkcore.cli.terminal import Interruption
 from linkcore.errors import BadAddress, LocalError
 
 from ..address import RobotAddress, SimulatorAddress, parse_address
 from ..commanding.interlock import Policy
 from ..robot import Robot, connect
-from .options import Subparsers, add_command, seconds, tell
+from .options import CONNECT_TIMEOUT, DURATION, argument, command, seconds, tell
 
-__all__ = ["GROUP", "Adapter", "add_parser", "named"]
+__all__ = ["GROUP", "Adapter", "named"]
 
 #: The group of entry points in which a distribution names its adapter.
 GROUP = "urlink.serve"
@@ -32,19 +31,6 @@ _DISTRIBUTIONS = {
     "prometheus": ("urlink-prometheus", "metrics at an HTTP port: streams, safety, temperatures, programs"),
 }
 
-_DESCRIPTION = """\
-Serve robots to a middleware. Each adapter is a distribution of its own, so that this one needs no middleware;
-without KIND all adapters are listed, with whether they are installed.
-
-Options after KIND are those of the adapter and of the connection: `urlink serve KIND --help` lists them. Motions
-that a client requests pass the same interlock as those of a local program, and end when that client is lost."""
-
-_EXAMPLES = (
-    "urlink serve",
-    "urlink serve zenoh 192.168.56.101",
-    "urlink serve zenoh left=192.168.56.101 right=192.168.56.102 --connect tcp/fleet.local:7447",
-    "urlink serve -v ros2 arm=sim://ur5e",
-)
 
 #: A name that is valid in every middleware, for a topic, a key or a node.
 _NAME = re.compile(r"([A-Za-z][A-Za-z0-9_]*)=(.+)", re.DOTALL)
@@ -60,22 +46,53 @@ class Adapter(Protocol):
         """Serve the robots, by name, for as long as the context lasts; it does not close them."""
 
 
-def add_parser(subparsers: Subparsers) -> None:
-    """Declare the command."""
-    parser = add_command(subparsers, "serve", "serve robots to a middleware", _DESCRIPTION, _EXAMPLES)
-    parser.add_argument("kind", metavar="KIND", nargs="?", help="the middleware; without it, all are listed")
-    parser.add_argument(
+#: Options of every adapter: the robots, and how to connect to them.
+_OPTIONS = (
+    argument(
+        "addresses",
+        metavar="[NAME=]ADDRESS",
+        nargs="+",
+        help="a robot and its name; without NAME it is named after its address",
+    ),
+    CONNECT_TIMEOUT,
+    argument("--read-only", action="store_true", help="serve states only, and take no commands"),
+    argument(
+        "--require-enable",
+        choices=get_args(Policy),
+        default="never",
+        help="when motions have to be enabled: on_startup, or always: also after each stop (never)",
+    ),
+    argument(
+        "--watchdog",
+        type=seconds,
+        default=0.1,
+        metavar="S",
+        help="a trajectory: the arm brakes after S seconds without a set-point, 0.01 to 10 (0.1)",
+    ),
+    DURATION,
+)
+
+
+@command(
+    "serve",
+    "serve robots to a middleware",
+    argument("kind", metavar="KIND", nargs="?", help="the middleware; without it, all are listed"),
+    argument(
         "rest", metavar="[NAME=]ADDRESS ...", nargs=argparse.REMAINDER, help="the robots, and options of the adapter"
-    )
-    parser.set_defaults(run=run)
-
-
+    ),
+)
 def run(args: argparse.Namespace) -> int:
-    """Serve until interrupted.
+    """Serve robots to a middleware. Each adapter is a distribution of its own, so that this one needs no middleware;
+    without KIND all adapters are listed, with whether they are installed.
 
-    Raises:
-        LocalError: no such adapter is installed, or two robots have the same name.
-        RemoteError: a robot, or the middleware, cannot be connected to.
+    Options after KIND are those of the adapter and of the connection: `urlink serve KIND --help` lists them. Motions
+    that a client requests pass the same interlock as those of a local program, and end when that client is lost.
+
+    examples:
+      urlink serve
+      urlink serve zenoh 192.168.56.101
+      urlink serve zenoh left=192.168.56.101 right=192.168.56.102 --connect tcp/fleet.local:7447
+      urlink serve -v ros2 arm=sim://ur5e
     """
     installed = {entry.name: entry for entry in importlib.metadata.entry_points(group=GROUP)}
     if args.kind is None:
@@ -85,7 +102,8 @@ def run(args: argparse.Namespace) -> int:
         raise LocalError(_missing(args.kind, installed))
     adapter: Adapter = installed[args.kind].load()
     parser = argparse.ArgumentParser(prog=f"urlink serve {args.kind}")
-    _add_arguments(parser)
+    for row in _OPTIONS:
+        row(parser)
     adapter.add_arguments(parser)
     options = parser.parse_args(args.rest)
     try:
@@ -105,43 +123,13 @@ def run(args: argparse.Namespace) -> int:
             for name, address in addresses.items()
         }
         stack.enter_context(adapter.serve(robots, options))
-        until = None if options.duration is None else time.monotonic() + options.duration
+        interruption.end_after(options.duration)
         for name, robot in robots.items():
             tell(f"{name}: {robot.model or 'an arm'}, firmware {robot.firmware}, at {robot.address}")
         print(f"serving {', '.join(robots)} over {args.kind}; Ctrl-C ends it", flush=True)
-        while until is None or time.monotonic() < until:
-            if interruption.wait(1.0 if until is None else min(1.0, max(until - time.monotonic(), 0.0))):
-                break
-    interruption.raise_if_any()
-    return 0
-
-
-def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of every adapter: the robots, and how to connect to them."""
-    parser.add_argument(
-        "addresses",
-        metavar="[NAME=]ADDRESS",
-        nargs="+",
-        help="a robot and its name; without NAME it is named after its address",
-    )
-    parser.add_argument(
-        "--connect-timeout", type=seconds, default=5.0, metavar="S", help="give up connecting after S seconds (5)"
-    )
-    parser.add_argument("--read-only", action="store_true", help="serve states only, and take no commands")
-    parser.add_argument(
-        "--require-enable",
-        choices=get_args(Policy),
-        default="never",
-        help="when motions have to be enabled: on_startup, or always: also after each stop (never)",
-    )
-    parser.add_argument(
-        "--watchdog",
-        type=seconds,
-        default=0.1,
-        metavar="S",
-        help="a trajectory: the arm brakes after S seconds without a set-point, 0.01 to 10 (0.1)",
-    )
-    parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds (never)")
+        while not interruption.wait(1.0):
+            pass
+    return interruption.status
 
 
 def named(texts: Iterable[str]) -> dict[str, str]:

@@ -3,93 +3,28 @@
 from __future__ import annotations
 
 import argparse
-import time
 from pathlib import Path
 from typing import get_args
 
-from linkcore.cli.program import Interruption
+from linkcore.cli.terminal import Interruption
 
 from ..address import Motion
-from .options import Subparsers, add_command, seconds, tell
+from .options import DURATION, argument, command, tell
 
-__all__ = ["add_parser"]
-
-_DESCRIPTION = """\
-Run a simulated controller until Ctrl-C, SIGTERM or --duration, and print the address to connect to.
-
-It serves the primary, secondary and real-time interface, their read-only twins, RTDE and the dashboard, each to a
-hundred clients, in the wire format of the firmware. The arm stands still, or with --motion demo moves slowly
-about a home posture, until a program is sent, which it then runs. With --ports standard it has the ports of a
-real controller, where other programs expect them. --like ursim makes it begin as URSim, the vendor's simulator,
-does: in URSim's posture, in local control, and with "Default program" loaded.
-
-Faults happen at their time, in seconds from the start, as NAME[=ARGUMENT]@SECONDS:
-"""
-
-_EXAMPLES = (
-    "urlink sim",
-    "urlink sim --model UR10 --firmware 3.4 --ports standard",
-    "urlink sim --fault protective_stop@5 --fault clear@8 --fault reboot=5.12@15",
-    "urlink sim --duration 60 --fault garbage=100@2 --fault stall=3@10",
-    "urlink sim --program pick.urp=pick.script",
-    "urlink sim --like ursim --ports standard --noise off",
-)
 #: rad. The joints of URSim when it starts, as the vendor's integration tests find them.
 _URSIM_POSTURE = (-1.6, -1.72, -2.2, -0.8, 1.6, 0.03)
 _URSIM_PROGRAM = "Default program"
-
-
-def add_parser(subparsers: Subparsers) -> None:
-    """Declare the command."""
-    parser = add_command(subparsers, "sim", "run a simulated controller", _DESCRIPTION + _faults(), _EXAMPLES)
-    parser.add_argument("--model", metavar="NAME", help="arm: UR3, UR5, UR10, UR5e, UR16e, UR20, ... (UR5e)")
-    parser.add_argument("--firmware", metavar="X.Y", help="controller software (the newest that suits the arm)")
-    parser.add_argument(
-        "--host", default="127.0.0.1", metavar="H", help="address to listen on, 0.0.0.0 for all (127.0.0.1)"
-    )
-    parser.add_argument(
-        "--ports", choices=("standard", "free"), default="free", help="30001 and so on, or any that are free (free)"
-    )
-    parser.add_argument(
-        "--fault", action="append", default=[], metavar="FAULT", help="make a fault happen; can be repeated"
-    )
-    parser.add_argument(
-        "--program",
-        action="append",
-        default=[],
-        type=_program,
-        metavar="NAME=FILE",
-        help="a URScript file that the dashboard can load as NAME; can be repeated",
-    )
-    parser.add_argument(
-        "--motion",
-        choices=get_args(Motion),
-        default="still",
-        help="stand still until a program is sent, or move about a home posture (still)",
-    )
-    parser.add_argument("--noise", choices=("on", "off"), default="on", help="noise of the sensors (on)")
-    parser.add_argument(
-        "--scene",
-        metavar="FILE",
-        help="bodies around the arm, such as table.xml of MuJoCo by pip install urlink-mujoco",
-    )
-    parser.add_argument("--like", choices=("ursim",), help="begin as URSim does")
-    parser.add_argument(
-        "--local-control", action="store_true", help="as an e-Series in local control: commands only from the pendant"
-    )
-    parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds (never)")
-    parser.set_defaults(run=run)
 
 
 def _faults() -> str:
     from ..simulator.faults import FAULTS
 
     lines = []
-    for name, argument in FAULTS.items():
-        if argument is None:
+    for name, takes in FAULTS.items():
+        if takes is None:
             lines.append(f"  {name}")
         else:
-            _, meaning, optional = argument
+            _, meaning, optional = takes
             lines.append(f"  {name}{'[=...]' if optional else '=...'}".ljust(28) + meaning)
     return "\n".join(lines)
 
@@ -104,11 +39,61 @@ def _program(text: str) -> tuple[str, str]:
         raise argparse.ArgumentTypeError(f"cannot read {file!r}: {error}") from error
 
 
+@command(
+    "sim",
+    "run a simulated controller",
+    argument("--model", metavar="NAME", help="arm: UR3, UR5, UR10, UR5e, UR16e, UR20, ... (UR5e)"),
+    argument("--firmware", metavar="X.Y", help="controller software (the newest that suits the arm)"),
+    argument("--host", default="127.0.0.1", metavar="H", help="address to listen on, 0.0.0.0 for all (127.0.0.1)"),
+    argument(
+        "--ports", choices=("standard", "free"), default="free", help="30001 and so on, or any that are free (free)"
+    ),
+    argument("--fault", action="append", default=[], metavar="FAULT", help="make a fault happen; can be repeated"),
+    argument(
+        "--program",
+        action="append",
+        default=[],
+        type=_program,
+        metavar="NAME=FILE",
+        help="a URScript file that the dashboard can load as NAME; can be repeated",
+    ),
+    argument(
+        "--motion",
+        choices=get_args(Motion),
+        default="still",
+        help="stand still until a program is sent, or move about a home posture (still)",
+    ),
+    argument("--noise", choices=("on", "off"), default="on", help="noise of the sensors (on)"),
+    argument(
+        "--scene",
+        metavar="FILE",
+        help="bodies around the arm, such as table.xml of MuJoCo by pip install urlink-mujoco",
+    ),
+    argument("--like", choices=("ursim",), help="begin as URSim does"),
+    argument(
+        "--local-control", action="store_true", help="as an e-Series in local control: commands only from the pendant"
+    ),
+    DURATION,
+    listing=_faults,
+)
 def run(args: argparse.Namespace) -> int:
-    """Serve until interrupted.
+    """Run a simulated controller until Ctrl-C, SIGTERM or --duration, and print the address to connect to.
 
-    Raises:
-        LocalError: no such model, firmware or fault, the ports are taken, or nothing is installed that opens the scene.
+    It serves the primary, secondary and real-time interface, their read-only twins, RTDE and the dashboard, each to a
+    hundred clients, in the wire format of the firmware. The arm stands still, or with --motion demo moves slowly
+    about a home posture, until a program is sent, which it then runs. With --ports standard it has the ports of a
+    real controller, where other programs expect them. --like ursim makes it begin as URSim, the vendor's simulator,
+    does: in URSim's posture, in local control, and with "Default program" loaded.
+
+    Faults happen at their time, in seconds from the start, as NAME[=ARGUMENT]@SECONDS:
+
+    examples:
+      urlink sim
+      urlink sim --model UR10 --firmware 3.4 --ports standard
+      urlink sim --fault protective_stop@5 --fault clear@8 --fault reboot=5.12@15
+      urlink sim --duration 60 --fault garbage=100@2 --fault stall=3@10
+      urlink sim --program pick.urp=pick.script
+      urlink sim --like ursim --ports standard --noise off
     """
     from ..simulator import HOME, Controller, Demonstration, Still, parse_fault
 
@@ -131,11 +116,9 @@ def run(args: argparse.Namespace) -> int:
     controller.remote_control = not args.local_control and args.like is None
     controller.schedule(*faults)
     with Interruption() as interruption, controller:
-        until = None if args.duration is None else time.monotonic() + args.duration
         tell(f"{controller.model.name}, firmware {controller.firmware}; Ctrl-C ends it; connect to")
         print(controller.address, flush=True)
-        while until is None or time.monotonic() < until:
-            if interruption.wait(1.0 if until is None else min(1.0, until - time.monotonic())):
-                break
-    interruption.raise_if_any()
-    return 0
+        interruption.end_after(args.duration)
+        while not interruption.wait(1.0):
+            pass
+    return interruption.status

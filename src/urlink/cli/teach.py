@@ -8,47 +8,15 @@ import select
 import sys
 from collections.abc import Iterator
 
-from linkcore.cli.program import Interruption
+from linkcore.cli.terminal import Interruption
 from linkcore.errors import BadValue, LocalError
 
 from ..motion.taught import Taught, TaughtPoint
 from ..robot import Robot, connect
-from .options import Subparsers, add_address, add_command
-
-__all__ = ["add_parser"]
-
-_DESCRIPTION = """\
-Save waypoints to FILE while a person moves the arm by hand. THE ARM YIELDS: it goes where it is pushed,
-and drifts if its payload is set wrong.
-
-  Enter          keeps a waypoint
-  u, Enter       forgets the last one
-  q, Enter       saves them, and ends; so does the end of stdin
-
-Ctrl-C ends without saving. With --play the arm moves through the waypoints of FILE instead. THE ARM MOVES."""
-
-_EXAMPLES = (
-    "urlink teach 192.168.56.101 pick.json",
-    "urlink teach 192.168.56.101 pick.json --digital-input 0",
-    "urlink teach 192.168.56.101 pick.json --play --speed 0.3 --blend 0.02",
-)
+from .options import ADDRESS, argument, command
 
 #: Seconds that playing may take.
 _LONGEST = 3600.0
-
-
-def add_parser(subparsers: Subparsers) -> None:
-    """Declare the command."""
-    parser = add_command(subparsers, "teach", "teach waypoints by hand, and play them", _DESCRIPTION, _EXAMPLES)
-    add_address(parser)
-    parser.add_argument("file", metavar="FILE", help="file of the waypoints, in JSON")
-    parser.add_argument("--digital-input", type=int, metavar="N", help="standard digital input that keeps one too")
-    parser.add_argument("--button", action="store_true", help="move it by the arm's own button; releasing it keeps one")
-    parser.add_argument("--axes", type=_axes, metavar="BITS", help="free axes x y z rx ry rz, such as 110001 (all)")
-    parser.add_argument("--play", action="store_true", help="play FILE instead of teaching it")
-    parser.add_argument("--speed", type=float, default=0.5, metavar="V", help="rad/s while playing (0.5)")
-    parser.add_argument("--blend", type=float, default=0.0, metavar="R", help="m of round corners while playing (0)")
-    parser.set_defaults(run=run)
 
 
 def _axes(text: str) -> list[int]:
@@ -57,12 +25,32 @@ def _axes(text: str) -> list[int]:
     return [int(each) for each in text]
 
 
+@command(
+    "teach",
+    "teach waypoints by hand, and play them",
+    *ADDRESS,
+    argument("file", metavar="FILE", help="file of the waypoints, in JSON"),
+    argument("--digital-input", type=int, metavar="N", help="standard digital input that keeps one too"),
+    argument("--button", action="store_true", help="move it by the arm's own button; releasing it keeps one"),
+    argument("--axes", type=_axes, metavar="BITS", help="free axes x y z rx ry rz, such as 110001 (all)"),
+    argument("--play", action="store_true", help="play FILE instead of teaching it"),
+    argument("--speed", type=float, default=0.5, metavar="V", help="rad/s while playing (0.5)"),
+    argument("--blend", type=float, default=0.0, metavar="R", help="m of round corners while playing (0)"),
+)
 def run(args: argparse.Namespace) -> int:
-    """Teach, or play.
+    """Save waypoints to FILE while a person moves the arm by hand. THE ARM YIELDS: it goes where it is pushed,
+    and drifts if its payload is set wrong.
 
-    Raises:
-        BadValue: the file, or a number, is invalid.
-        LinkError: the error that ended it.
+      Enter          keeps a waypoint
+      u, Enter       forgets the last one
+      q, Enter       saves them, and ends; so does the end of stdin
+
+    Ctrl-C ends without saving. With --play the arm moves through the waypoints of FILE instead. THE ARM MOVES.
+
+    examples:
+      urlink teach 192.168.56.101 pick.json
+      urlink teach 192.168.56.101 pick.json --digital-input 0
+      urlink teach 192.168.56.101 pick.json --play --speed 0.3 --blend 0.02
     """
     known = Taught.load(args.file) if args.play else None
     with Interruption() as interruption, connect(args.address, timeout=args.connect_timeout) as robot:
@@ -70,8 +58,7 @@ def run(args: argparse.Namespace) -> int:
             _play(robot, known, args, interruption)
         else:
             _teach(robot, args, interruption)
-    interruption.raise_if_any()
-    return 0
+    return interruption.status
 
 
 def _play(robot: Robot, taught: Taught, args: argparse.Namespace, interruption: Interruption) -> None:

@@ -17,51 +17,37 @@ from ..view.page import LOOPBACK, Page
 from ..view.windows import LiveWindow, RecordedWindow, Window
 from .foxglove import keep_showing
 from .monitor import with_motion
-from .options import Subparsers, add_address, add_command, positive_number, seconds, tell
+from .options import ADDRESS, DURATION, argument, command, positive_number, tell
 
-__all__ = ["add_parser"]
 
-_DESCRIPTION = """\
-Show an arm in 3D in a browser: open the address that is printed.
-
-Drawn are the arm, translucent where its controller wants it if that is elsewhere, the trail of the TCP over
-ten seconds, the force on it as an arrow, the modes, and curves of the fields given with --plot. A recording
-has a slider. The page is for this computer alone, unless --host says otherwise, and asks nothing of the
-internet.
-
-The robot is only read. With --jog THE ARM MOVES while a button of the page is held: a box has to be ticked
-before, which ends the program that runs. It needs the extra view: pip install 'urlink[view]'."""
-
-_EXAMPLES = (
-    "urlink view 192.168.56.101",
-    "urlink view sim://ur10e --plot qd_actual --plot I_actual",
-    "urlink view run.urlog",
-    "urlink view 192.168.56.101 --jog",
+@command(
+    "view",
+    "show an arm in 3D in a browser",
+    *ADDRESS,
+    argument("--host", default="127.0.0.1", metavar="HOST", help="address to listen on (127.0.0.1)"),
+    argument("--port", type=int, default=8080, metavar="PORT", help="port to listen on, 0 for any (8080)"),
+    argument("--plot", action="append", metavar="FIELD", help="draw this field; may be given again"),
+    argument("--urdf", type=Path, metavar="FILE", help="draw the bodies of this URDF, with its meshes"),
+    argument("--jog", action="store_true", help="buttons that move the arm while they are held"),
+    argument("--rate", type=positive_number, default=30.0, metavar="HZ", help="pictures a second at most (30)"),
+    DURATION,
 )
-
-
-def add_parser(subparsers: Subparsers) -> None:
-    """Declare the command."""
-    parser = add_command(subparsers, "view", "show an arm in 3D in a browser", _DESCRIPTION, _EXAMPLES)
-    add_address(parser)
-    parser.add_argument("--host", default="127.0.0.1", metavar="HOST", help="address to listen on (127.0.0.1)")
-    parser.add_argument("--port", type=int, default=8080, metavar="PORT", help="port to listen on, 0 for any (8080)")
-    parser.add_argument("--plot", action="append", metavar="FIELD", help="draw this field; may be given again")
-    parser.add_argument("--urdf", type=Path, metavar="FILE", help="draw the bodies of this URDF, with its meshes")
-    parser.add_argument("--jog", action="store_true", help="buttons that move the arm while they are held")
-    parser.add_argument(
-        "--rate", type=positive_number, default=30.0, metavar="HZ", help="pictures a second at most (30)"
-    )
-    parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds (never)")
-    parser.set_defaults(run=run)
-
-
 def run(args: argparse.Namespace) -> int:
-    """Show until interrupted.
+    """Show an arm in 3D in a browser: open the address that is printed.
 
-    Raises:
-        RemoteError: the robot cannot be connected to, a stream gave up, or the port cannot be listened on.
-        LocalError: the extra is not installed, or this arm cannot be drawn, or not be moved from here.
+    Drawn are the arm, translucent where its controller wants it if that is elsewhere, the trail of the TCP over
+    ten seconds, the force on it as an arrow, the modes, and curves of the fields given with --plot. A recording
+    has a slider. The page is for this computer alone, unless --host says otherwise, and asks nothing of the
+    internet.
+
+    The robot is only read. With --jog THE ARM MOVES while a button of the page is held: a box has to be ticked
+    before, which ends the program that runs. It needs the extra view: pip install 'urlink[view]'.
+
+    examples:
+      urlink view 192.168.56.101
+      urlink view sim://ur10e --plot qd_actual --plot I_actual
+      urlink view run.urlog
+      urlink view 192.168.56.101 --jog
     """
     place = parse_address(args.address)
     if args.jog and args.host not in LOOPBACK:
@@ -86,5 +72,4 @@ def run(args: argparse.Namespace) -> int:
         fields = {} if args.plot is None else {"plots": args.plot}
         view = stack.enter_context(ArmView(page, arm, window, urdf=args.urdf, jog=jog, **fields))
         tell(f"{args.address} is at {view.address}; Ctrl-C ends it")
-        keep_showing(view.show, streams, args.rate, args.duration)
-    return 0
+        return keep_showing(view.show, streams, args.rate, args.duration)

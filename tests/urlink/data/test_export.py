@@ -156,7 +156,7 @@ def test_what_cannot_be_written_leaves_nothing_and_harms_nothing(recording: urli
 def test_what_takes_long_has_a_bar_on_a_terminal(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("linkcore.cli.options._PERIOD", 0.0)
+    monkeypatch.setattr("linkcore.cli.terminal._PERIOD", 0.0)
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     drive = tmp_path / "drive.urlog"
     with (

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import urlink
 import urlink.cli
 from linkcore import plotting
-from linkcore.cli.options import ProgressBar
+from linkcore.cli.terminal import ProgressBar
 from linkcore.plotting import Curves, Plot
 from linkcore.recording.file import Kind, RecordingWriter
 from linkcore.streaming.history import History
@@ -136,7 +136,7 @@ def test_what_a_notebook_shows_is_escaped(run: urlink.Recording) -> None:
 def test_a_bar_on_a_terminal_and_nothing_elsewhere(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("linkcore.cli.options._PERIOD", 0.0)
+    monkeypatch.setattr("linkcore.cli.terminal._PERIOD", 0.0)
     for is_terminal, quiet in ((False, False), (True, True), (True, False)):
         monkeypatch.setattr(sys.stderr, "isatty", lambda is_terminal=is_terminal: is_terminal)
         with ProgressBar("writing", quiet) as progress:
