@@ -12,7 +12,7 @@ import functools
 import time
 from collections.abc import Callable, Coroutine, Generator
 from contextlib import AbstractContextManager
-from typing import Any, Concatenate, Generic, ParamSpec, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Concatenate, Generic, ParamSpec, TypeVar, overload
 
 from linkcore.clock import Stamp
 from linkcore.errors import BadValue, LinkTimeout
@@ -24,10 +24,14 @@ from ..foreign_names import AnswersForeignNames
 from ..interfaces.rtde.protocol import Requests
 from ..interfaces.rtde.transport import RtdeDialogue, RtdeTransport
 
-__all__ = ["AwaitedPart", "AwaitedRtde", "Block", "awaited", "block", "motion"]
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+__all__ = ["AwaitedHandle", "AwaitedPart", "AwaitedRtde", "Block", "attribute", "awaited", "block", "motion"]
 
 B = TypeVar("B")
 C = TypeVar("C", bound=AbstractContextManager[Any])
+H = TypeVar("H", bound=Handle)
 P = ParamSpec("P")
 T = TypeVar("T")
 
@@ -51,6 +55,48 @@ class AwaitedPart(AnswersForeignNames, Generic[B]):
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} of {self._part!r}>"
+
+
+class attribute(property, Generic[B, T]):  # noqa: N801  # as `property`
+    """An attribute of an `AwaitedPart` that is read at once.
+
+    Args:
+        of: class of the part, for the type of what `read` is given.
+        read: takes the value from the part.
+    """
+
+    def __init__(self, of: type[B], read: Callable[[B], T]) -> None:
+        super().__init__(lambda part: read(part._part))
+
+    if TYPE_CHECKING:
+
+        @overload
+        def __get__(self, part: None, owner: type, /) -> Self: ...
+        @overload
+        def __get__(self, part: Any, owner: type | None = None, /) -> T: ...
+        def __get__(self, part: Any, owner: type | None = None, /) -> Any: ...
+
+
+class AwaitedHandle(AwaitedPart[H]):
+    """A part that is a handle; ``await`` of it is the end of what runs, as of any handle."""
+
+    __slots__ = ()
+
+    name = attribute(Handle, lambda handle: handle.name)
+    phase = attribute(Handle, lambda handle: handle.phase)
+    done = attribute(Handle, lambda handle: handle.done)
+    error = attribute(Handle, lambda handle: handle.error)
+
+    def cancel(self) -> None:
+        """As `Handle.cancel`, which returns at once."""
+        self._part.cancel()
+
+    def add_done_callback(self, callback: Callable[[Self], object]) -> None:
+        """As `Handle.add_done_callback`: in the robot's thread for callbacks."""
+        self._part.add_done_callback(lambda handle: callback(self))
+
+    def __await__(self) -> Generator[Any, None, None]:
+        return self._part.__await__()
 
 
 def awaited(method: Callable[Concatenate[Any, P], T]) -> Callable[Concatenate[Any, P], Coroutine[Any, Any, T]]:

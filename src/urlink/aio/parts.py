@@ -5,13 +5,9 @@ Imported when the first part is used: a program that only reads states never imp
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
 from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 from linkcore.aio.async_stream import AsyncFeed, AsyncStream
-from linkcore.errors import LinkError
-from linkcore.handle import Motion, Phase
-from linkcore.streaming.connection_life import ConnectionState
 
 from ..commanding.interlock import Policy
 from ..commanding.interpreter import Interpreter, InterpreterState
@@ -20,14 +16,12 @@ from ..commanding.safety import Safety
 from ..commanding.scripts import Scripts
 from ..firmware import Firmware
 from ..interfaces.dashboard.client import Dashboard
-from ..interfaces.enums import RobotMode, RobotModeCB2, SafetyMode
 from ..interfaces.gripper.client import Gripper
 from ..interfaces.rtde.recipes import Outputs, Recipe
 from ..interfaces.tool_serial import ToolSerial
-from ..motion import Freedrive, Motions, PointStream, Teaching
-from ..motion.taught import Taught
+from ..motion import Motions, PointStream, Teaching
 from ..rtde import Inputs, OutputStream, Registers, Rtde
-from .awaited import AwaitedPart, Block, awaited, block, motion
+from .awaited import AwaitedHandle, AwaitedPart, Block, attribute, awaited, block, motion
 
 if TYPE_CHECKING:
     from ..rtde.client import Missing
@@ -55,7 +49,7 @@ __all__ = [
 T = TypeVar("T", bound=Outputs)
 
 
-class AsyncPointStream(AwaitedPart[PointStream]):
+class AsyncPointStream(AwaitedHandle[PointStream]):
     """As `PointStream`, awaited; ``await stream`` is its end, as of any handle.
 
     A task that is cancelled while it awaits `append` gives its points up: those that were not sent are dropped.
@@ -69,64 +63,14 @@ class AsyncPointStream(AwaitedPart[PointStream]):
     wait = awaited(PointStream.wait)
     wait_until_dry = awaited(PointStream.wait_until_dry)
 
-    @property
-    def buffer(self) -> float:
-        return self._part.buffer
-
-    @property
-    def time(self) -> float:
-        return self._part.time
-
-    @property
-    def end(self) -> float:
-        return self._part.end
-
-    @property
-    def buffered(self) -> float:
-        return self._part.buffered
-
-    @property
-    def room(self) -> float:
-        return self._part.room
-
-    @property
-    def is_dry(self) -> bool:
-        return self._part.is_dry
-
-    @property
-    def starved(self) -> int:
-        return self._part.starved
-
-    @property
-    def name(self) -> str:
-        return self._part.name
-
-    @property
-    def phase(self) -> Phase:
-        return self._part.phase
-
-    @property
-    def done(self) -> bool:
-        return self._part.done
-
-    @property
-    def error(self) -> Exception | None:
-        return self._part.error
-
-    @property
-    def progress(self) -> float:
-        return self._part.progress
-
-    def cancel(self) -> None:
-        """As `Handle.cancel`, which returns at once."""
-        self._part.cancel()
-
-    def add_done_callback(self, callback: Callable[[AsyncPointStream], object]) -> None:
-        """As `Handle.add_done_callback`: in the robot's thread for callbacks."""
-        self._part.add_done_callback(lambda handle: callback(self))
-
-    def __await__(self) -> Generator[Any, None, None]:
-        return self._part.__await__()
+    buffer = attribute(PointStream, lambda part: part.buffer)
+    time = attribute(PointStream, lambda part: part.time)
+    end = attribute(PointStream, lambda part: part.end)
+    buffered = attribute(PointStream, lambda part: part.buffered)
+    room = attribute(PointStream, lambda part: part.room)
+    is_dry = attribute(PointStream, lambda part: part.is_dry)
+    starved = attribute(PointStream, lambda part: part.starved)
+    progress = attribute(PointStream, lambda part: part.progress)
 
 
 class AsyncMotions(AwaitedPart[Motions]):
@@ -150,9 +94,7 @@ class AsyncMotions(AwaitedPart[Motions]):
     torque = block(Motions.torque)
     impedance = block(Motions.impedance)
 
-    @property
-    def current(self) -> Motion | None:
-        return self._part.current
+    current = attribute(Motions, lambda part: part.current)
 
 
 class AsyncSafety(AwaitedPart[Safety]):
@@ -166,17 +108,9 @@ class AsyncSafety(AwaitedPart[Safety]):
     wait_for_stop = awaited(Safety.wait_for_stop)
     wait_until_clear = awaited(Safety.wait_until_clear)
 
-    @property
-    def cause(self) -> str | None:
-        return self._part.cause
-
-    @property
-    def is_enabled(self) -> bool:
-        return self._part.is_enabled
-
-    @property
-    def mode(self) -> SafetyMode | None:
-        return self._part.mode
+    cause = attribute(Safety, lambda part: part.cause)
+    is_enabled = attribute(Safety, lambda part: part.is_enabled)
+    mode = attribute(Safety, lambda part: part.mode)
 
     @property
     def policy(self) -> Policy:
@@ -186,13 +120,8 @@ class AsyncSafety(AwaitedPart[Safety]):
     def policy(self, policy: Policy) -> None:
         self._part.policy = policy
 
-    @property
-    def refusal(self) -> LinkError | None:
-        return self._part.refusal
-
-    @property
-    def robot_mode(self) -> RobotMode | RobotModeCB2 | None:
-        return self._part.robot_mode
+    refusal = attribute(Safety, lambda part: part.refusal)
+    robot_mode = attribute(Safety, lambda part: part.robot_mode)
 
 
 class AsyncScripts(AwaitedPart[Scripts]):
@@ -229,9 +158,7 @@ class AsyncIO(AwaitedPart[IO]):
     wait_digital_in = awaited(IO.wait_digital_in)
     wait_tool_digital_in = awaited(IO.wait_tool_digital_in)
 
-    @property
-    def tool_voltage(self) -> int:
-        return self._part.tool_voltage
+    tool_voltage = attribute(IO, lambda part: part.tool_voltage)
 
 
 class AsyncDashboard(AwaitedPart[Dashboard]):
@@ -315,7 +242,7 @@ class AsyncToolSerial(AwaitedPart[ToolSerial]):
     write = awaited(ToolSerial.write)
 
 
-class AsyncInterpreter(AwaitedPart[Interpreter]):
+class AsyncInterpreter(AwaitedHandle[Interpreter]):
     """As `Interpreter`, awaited; ``await interpreter`` is the end of its program, as of any handle."""
 
     __slots__ = ()
@@ -332,36 +259,7 @@ class AsyncInterpreter(AwaitedPart[Interpreter]):
         """`Interpreter.state`: a method here, since the controller is asked."""
         return await self._workers.make(lambda: self._part.state)
 
-    @property
-    def name(self) -> str:
-        return self._part.name
-
-    @property
-    def phase(self) -> Phase:
-        return self._part.phase
-
-    @property
-    def done(self) -> bool:
-        return self._part.done
-
-    @property
-    def error(self) -> Exception | None:
-        return self._part.error
-
-    @property
-    def texts(self) -> tuple[str, ...]:
-        return self._part.texts
-
-    def cancel(self) -> None:
-        """As `Handle.cancel`, which returns at once."""
-        self._part.cancel()
-
-    def add_done_callback(self, callback: Callable[[AsyncInterpreter], object]) -> None:
-        """As `Handle.add_done_callback`: in the robot's thread for callbacks."""
-        self._part.add_done_callback(lambda handle: callback(self))
-
-    def __await__(self) -> Generator[Any, None, None]:
-        return self._part.__await__()
+    texts = attribute(Interpreter, lambda part: part.texts)
 
 
 class AsyncTeaching(AwaitedPart[Teaching]):
@@ -371,13 +269,8 @@ class AsyncTeaching(AwaitedPart[Teaching]):
 
     record = awaited(Teaching.record)
 
-    @property
-    def taught(self) -> Taught:
-        return self._part.taught
-
-    @property
-    def freedrive(self) -> Freedrive | None:
-        return self._part.freedrive
+    taught = attribute(Teaching, lambda part: part.taught)
+    freedrive = attribute(Teaching, lambda part: part.freedrive)
 
 
 class AsyncRegisters(AwaitedPart[Registers]):
@@ -401,17 +294,9 @@ class AsyncInputs(AwaitedPart[Inputs]):
     close = awaited(Inputs.close)
     send = awaited(Inputs.send)
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        return self._part.names
-
-    @property
-    def connection(self) -> ConnectionState:
-        return self._part.connection
-
-    @property
-    def is_over(self) -> bool:
-        return self._part.is_over
+    names = attribute(Inputs, lambda part: part.names)
+    connection = attribute(Inputs, lambda part: part.connection)
+    is_over = attribute(Inputs, lambda part: part.is_over)
 
 
 class AsyncOutputStream(AsyncStream[T]):
@@ -486,6 +371,4 @@ class AsyncRtde(AwaitedPart[Rtde]):
         """As `Rtde.registers`."""
         return AsyncRegisters(self._part.registers(lower=lower), self._workers)
 
-    @property
-    def is_recorded(self) -> bool:
-        return self._part.is_recorded
+    is_recorded = attribute(Rtde, lambda part: part.is_recorded)
