@@ -10,7 +10,7 @@ angle grows. It is computed in the base frame, with spatial vectors about its or
 Algorithms", 2008): forces link by link from the tool down, the mass matrix from the inertias of whatever a joint
 carries.
 
-**How good it is.** As good as the published masses and inertias (`urlink.models`, `urlink.inertias`), with which the
+**How good it is.** As good as the published masses and inertias (`urlink.models`), with which the
 gravity torques of simulated arms agree, those of a real UR3e within 2 mNm (with its calibration and payload), those of
 a real CB2 UR5 within 1.4 Nm. With `rotors` it has the inertia of motors and gears (`urlink.motors`) too, which nobody
 has published: a log of a UR3e shows it, and with it these are that controller's moments to 0.02 Nm. At the wrists it is

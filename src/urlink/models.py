@@ -1,4 +1,4 @@
-"""The arms: geometry, limits and masses of every model, as the vendor publishes them.
+"""The arms: geometry, limits and masses of every model, as the vendor publishes them, in the table `arms.tsv`.
 
 Which figure comes from where:
 
@@ -10,7 +10,8 @@ Which figure comes from where:
   that file's narrower elbow, which is a planner's choice and not a property of the arm.
 - **Link masses and centres of mass**: the same article; for UR15, UR18, UR30 and wrist 3 of UR20 the
   `physical_parameters.yaml` of `ur_description`. Those of UR3e and UR5e explain the currents that simulated controllers
-  report. Inertias: see `urlink.inertias`.
+  report.
+- **Inertias of the links**: the same file of `ur_description`, 2.4.5 and later; see the comments of the table.
 - **Joint torques**: the vendor's article "Max. joint torques" and `joint_limits.yaml`.
 - **Payload and reach**: the vendor's data sheets. Where a payload was raised during a model's life, it is the
   newest.
@@ -29,8 +30,9 @@ What is not published for a model but taken over from another one stands in its 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from types import MappingProxyType
 from typing import Literal
 
@@ -40,7 +42,6 @@ from numpy.typing import NDArray
 from linkcore.arguments import check_number
 from linkcore.errors import BadValue, LocalError
 
-from .inertias import INERTIAS
 from .vectors import JOINTS
 
 __all__ = ["MODELS", "Model", "UnknownModel", "indistinguishable", "model", "model_of"]
@@ -63,6 +64,9 @@ _SHAPES: Mapping[str, tuple[int, ...]] = {
 
 _HALF_PI = math.pi / 2.0
 _ALPHA = np.array([_HALF_PI, 0.0, 0.0, _HALF_PI, -_HALF_PI, 0.0])
+# The axis of each link's cylinder in the DH frame at its end: the arm links lie along x, the other joints along y, and
+# the flange along z.
+_AXES = (1, 0, 0, 1, 1, 2)
 
 
 class UnknownModel(LocalError, ValueError):
@@ -144,315 +148,64 @@ class Model:
             check_number(value, f"q[{joint}] ({JOINTS[joint]})", low, high, "rad", f"a {self.name}")
 
 
-def _arm(
-    name: str,
-    generation: Literal["CB", "e"],
-    robot_type: int,
-    *,
-    a: tuple[float, float],
-    d: tuple[float, float, float, float],
-    speed: tuple[float, float, float, float, float, float],
-    payload: float,
-    reach: float,
-    masses: Sequence[float],
-    cogs: Sequence[tuple[float, float, float]],
-    torque: tuple[float, float, float],
-    endless_wrist: bool = False,
-    guesses: tuple[str, ...] = (),
-) -> Model:
-    """A `Model` from the lengths that tell arms apart: a2, a3 and d1, d4, d5, d6 in m.
-
-    `speed` is in deg/s, `torque` in Nm: of base and shoulder, of the elbow, of the wrists.
-    """
+def _arm(name: str, row: Mapping[str, str]) -> Model:
+    a2, a3 = _numbers(row["a2 a3"])
+    d1, d4, d5, d6 = _numbers(row["d1 d4 d5 d6"])
+    shoulder, elbow, wrists = _numbers(row["torque"])  # base and shoulder have motors of one size, as have the wrists
     turn = 2.0 * math.pi
     limits = np.array([[-turn, turn]] * 6)
-    if endless_wrist:
+    if row.get("position_limits") == "endless wrist":
         limits[5] = -math.inf, math.inf
+    is_cb = row["generation"] == "CB"
+    unpublished = () if name in ("UR5", "UR5e") else ("max_acceleration",)
     return Model(
         name=name,
-        generation=generation,
-        robot_type=robot_type,
-        dh_a=np.array([0.0, a[0], a[1], 0.0, 0.0, 0.0]),
-        dh_d=np.array([d[0], 0.0, 0.0, d[1], d[2], d[3]]),
+        generation="CB" if is_cb else "e",
+        robot_type=int(row["robot_type"]),
+        dh_a=np.array([0.0, a2, a3, 0.0, 0.0, 0.0]),
+        dh_d=np.array([d1, 0.0, 0.0, d4, d5, d6]),
         dh_alpha=_ALPHA,
         dh_theta=np.zeros(6),
         position_limits=limits,
-        max_speed=np.radians(speed),
-        max_acceleration=np.array([15.0] * 3 + [25.0] * 3 if generation == "CB" else [40.0] * 6),
-        payload=payload,
-        reach=reach,
-        link_masses=np.array(masses),
-        link_cogs=np.array(cogs),
-        link_inertias=INERTIAS[name],
-        max_torque=np.array([torque[0]] * 2 + [torque[1]] + [torque[2]] * 3),
-        guesses=frozenset(guesses) if name in ("UR5", "UR5e") else frozenset({"max_acceleration", *guesses}),
+        max_speed=np.radians(_numbers(row["speed"])),
+        max_acceleration=np.array([15.0] * 3 + [25.0] * 3 if is_cb else [40.0] * 6),
+        payload=float(row["payload"]),
+        reach=float(row["reach"]),
+        link_masses=np.array(_numbers(row["masses"])),
+        link_cogs=np.array([_numbers(link) for link in row["cogs"].split(",")]),
+        link_inertias=np.array(
+            [_tensor(_numbers(link), axis) for link, axis in zip(row["inertias"].split(","), _AXES, strict=True)]
+        ),
+        max_torque=np.array([shoulder] * 2 + [elbow] + [wrists] * 3),
+        guesses=frozenset((*unpublished, *row.get("guesses", "").split())),
     )
 
 
-_UR3_COGS = [
-    (0.0, -0.02, 0.0),
-    (0.13, 0.0, 0.1157),
-    (0.05, 0.0, 0.0238),
-    (0.0, 0.0, 0.01),
-    (0.0, 0.0, 0.01),
-    (0.0, 0.0, -0.02),
-]
-# Public copies of the vendor's table disagree on the sign of y of link 5 of the UR5. Plus is what the article
-# has for the UR5e and `ur_description` for both, and what the currents of a simulated UR5e follow.
-_UR5_COGS = [
-    (0.0, -0.02561, 0.00193),
-    (0.2125, 0.0, 0.11336),
-    (0.15, 0.0, 0.0265),
-    (0.0, -0.0018, 0.01634),
-    (0.0, 0.0018, 0.01634),
-    (0.0, 0.0, -0.001159),
-]
-_UR10_COGS = [
-    (0.021, 0.0, 0.027),
-    (0.38, 0.0, 0.158),
-    (0.24, 0.0, 0.068),
-    (0.0, 0.007, 0.018),
-    (0.0, 0.007, 0.018),
-    (0.0, 0.0, -0.026),
-]
+def _numbers(text: str) -> list[float]:
+    return [float(each) for each in text.split()]
 
-_UR15_COGS = [
-    (0.000024, -0.033309, 0.025304),
-    (0.419009, -0.000083, 0.192787),
-    (0.305471, 0.000019, 0.070552),
-    (0.000025, -0.019695, 0.016413),
-    (0.000025, 0.01996, 0.015886),
-    (-0.000018, -0.000112, -0.053397),
-]
+
+def _tensor(numbers: Sequence[float], axis: int) -> FloatArray:
+    """(3, 3) out of ixx, ixy, ixz, iyy, iyz, izz; or, of a cylinder, of those across its axis and about it."""
+    if len(numbers) == 2:
+        return np.diag([numbers[each == axis] for each in range(3)])
+    xx, xy, xz, yy, yz, zz = numbers
+    return np.array([(xx, xy, xz), (xy, yy, yz), (xz, yz, zz)])
+
+
+def _read_arms() -> Iterator[Model]:
+    """The arms of the table. What begins with # is a comment; "as UR5" stands for the value of the UR5."""
+    arms: dict[str, dict[str, str]] = {}
+    for line in Path(__file__).with_name("arms.tsv").read_text(encoding="utf-8").splitlines()[1:]:
+        if not line.startswith("#"):
+            name, quantity, _, value = line.split("\t")
+            is_other = value.startswith("as ")
+            arms.setdefault(name, {})[quantity] = arms[value[3:]][quantity] if is_other else value
+    return (_arm(name, row) for name, row in arms.items())
+
 
 #: Every arm that is known, by the name the vendor gives it.
-MODELS: Mapping[str, Model] = MappingProxyType(
-    {
-        arm.name: arm
-        for arm in (
-            _arm(
-                "UR3",
-                "CB",
-                3,
-                a=(-0.24365, -0.21325),
-                d=(0.1519, 0.11235, 0.08535, 0.0819),
-                speed=(180, 180, 180, 360, 360, 360),
-                payload=3.0,
-                reach=0.5,
-                torque=(56, 28, 12),
-                masses=(2.0, 3.42, 1.26, 0.8, 0.8, 0.35),
-                cogs=_UR3_COGS,
-                endless_wrist=True,
-            ),
-            # The last of three series, as the CB3 manual calls them; the first two differ by up to 1.7 mm.
-            _arm(
-                "UR5",
-                "CB",
-                1,
-                a=(-0.425, -0.39225),
-                d=(0.089159, 0.10915, 0.09465, 0.0823),
-                speed=(180, 180, 180, 180, 180, 180),
-                payload=5.0,
-                reach=0.85,
-                torque=(150, 150, 28),
-                masses=(3.7, 8.393, 2.33, 1.219, 1.219, 0.1879),
-                cogs=_UR5_COGS,
-            ),
-            _arm(
-                "UR10",
-                "CB",
-                2,
-                a=(-0.612, -0.5723),
-                d=(0.1273, 0.163941, 0.1157, 0.0922),
-                speed=(120, 120, 180, 180, 180, 180),
-                payload=10.0,
-                reach=1.3,
-                torque=(330, 150, 56),
-                masses=(7.1, 12.7, 4.27, 2.0, 2.0, 0.365),
-                cogs=_UR10_COGS,
-            ),
-            _arm(
-                "UR3e",
-                "e",
-                3,
-                a=(-0.24355, -0.2132),
-                d=(0.15185, 0.13105, 0.08535, 0.0921),
-                speed=(180, 180, 180, 360, 360, 360),
-                payload=3.0,
-                reach=0.5,
-                torque=(54, 28, 9),
-                masses=(1.98, 3.4445, 1.437, 0.871, 0.805, 0.261),
-                cogs=_UR3_COGS,
-                endless_wrist=True,
-            ),
-            _arm(
-                "UR5e",
-                "e",
-                1,
-                a=(-0.425, -0.3922),
-                d=(0.1625, 0.1333, 0.0997, 0.0996),
-                speed=(180, 180, 180, 180, 180, 180),
-                payload=5.0,
-                reach=0.85,
-                torque=(150, 150, 28),
-                masses=(3.761, 8.058, 2.846, 1.37, 1.3, 0.365),
-                cogs=_UR5_COGS,
-            ),
-            _arm(
-                "UR7e",
-                "e",
-                1,
-                a=(-0.425, -0.3922),
-                d=(0.1625, 0.1333, 0.0997, 0.0996),
-                speed=(180, 180, 180, 180, 180, 180),
-                payload=7.5,
-                reach=0.85,
-                torque=(150, 150, 28),
-                guesses=("max_speed", "max_torque"),
-                masses=(3.761, 8.058, 2.846, 1.37, 1.3, 0.365),
-                cogs=_UR5_COGS,
-            ),
-            _arm(
-                "UR10e",
-                "e",
-                2,
-                a=(-0.6127, -0.57155),
-                d=(0.1807, 0.17415, 0.11985, 0.11655),
-                speed=(120, 120, 180, 180, 180, 180),
-                payload=12.5,
-                reach=1.3,
-                torque=(330, 150, 54),
-                masses=(7.369, 13.051, 3.989, 2.1, 1.98, 0.615),
-                cogs=_UR10_COGS,
-            ),
-            _arm(
-                "UR12e",
-                "e",
-                2,
-                a=(-0.6127, -0.57155),
-                d=(0.1807, 0.17415, 0.11985, 0.11655),
-                speed=(120, 120, 180, 180, 180, 180),
-                payload=12.5,
-                reach=1.3,
-                torque=(330, 150, 54),
-                masses=(7.369, 13.051, 3.989, 2.1, 1.98, 0.615),
-                cogs=_UR10_COGS,
-            ),
-            _arm(
-                "UR16e",
-                "e",
-                4,
-                a=(-0.4784, -0.36),
-                d=(0.1807, 0.17415, 0.11985, 0.11655),
-                speed=(120, 120, 180, 180, 180, 180),
-                payload=16.0,
-                reach=0.9,
-                torque=(330, 150, 54),
-                masses=(7.369, 10.45, 4.321, 2.18, 2.033, 0.907),
-                cogs=[
-                    (0.0, -0.016, 0.03),
-                    (0.302, 0.0, 0.16),
-                    (0.194, 0.0, 0.065),
-                    (0.0, -0.009, 0.011),
-                    (0.0, 0.018, 0.012),
-                    (0.0, 0.0, -0.044),
-                ],
-            ),
-            _arm(
-                "UR8 Long",
-                "e",
-                6,
-                a=(-0.8989, -0.7149),
-                d=(0.2186, 0.1824, 0.1361, 0.1434),
-                speed=(180, 180, 240, 300, 300, 300),
-                payload=8.0,
-                reach=1.75,
-                torque=(433, 204, 70),
-                guesses=("max_speed", "max_torque", "link_masses", "link_cogs", "link_inertias"),
-                masses=(9.9883, 17.0738, 7.6393, 2.089, 2.0869, 1.0666),
-                cogs=[
-                    _UR15_COGS[0],
-                    (0.565429, -0.000074, 0.19542),
-                    (0.416102, 0.000058, 0.065663),
-                    *_UR15_COGS[3:],
-                ],
-            ),
-            _arm(
-                "UR15",
-                "e",
-                9,
-                a=(-0.6475, -0.5164),
-                d=(0.2186, 0.1824, 0.1361, 0.1434),
-                speed=(180, 180, 240, 300, 300, 300),
-                payload=17.5,
-                reach=1.3,
-                torque=(433, 204, 70),
-                guesses=("max_torque",),
-                masses=(9.9883, 14.9255, 6.1015, 2.089, 2.0869, 1.0666),
-                cogs=_UR15_COGS,
-            ),
-            _arm(
-                "UR18",
-                "e",
-                5,
-                a=(-0.475, -0.3389),
-                d=(0.2186, 0.1824, 0.1361, 0.1434),
-                speed=(180, 180, 240, 300, 300, 300),
-                payload=18.0,
-                reach=0.95,
-                torque=(433, 204, 70),
-                masses=(9.9883, 14.2009, 5.52, 2.089, 2.0869, 1.0666),
-                cogs=[
-                    _UR15_COGS[0],
-                    (0.308664, -0.000088, 0.190204),
-                    (0.199652, 0.000021, 0.073101),
-                    *_UR15_COGS[3:],
-                ],
-            ),
-            _arm(
-                "UR20",
-                "e",
-                7,
-                a=(-0.862, -0.7287),
-                d=(0.2363, 0.201, 0.1593, 0.1543),
-                speed=(120, 120, 150, 210, 210, 210),
-                payload=25.0,
-                reach=1.75,
-                torque=(738, 433, 107),
-                masses=(16.343, 29.632, 7.879, 3.054, 3.126, 0.926),
-                cogs=[
-                    (0.0, -0.061, 0.0062),
-                    (0.5226, 0.0, 0.2098),
-                    (0.3234, 0.0, 0.0604),
-                    (0.0, -0.0026, 0.0393),
-                    (0.0, 0.0024, 0.0379),
-                    (0.0, 0.0, -0.0293),
-                ],
-            ),
-            _arm(
-                "UR30",
-                "e",
-                8,
-                a=(-0.637, -0.5037),
-                d=(0.2363, 0.201, 0.1593, 0.1543),
-                speed=(120, 120, 150, 210, 210, 210),
-                payload=35.0,
-                reach=1.3,
-                torque=(738, 433, 107),
-                guesses=("link_inertias",),
-                masses=(16.343, 28.542, 7.156, 3.054, 3.126, 0.926),
-                cogs=[
-                    (-0.0001, -0.06, 0.0069),
-                    (0.3894, 0.0, 0.2103),
-                    (0.2257, 0.0, 0.0629),
-                    (0.0, -0.0048, 0.0353),
-                    (0.0, 0.0046, 0.0341),
-                    (0.0, 0.0, -0.0293),
-                ],
-            ),
-        )
-    }
-)
+MODELS: Mapping[str, Model] = MappingProxyType({arm.name: arm for arm in _read_arms()})
 
 _BY_FOLDED_NAME = {
     spelling: arm for name, arm in MODELS.items() for spelling in (name.casefold(), name.casefold().replace(" ", ""))

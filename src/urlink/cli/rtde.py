@@ -18,7 +18,7 @@ from linkcore.wire.packet import State
 from ..interfaces.rtde.recipes import Outputs
 from ..robot import Robot, connect
 from ..rtde import INPUTS, OUTPUTS, OutputStream, Variable
-from .hz import measure
+from .echo import measure
 from .options import ADDRESS, DURATION, Tap, argument, command, one_of, positive_int, seconds, tell
 from .values import as_json, as_text, plain
 

@@ -26,13 +26,12 @@ from .control_loop import ControlLoop, SteppedClock, passing
 from .faults import Faults, FaultSchedule, LinkFaults, ScheduledFault
 from .faults.schedule import checked
 from .ports.dashboard import DashboardPort
-from .ports.lines import GripperPort, InterpreterPort
+from .ports.lines import GripperPort, InterpreterPort, SerialLinePort
 from .ports.port import Port, PortClient, ScriptReceiver
 from .ports.primary import PrimaryPort, SecondaryPort, StatePackages
 from .ports.realtime import RealtimePort
 from .ports.robot_api import RobotApiPort
 from .ports.rtde import RtdePort
-from .ports.serial_line import SerialLinePort
 from .programs.loader import LineAssembler, ProgramLoader
 from .programs.pendant import Pendant
 from .programs.runner import ProgramRunner

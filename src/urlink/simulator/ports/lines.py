@@ -1,11 +1,16 @@
-"""The ports that answer a line with a line: interpreter mode (30020), and the Robotiq URCap (63352).
+"""The ports that answer what comes: interpreter mode (30020), the Robotiq URCap (63352), the serial line (54321).
 
 Interpreter mode takes a statement and answers with its status. Guesses: that nothing is sent on connecting, that
 statements are discarded in local control, and that without a program all numbers are 0. The gripper's port answers as
-public clients and programs of the URCap expect it: `ack` comes without a newline, a value with one.
+public clients and programs of the URCap expect it: `ack` comes without a newline, a value with one. The serial line is
+that of the tool connector, as the vendor's URCap forwards it. Guesses: that bytes are lost while the line is not
+enabled, that an answer goes to the client that asked, and that bytes take no time on the line. A baud rate other than
+that of the device is not noticed.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 from linkcore.wire.fields import Since
 
@@ -13,9 +18,10 @@ from ..programs.runner import ProgramRunner
 from ..robot.gripper import SimulatedGripper
 from ..state import ControllerState
 from ..urscript.statements import StatementQueue, StatementReply
-from .port import AnsweringPort, LineReceiver, PortClient
+from .port import AnsweringPort, LineReceiver, PortClient, PortReceiver
 
-__all__ = ["GripperPort", "InterpreterPort"]
+__all__ = ["Device", "GripperPort", "InterpreterPort", "SerialLinePort"]
+
 
 SINCE = Since("5.10")
 
@@ -83,3 +89,49 @@ class GripperPort(AnsweringPort):
                 client.send(reply.encode("ascii") if reply == "ack" else f"{reply}\n".encode("ascii"))
 
         return LineReceiver(client, self._state.counters, answer)
+
+
+#: What is mounted: called with the bytes that come, it returns those that it answers with.
+Device = Callable[[bytes], bytes]
+
+
+class SerialLinePort(AnsweringPort):
+    """Copies bytes between its clients and what is mounted.
+
+    Args:
+        state: of the controller.
+        device: what is mounted; None for nothing.
+
+    Attributes:
+        device: the same; can be set, and is called in the thread of the server.
+    """
+
+    def __init__(self, state: ControllerState, device: Device | None) -> None:
+        self._state = state
+        self.device = device
+
+    def is_offered(self) -> bool:
+        return self._state.firmware.is_e_series
+
+    def receiver(self, client: PortClient) -> PortReceiver:
+        return _Receiver(self, client)
+
+    def exchange(self, data: bytes) -> bytes:
+        """What comes back for bytes that are sent to the line."""
+        if self.device is None or not self._state.signals.tool_communication.is_enabled:
+            return b""
+        return self.device(data)
+
+
+class _Receiver:
+    def __init__(self, port: SerialLinePort, client: PortClient) -> None:
+        self._port = port
+        self._client = client
+
+    def feed(self, data: bytes) -> None:
+        answer = self._port.exchange(data)
+        if answer:
+            self._client.send(answer)
+
+    def end(self) -> None:
+        return None
