@@ -41,7 +41,6 @@ class RTDEIOInterface(RtdeInterface):
     def setStandardDigitalOut(self, output_id: int, signal_level: bool) -> bool:
         """Switch standard digital output 0 to 7."""
         return self._send(
-            ("standard_digital_output",),
             {"standard_digital_output": {output_id: signal_level}},
             lambda: self._robot.io.set_digital_out(output_id, signal_level, confirm=None),
         )
@@ -49,7 +48,6 @@ class RTDEIOInterface(RtdeInterface):
     def setConfigurableDigitalOut(self, output_id: int, signal_level: bool) -> bool:
         """Switch configurable digital output 0 to 7."""
         return self._send(
-            ("configurable_digital_output",),
             {"configurable_digital_output": {output_id: signal_level}},
             lambda: self._robot.io.set_configurable_digital_out(output_id, signal_level, confirm=None),
         )
@@ -57,7 +55,6 @@ class RTDEIOInterface(RtdeInterface):
     def setToolDigitalOut(self, output_id: int, signal_level: bool) -> bool:
         """Switch tool output 0 or 1."""
         return self._send(
-            ("tool_digital_output",),
             {"tool_digital_output": {output_id: signal_level}},
             lambda: self._robot.io.set_tool_digital_out(output_id, signal_level, confirm=None),
         )
@@ -65,7 +62,6 @@ class RTDEIOInterface(RtdeInterface):
     def setSpeedSlider(self, speed: float) -> bool:
         """Set the speed slider, 0 to 1."""
         return self._send(
-            ("speed_slider_fraction",),
             {"speed_slider_fraction": speed},
             lambda: self._robot.set_speed_slider(speed, confirm=None),
         )
@@ -89,20 +85,23 @@ class RTDEIOInterface(RtdeInterface):
     def _set_analog(self, output: int, ratio: float, domain: int) -> bool:
         names = ("standard_analog_output_0", "standard_analog_output_1")
         values = {"standard_analog_output_type": domain << output, f"standard_analog_output_{output}": ratio}
-        return self._send(names, values, None)
+        return self._send(values, None, names)
 
-    def _send(self, names: tuple[str, ...], values: dict[str, Any], by_script: Callable[[], object] | None) -> bool:
-        """Write inputs, which are claimed once; if another client holds them, call `by_script` if given."""
+    def _send(
+        self, values: dict[str, Any], by_script: Callable[[], object] | None, names: tuple[str, ...] | None = None
+    ) -> bool:
+        """Write inputs; if another client holds one, call `by_script` if given. Those of `names` are claimed, once."""
+        claim = names or tuple(values)
 
         def write() -> None:
-            if names not in self._claimed:
+            if claim not in self._claimed:
                 try:
-                    self._claimed[names] = self._robot.rtde.inputs(*names)
+                    self._claimed[claim] = self._robot.rtde.inputs(*claim)
                 except InputInUse:
                     if by_script is None:
                         raise
-                    self._claimed[names] = None
-            inputs = self._claimed[names]
+                    self._claimed[claim] = None
+            inputs = self._claimed[claim]
             if inputs is not None:
                 inputs.send(**values)
             elif by_script is not None:

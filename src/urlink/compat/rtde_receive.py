@@ -20,24 +20,14 @@ from .interface import RtdeInterface, succeeds
 
 __all__ = ["RTDEReceiveInterface"]
 
-#: Variables that are requested if none are named; those that a controller does not have are left out.
-_VARIABLES = (
-    *("timestamp", "target_q", "target_qd", "target_qdd", "target_current", "target_moment"),
-    *("actual_q", "actual_qd", "actual_current", "joint_control_output"),
-    *("actual_TCP_pose", "actual_TCP_speed", "actual_TCP_force", "target_TCP_pose", "target_TCP_speed"),
-    *("actual_digital_input_bits", "joint_temperatures", "actual_execution_time"),
-    *("robot_mode", "joint_mode", "safety_mode", "actual_tool_accelerometer"),
-    *("speed_scaling", "target_speed_fraction", "actual_momentum"),
-    *("actual_main_voltage", "actual_robot_voltage", "actual_robot_current", "actual_joint_voltage"),
-    *("actual_digital_output_bits", "runtime_state"),
-    *("standard_analog_input0", "standard_analog_input1", "standard_analog_output0", "standard_analog_output1"),
-    *("robot_status_bits", "safety_status_bits", "ft_raw_wrench", "payload", "payload_cog", "payload_inertia"),
-)
 #: Seconds to wait for a state if there is none: at first, and after a lost connection.
 _TIMEOUT = 5.0
 
-
 _T = TypeVar("_T")
+
+
+#: Variables that are requested if none are named, those of the getters; what a controller does not have is left out.
+_VARIABLES: list[str] = []
 
 
 def _getter(name: str, convert: Callable[[Any], _T], doc: str) -> Callable[[RTDEReceiveInterface], _T]:
@@ -46,17 +36,25 @@ def _getter(name: str, convert: Callable[[Any], _T], doc: str) -> Callable[[RTDE
     def get(self: RTDEReceiveInterface) -> _T:
         return convert(self._value(name))
 
+    _VARIABLES.append(name)
     get.__doc__ = doc
     return get
 
 
-def _vector(value: Any) -> list[float]:
-    values: list[float] = value.tolist()
-    return values
+def _number(name: str, doc: str) -> Callable[[RTDEReceiveInterface], float]:
+    return _getter(name, float, doc)
 
 
-def _integers(values: Any) -> list[int]:
-    return [int(value) for value in values]
+def _integer(name: str, doc: str) -> Callable[[RTDEReceiveInterface], int]:
+    return _getter(name, int, doc)
+
+
+def _integers(name: str, doc: str) -> Callable[[RTDEReceiveInterface], list[int]]:
+    return _getter(name, lambda values: [int(value) for value in values], doc)
+
+
+def _vector(name: str, doc: str) -> Callable[[RTDEReceiveInterface], list[float]]:
+    return _getter(name, lambda values: values.tolist(), doc)
 
 
 class RTDEReceiveInterface(RtdeInterface):
@@ -127,82 +125,68 @@ class RTDEReceiveInterface(RtdeInterface):
             raise LocalError(f"{name} is not received: it was not requested, or this controller does not have it")
         return value
 
-    getTimestamp = _getter("timestamp", float, "Seconds since the controller was started.")
-    getTargetQ = _getter("target_q", _vector, "Target joint positions, rad.")
-    getTargetQd = _getter("target_qd", _vector, "Target joint speeds, rad/s.")
-    getTargetQdd = _getter("target_qdd", _vector, "Target joint accelerations, rad/s².")
-    getTargetCurrent = _getter("target_current", _vector, "Target joint currents, A.")
-    getTargetMoment = _getter("target_moment", _vector, "Target joint torques, Nm.")
-    getActualQ = _getter("actual_q", _vector, "Joint positions, rad.")
-    getActualQd = _getter("actual_qd", _vector, "Joint speeds, rad/s.")
-    getActualCurrent = _getter("actual_current", _vector, "Joint currents, A.")
-    getJointControlOutput = _getter("joint_control_output", _vector, "Control currents of the joints, A.")
-    getActualTCPPose = _getter(
-        "actual_TCP_pose", _vector, "Pose of the tool in the base frame: m, and rotation vector in rad."
+    getTimestamp = _number("timestamp", "Seconds since the controller was started.")
+    getTargetQ = _vector("target_q", "Target joint positions, rad.")
+    getTargetQd = _vector("target_qd", "Target joint speeds, rad/s.")
+    getTargetQdd = _vector("target_qdd", "Target joint accelerations, rad/s².")
+    getTargetCurrent = _vector("target_current", "Target joint currents, A.")
+    getTargetMoment = _vector("target_moment", "Target joint torques, Nm.")
+    getActualQ = _vector("actual_q", "Joint positions, rad.")
+    getActualQd = _vector("actual_qd", "Joint speeds, rad/s.")
+    getActualCurrent = _vector("actual_current", "Joint currents, A.")
+    getJointControlOutput = _vector("joint_control_output", "Control currents of the joints, A.")
+    getActualTCPPose = _vector("actual_TCP_pose", "Pose of the tool in the base frame: m, and rotation vector in rad.")
+    getActualTCPSpeed = _vector("actual_TCP_speed", "Speed of the tool in the base frame: m/s and rad/s.")
+    getActualTCPForce = _vector("actual_TCP_force", "Force at the tool: N and Nm.")
+    getTargetTCPPose = _vector(
+        "target_TCP_pose", "Target pose of the tool in the base frame: m, and rotation vector in rad."
     )
-    getActualTCPSpeed = _getter("actual_TCP_speed", _vector, "Speed of the tool in the base frame: m/s and rad/s.")
-    getActualTCPForce = _getter("actual_TCP_force", _vector, "Force at the tool: N and Nm.")
-    getTargetTCPPose = _getter(
-        "target_TCP_pose", _vector, "Target pose of the tool in the base frame: m, and rotation vector in rad."
-    )
-    getTargetTCPSpeed = _getter(
-        "target_TCP_speed", _vector, "Target speed of the tool in the base frame: m/s and rad/s."
-    )
-    getActualDigitalInputBits = _getter(
-        "actual_digital_input_bits",
-        int,
-        "Digital inputs: 0 to 7 standard, 8 to 15 configurable, 16 and 17 of the tool.",
+    getTargetTCPSpeed = _vector("target_TCP_speed", "Target speed of the tool in the base frame: m/s and rad/s.")
+    getActualDigitalInputBits = _integer(
+        "actual_digital_input_bits", "Digital inputs: 0 to 7 standard, 8 to 15 configurable, 16 and 17 of the tool."
     )
 
     def getDigitalInState(self, input_id: int) -> bool:
         """One digital input, by its bit in `getActualDigitalInputBits`."""
         return _bit(self.getActualDigitalInputBits(), input_id)
 
-    getJointTemperatures = _getter("joint_temperatures", _vector, "Joint temperatures, °C.")
-    getActualExecutionTime = _getter(
-        "actual_execution_time", float, "Execution time of the controller's real-time thread."
-    )
-    getRobotMode = _getter("robot_mode", int, "Robot mode, a number of `urlink.packets.RobotMode`.")
-    getJointMode = _getter("joint_mode", _integers, "Mode of each joint, numbers of `urlink.packets.JointMode`.")
-    getSafetyMode = _getter("safety_mode", int, "Safety mode, a number of `urlink.packets.SafetyMode`.")
-    getActualToolAccelerometer = _getter("actual_tool_accelerometer", _vector, "(3,) acceleration of the tool, m/s².")
-    getSpeedScaling = _getter("speed_scaling", float, "Speed scaling of the trajectory limiter.")
-    getTargetSpeedFraction = _getter("target_speed_fraction", float, "Target speed fraction: the slider.")
+    getJointTemperatures = _vector("joint_temperatures", "Joint temperatures, °C.")
+    getActualExecutionTime = _number("actual_execution_time", "Execution time of the controller's real-time thread.")
+    getRobotMode = _integer("robot_mode", "Robot mode, a number of `urlink.packets.RobotMode`.")
+    getJointMode = _integers("joint_mode", "Mode of each joint, numbers of `urlink.packets.JointMode`.")
+    getSafetyMode = _integer("safety_mode", "Safety mode, a number of `urlink.packets.SafetyMode`.")
+    getActualToolAccelerometer = _vector("actual_tool_accelerometer", "(3,) acceleration of the tool, m/s².")
+    getSpeedScaling = _number("speed_scaling", "Speed scaling of the trajectory limiter.")
+    getTargetSpeedFraction = _number("target_speed_fraction", "Target speed fraction: the slider.")
 
     def getSpeedScalingCombined(self) -> float:
         """The scaling of motions: speed scaling times target speed fraction, both of the same package."""
         state = self._stream.latest or self._stream.wait(_TIMEOUT)
         return float(state.speed_scaling * state.target_speed_fraction)
 
-    getActualMomentum = _getter("actual_momentum", float, "Norm of the Cartesian linear momentum.")
-    getActualMainVoltage = _getter("actual_main_voltage", float, "Main voltage of the safety control board, V.")
-    getActualRobotVoltage = _getter(
-        "actual_robot_voltage", float, "Robot voltage (48 V) of the safety control board, V."
-    )
-    getActualRobotCurrent = _getter("actual_robot_current", float, "Robot current of the safety control board, A.")
-    getActualJointVoltage = _getter("actual_joint_voltage", _vector, "Joint voltages, V.")
-    getActualDigitalOutputBits = _getter(
-        "actual_digital_output_bits",
-        int,
-        "Digital outputs: 0 to 7 standard, 8 to 15 configurable, 16 and 17 of the tool.",
+    getActualMomentum = _number("actual_momentum", "Norm of the Cartesian linear momentum.")
+    getActualMainVoltage = _number("actual_main_voltage", "Main voltage of the safety control board, V.")
+    getActualRobotVoltage = _number("actual_robot_voltage", "Robot voltage (48 V) of the safety control board, V.")
+    getActualRobotCurrent = _number("actual_robot_current", "Robot current of the safety control board, A.")
+    getActualJointVoltage = _vector("actual_joint_voltage", "Joint voltages, V.")
+    getActualDigitalOutputBits = _integer(
+        "actual_digital_output_bits", "Digital outputs: 0 to 7 standard, 8 to 15 configurable, 16 and 17 of the tool."
     )
 
     def getDigitalOutState(self, output_id: int) -> bool:
         """One digital output, by its bit in `getActualDigitalOutputBits`."""
         return _bit(self.getActualDigitalOutputBits(), output_id)
 
-    getRuntimeState = _getter("runtime_state", int, "State of the program, a number of `urlink.packets.ProgramState`.")
-    getStandardAnalogInput0 = _getter("standard_analog_input0", float, "Standard analogue input 0, A or V.")
-    getStandardAnalogInput1 = _getter("standard_analog_input1", float, "Standard analogue input 1, A or V.")
-    getStandardAnalogOutput0 = _getter("standard_analog_output0", float, "Standard analogue output 0, A or V.")
-    getStandardAnalogOutput1 = _getter("standard_analog_output1", float, "Standard analogue output 1, A or V.")
-    getRobotStatus = _getter(
-        "robot_status_bits",
-        int,
-        "Bits of the robot status: 0 power on, 1 program running, 2 teach button, 3 power button.",
+    getRuntimeState = _integer("runtime_state", "State of the program, a number of `urlink.packets.ProgramState`.")
+    getStandardAnalogInput0 = _number("standard_analog_input0", "Standard analogue input 0, A or V.")
+    getStandardAnalogInput1 = _number("standard_analog_input1", "Standard analogue input 1, A or V.")
+    getStandardAnalogOutput0 = _number("standard_analog_output0", "Standard analogue output 0, A or V.")
+    getStandardAnalogOutput1 = _number("standard_analog_output1", "Standard analogue output 1, A or V.")
+    getRobotStatus = _integer(
+        "robot_status_bits", "Bits of the robot status: 0 power on, 1 program running, 2 teach button, 3 power button."
     )
-    getSafetyStatusBits = _getter(
-        "safety_status_bits", int, "Bits of the safety status, those of `urlink.SafetyStatusBits`."
+    getSafetyStatusBits = _integer(
+        "safety_status_bits", "Bits of the safety status, those of `urlink.SafetyStatusBits`."
     )
 
     def isProtectiveStopped(self) -> bool:
@@ -213,12 +197,10 @@ class RTDEReceiveInterface(RtdeInterface):
         """Whether an emergency stop holds."""
         return bool(self.getSafetyStatusBits() & SafetyStatusBits.EMERGENCY_STOPPED)
 
-    getFtRawWrench = _getter("ft_raw_wrench", _vector, "Raw force and torque of the sensor, from 5.9 on: N and Nm.")
-    getPayload = _getter("payload", float, "Mass of the payload, kg, from 3.11 and 5.5.1 on.")
-    getPayloadCog = _getter("payload_cog", _vector, "(3,) centre of gravity of the payload, m.")
-    getPayloadInertia = _getter(
-        "payload_inertia", _vector, "(6,) inertia of the payload, kg m², from 3.15 and 5.11 on."
-    )
+    getFtRawWrench = _vector("ft_raw_wrench", "Raw force and torque of the sensor, from 5.9 on: N and Nm.")
+    getPayload = _number("payload", "Mass of the payload, kg, from 3.11 and 5.5.1 on.")
+    getPayloadCog = _vector("payload_cog", "(3,) centre of gravity of the payload, m.")
+    getPayloadInertia = _vector("payload_inertia", "(6,) inertia of the payload, kg m², from 3.15 and 5.11 on.")
 
     def getOutputIntRegister(self, output_id: int) -> int:
         """Output integer register, 0 to 47 by its own number."""

@@ -16,7 +16,7 @@ import numpy as np
 from ..arm_file import ArmFile
 from ..simulator import Controller, Still
 from ..vectors import FloatArray
-from .samples import Samples
+from .samples import COLUMNS, Samples
 
 __all__ = ["Disagreement", "Movement", "compare"]
 
@@ -29,13 +29,6 @@ QUANTITIES = {
     "target_current": "A",
     "actual_q": "rad",
     "actual_current": "A",
-}
-_FIELDS = {
-    "target_q": "q_target",
-    "target_moment": "M_target",
-    "target_current": "I_target",
-    "actual_q": "q_actual",
-    "actual_current": "I_actual",
 }
 
 
@@ -122,7 +115,7 @@ def _run(
         for _ in range(cycles):
             controller.step()
             speeds.append(controller.arm.setpoint.qd[lead])
-            for name, field in _FIELDS.items():
+            for name, field in ((name, COLUMNS[name]) for name in QUANTITIES):
                 shown[name].append(list(getattr(controller.arm.sample, field)))
         moving = np.flatnonzero(speeds)
         if not len(moving):
