@@ -25,7 +25,7 @@ from .interfaces.primary.robot_state import RobotState
 from .interfaces.realtime.packets import RealtimeState
 from .ports import service_of
 from .robot_clock import RobotClock
-from .source import Source, networked
+from .source import Source, networked, recorded
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -99,8 +99,6 @@ def connect(options: ConnectOptions) -> Robot:
         ConnectFailed, ConnectionLost, LinkTimeout, WrongPeer: nobody, or somebody else, is there.
     """
     if isinstance(options.place, RecordingAddress):
-        from .playback import recorded
-
         return Robot(
             options.name,
             recorded(options.place),

@@ -1,4 +1,4 @@
-"""Where a robot's bytes come from. Here: from a controller on the network; `playback` has recordings."""
+"""Where a robot's bytes come from: a controller on the network, or a recording."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from linkcore.errors import BadValue, ConnectFailed, unraised
+from linkcore.errors import BadRecording, BadValue, ConnectFailed, unraised
 from linkcore.net.transport import TcpTransport, Transport
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import Backoff
@@ -16,10 +16,10 @@ from linkcore.streaming.thread_connection import ThreadConnection
 from linkcore.wire.framing import PacketProtocol
 from linkcore.wire.packet import State
 
-from .address import RobotAddress
+from .address import RecordingAddress, RobotAddress
 from .connect_options import ConnectOptions
 from .decoding import INTERFACES
-from .identity import Identity, identify
+from .identity import Identity, described_identity, identify
 from .interfaces.primary.protocol import PrimaryProtocol
 from .interfaces.primary.robot_message import OtherPackage, RobotMessage
 from .interfaces.primary.robot_state import RobotState, SubPackage
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from .interfaces.rtde.protocol import Requests
     from .interfaces.rtde.transport import RtdeTransport
 
-__all__ = ["Source", "networked"]
+__all__ = ["Source", "networked", "recorded"]
 
 
 class Source(NamedTuple):
@@ -153,3 +153,32 @@ def networked(
         )
 
     return Source(ask, transport, options.backoff, timeout, silence, is_lossless=False)
+
+
+def recorded(place: RecordingAddress) -> Source:
+    """A recording, which is played as it is read.
+
+    Raises:
+        BadRecording: it does not exist, or is none.
+    """
+    # Imported here: a connection to a controller costs less without them.
+    from linkcore.recording.file import RecordingFile
+    from linkcore.recording.player import ReplayClock, ReplayTransport
+
+    recording = RecordingFile(place.path)
+    clock = ReplayClock(recording, place.rate)
+
+    def ask() -> Identity:
+        for info in recording.channels.values():
+            if "firmware" in info:
+                return described_identity(info)
+        raise BadRecording(f"{recording.path} does not say what firmware it was recorded from")
+
+    def transport(interface: str) -> Transport:
+        return ReplayTransport(recording, interface, clock)
+
+    def channel(interface: str) -> Mapping[str, Any]:
+        return recording.channels[recording.channel(interface)]
+
+    at_once = Backoff(first=0, most=0)
+    return Source(ask, transport, at_once, timeout=5.0, silence=None, is_lossless=place.rate == 0, channel=channel)
