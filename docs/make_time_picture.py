@@ -1,7 +1,5 @@
 """Draw docs/images/time.svg: a simulated arm on a curve while the speed slider moves. The same bytes each time."""
 
-import io
-import re
 import threading
 import time
 from pathlib import Path
@@ -11,6 +9,7 @@ import matplotlib
 matplotlib.use("svg")
 
 import numpy as np
+from _drawing import PLOT_STYLE, plot_text
 from matplotlib import pyplot
 
 import urlink
@@ -18,14 +17,6 @@ from urlink.simulator import Controller, Still
 
 PICTURE = Path(__file__).parent / "images" / "time.svg"
 READY = (0.0, -1.6, 1.6, -1.6, -1.6, 0.0)
-_STYLE = {
-    "svg.hashsalt": "urlink",
-    "svg.fonttype": "none",
-    "font.family": "sans-serif",
-    "font.size": 9,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-}
 
 
 def slider(t):
@@ -66,7 +57,7 @@ def run(scaling):
 def main():
     """The times, and the two joints against each other."""
     followed, ignored = run("follow"), run("ignore")
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(PLOT_STYLE):
         figure, (times, paths) = pyplot.subplots(1, 2, figsize=(8.0, 3.2), layout="constrained")
         times.plot(followed[0], followed[1], color="#718096", linewidth=1.0, label="speed slider")
         times.plot(followed[0], followed[2], color="#2b6cb0", linewidth=1.2, label="trajectory_time, s")
@@ -79,11 +70,8 @@ def main():
         paths.set_xlabel("base, rad")
         paths.set_ylabel("shoulder, rad")
         paths.legend(frameon=False, loc="upper left", bbox_to_anchor=(0.45, 0.55))
-        drawn = io.StringIO()
-        figure.savefig(drawn, format="svg", metadata={"Creator": None, "Date": None})
+        PICTURE.write_text(plot_text(figure))
         pyplot.close(figure)
-    # A hundredth of a point is more than anybody sees, and a third of the bytes.
-    PICTURE.write_text(re.sub(r"(\d\.\d\d)\d+", r"\1", drawn.getvalue()))
 
 
 if __name__ == "__main__":

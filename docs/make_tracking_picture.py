@@ -4,9 +4,7 @@ The same results give the same bytes.
 """
 
 import argparse
-import io
 import json
-import re
 from pathlib import Path
 
 import matplotlib
@@ -14,19 +12,11 @@ import matplotlib
 matplotlib.use("svg")
 
 import numpy as np
+from _drawing import PLOT_STYLE, plot_text
 from matplotlib import pyplot
 
 RESULTS = Path(__file__).parents[1] / "benchmarks" / "results" / "tracking.json"
 PICTURE = Path(__file__).parent / "images" / "tracking.svg"
-
-_STYLE = {
-    "svg.hashsalt": "urlink",
-    "svg.fonttype": "none",
-    "font.family": "sans-serif",
-    "font.size": 9,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-}
 
 
 def main() -> None:
@@ -35,8 +25,9 @@ def main() -> None:
     parser.add_argument("--results", type=Path, default=RESULTS)
     parser.add_argument("--output", type=Path, default=PICTURE)
     args = parser.parse_args()
+    args.output.parent.mkdir(exist_ok=True)
     arms = json.loads(args.results.read_text())["arms"]
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(PLOT_STYLE):
         figure, rows = pyplot.subplots(
             3, len(arms), figsize=(8.0, 5.6), sharex=True, sharey="row", height_ratios=(3, 2, 1.4), layout="constrained"
         )
@@ -55,12 +46,8 @@ def main() -> None:
             axes.set_ylabel(label)
         rows[2, 0].set_ylim(bottom=0.0)
         rows[0, 0].legend(frameon=False, loc="upper left")
-        drawn = io.StringIO()
-        figure.savefig(drawn, format="svg", metadata={"Creator": None, "Date": None})
+        args.output.write_text(plot_text(figure))
         pyplot.close(figure)
-    args.output.parent.mkdir(exist_ok=True)
-    # A hundredth of a point is more than anybody sees, and a third of the bytes.
-    args.output.write_text(re.sub(r"(\d\.\d\d)\d+", r"\1", drawn.getvalue()))
 
 
 if __name__ == "__main__":
