@@ -14,10 +14,9 @@ from ..commanding.interpreter import Interpreter, InterpreterState
 from ..commanding.io import IO
 from ..commanding.safety import Safety
 from ..commanding.scripts import Scripts
-from ..firmware import Firmware
 from ..interfaces.dashboard.client import Dashboard
 from ..interfaces.gripper.client import Gripper
-from ..interfaces.rtde.recipes import Outputs, Recipe
+from ..interfaces.rtde.recipes import Outputs
 from ..interfaces.tool_serial import ToolSerial
 from ..motion import Motions, PointStream, Teaching
 from ..rtde import Inputs, OutputStream, Registers, Rtde
@@ -302,40 +301,23 @@ class AsyncInputs(AwaitedPart[Inputs]):
 class AsyncOutputStream(AsyncStream[T]):
     """As `OutputStream`, for programs that use asyncio."""
 
-    __slots__ = ("_outputs",)
+    __slots__ = ("_part",)
 
     def __init__(self, outputs: OutputStream[T]) -> None:
         super().__init__(outputs)
-        self._outputs = outputs
+        self._part = outputs
 
     async def description(self) -> dict[str, Any]:
         """As `OutputStream.description`, which connects."""
         await self.start()
         return await super().description()
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        return self._outputs.names
-
-    @property
-    def frequency(self) -> float | None:
-        return self._outputs.frequency
-
-    @property
-    def recipe(self) -> Recipe | None:
-        return self._outputs.recipe
-
-    @property
-    def left_out(self) -> tuple[str, ...]:
-        return self._outputs.left_out
-
-    @property
-    def controller(self) -> Firmware | None:
-        return self._outputs.controller
-
-    @property
-    def is_over(self) -> bool:
-        return self._outputs.is_over
+    names = attribute(OutputStream, lambda part: part.names)
+    frequency = attribute(OutputStream, lambda part: part.frequency)
+    recipe = attribute(OutputStream, lambda part: part.recipe)
+    left_out = attribute(OutputStream, lambda part: part.left_out)
+    controller = attribute(OutputStream, lambda part: part.controller)
+    is_over = attribute(OutputStream, lambda part: part.is_over)
 
 
 class AsyncRtde(AwaitedPart[Rtde]):

@@ -11,25 +11,22 @@ from __future__ import annotations
 import ipaddress
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypeVar, cast
 
 from linkcore.errors import BadValue
 from linkcore.net.polled import PolledConnection, State
-from urlink.dynamics import Dynamics
-from urlink.firmware import Firmware
 from urlink.interfaces.rtde.variables import INPUTS, OUTPUTS
-from urlink.kinematics import Arm
-from urlink.motors import Motors
 
 from ..messages import popup_message, text_message
-from ..registers import Action, RegisterBanks
+from ..registers import Action
 from ..robot.generator import Drive, ForceTask, MotionGenerator
-from ..robot.signals import ModbusSignals, Signals
 from ..rtde_variables import OUTPUT_VALUES
 from ..state import ControllerState
 
 #: Where a connection to a numeric address and a port goes; None if a program may not connect to it.
 Route = Callable[[str, int], tuple[str, int] | None]
+
+T = TypeVar("T")
 
 #: Sockets that a program may have at once; those count that only their peer has closed.
 MOST = 16
@@ -86,6 +83,11 @@ class ProgramSockets:
             self.close(name)
 
 
+def _reads(read: Callable[[ProgramWorld], T]) -> T:
+    """A property that only reads."""
+    return cast(T, property(read))
+
+
 class ProgramWorld:
     """The controller for one of its programs: the `World` of `urlink.simulator.urscript`.
 
@@ -107,89 +109,27 @@ class ProgramWorld:
             return MotionGenerator(self._state.kinematics, self._state.arm.setpoint)
         return self._drive.generator
 
-    @property
-    def firmware(self) -> Firmware:
-        return self._state.firmware
-
-    @property
-    def kinematics(self) -> Arm:
-        return self._state.kinematics
-
-    @property
-    def dynamics(self) -> Dynamics:
-        return self._state.arm.dynamics
-
-    @property
-    def motors(self) -> Motors:
-        return self._state.arm.motors
-
-    @property
-    def cycle(self) -> int:
-        return self._state.cycle
-
-    @property
-    def signals(self) -> Signals:
-        return self._state.signals
-
-    @property
-    def flags(self) -> list[bool]:
-        return self._state.flags
-
-    @property
-    def registers(self) -> RegisterBanks:
-        return self._state.registers
-
-    @property
-    def modbus(self) -> ModbusSignals:
-        return self._state.modbus
-
-    @property
-    def q_actual(self) -> Sequence[float]:
-        return self._state.arm.q_actual
-
-    @property
-    def qd_actual(self) -> Sequence[float]:
-        return self._state.arm.qd_actual
-
-    @property
-    def q_target(self) -> Sequence[float]:
-        return self._state.arm.setpoint.q
-
-    @property
-    def qd_target(self) -> Sequence[float]:
-        return self._state.arm.setpoint.qd
-
-    @property
-    def qdd_target(self) -> Sequence[float]:
-        return self._state.arm.setpoint.qdd
-
-    @property
-    def pose_actual(self) -> Sequence[float]:
-        return self._state.arm.sample.pose_actual
-
-    @property
-    def pose_target(self) -> Sequence[float]:
-        return self._state.arm.sample.pose_target
-
-    @property
-    def speed_actual(self) -> Sequence[float]:
-        return self._state.arm.sample.speed_actual
-
-    @property
-    def speed_target(self) -> Sequence[float]:
-        return self._state.arm.sample.speed_target
-
-    @property
-    def force(self) -> Sequence[float]:
-        return self._state.arm.sample.force
-
-    @property
-    def torques(self) -> Sequence[float]:
-        return self._state.arm.sample.M_target
-
-    @property
-    def tcp(self) -> Sequence[float]:
-        return self._state.arm.tcp
+    firmware = _reads(lambda world: world._state.firmware)
+    kinematics = _reads(lambda world: world._state.kinematics)
+    dynamics = _reads(lambda world: world._state.arm.dynamics)
+    motors = _reads(lambda world: world._state.arm.motors)
+    cycle = _reads(lambda world: world._state.cycle)
+    signals = _reads(lambda world: world._state.signals)
+    flags = _reads(lambda world: world._state.flags)
+    registers = _reads(lambda world: world._state.registers)
+    modbus = _reads(lambda world: world._state.modbus)
+    q_actual = _reads(lambda world: world._state.arm.q_actual)
+    qd_actual = _reads(lambda world: world._state.arm.qd_actual)
+    q_target = _reads(lambda world: world._state.arm.setpoint.q)
+    qd_target = _reads(lambda world: world._state.arm.setpoint.qd)
+    qdd_target = _reads(lambda world: world._state.arm.setpoint.qdd)
+    pose_actual = _reads(lambda world: world._state.arm.sample.pose_actual)
+    pose_target = _reads(lambda world: world._state.arm.sample.pose_target)
+    speed_actual = _reads(lambda world: world._state.arm.sample.speed_actual)
+    speed_target = _reads(lambda world: world._state.arm.sample.speed_target)
+    force = _reads(lambda world: world._state.arm.sample.force)
+    torques = _reads(lambda world: world._state.arm.sample.M_target)
+    tcp = _reads(lambda world: world._state.arm.tcp)
 
     def set_tcp(self, pose: Sequence[float]) -> None:
         self._state.arm.tcp = list(pose)
@@ -197,17 +137,9 @@ class ProgramWorld:
             # A movement may follow in the same cycle.
             self._drive.generator.tcp = pose
 
-    @property
-    def payload(self) -> float:
-        return self._state.arm.payload
-
-    @property
-    def payload_cog(self) -> Sequence[float]:
-        return self._state.arm.payload_cog
-
-    @property
-    def payload_inertia(self) -> Sequence[float]:
-        return self._state.arm.payload_inertia
+    payload = _reads(lambda world: world._state.arm.payload)
+    payload_cog = _reads(lambda world: world._state.arm.payload_cog)
+    payload_inertia = _reads(lambda world: world._state.arm.payload_inertia)
 
     def set_payload(
         self, mass: float, cog: Sequence[float] | None, inertia: Sequence[float] | None, seconds: float = 0.0
@@ -241,9 +173,7 @@ class ProgramWorld:
     def contact_steps(self, direction: Sequence[float]) -> int:
         return self._state.arm.contact_steps(direction)
 
-    @property
-    def external_torques(self) -> Sequence[float]:
-        return self._state.arm.external_torques
+    external_torques = _reads(lambda world: world._state.arm.external_torques)
 
     def force_mode(self, task: ForceTask) -> None:
         if self._drive is not None:
@@ -273,9 +203,7 @@ class ProgramWorld:
         state.popup = text
         state.outbox.offer(lambda: popup_message(state, text, title, is_warning, is_error, is_blocking))
 
-    @property
-    def has_popup(self) -> bool:
-        return self._state.popup is not None
+    has_popup = _reads(lambda world: world._state.popup is not None)
 
     def protective_stop(self) -> None:
         self._state.stop_protectively("protective_stop() was called by the program", by_program=True)
