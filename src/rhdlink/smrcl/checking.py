@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Sequence
 
 from ..errors import Mistake
-from .commands import COMMANDS
+from .commands import COMMANDS, Kind
 from .parser import FUNCTIONS, Parser
 from .plan import MissionPlan, PlanLine
 from .symbols import split_index
@@ -40,6 +40,7 @@ def check(
     *,
     functions: Collection[str] = (),
     variables: Collection[str] = (),
+    checks_numbers: bool = True,
     system: Collection[str] | None = None,
 ) -> list[Mistake]:
     """Every mistake in a script, in the order of its lines.
@@ -48,6 +49,7 @@ def check(
         plan: its lines.
         functions: that the mission has beside those of the language.
         variables: that exist before it begins.
+        checks_numbers: whether a number that no motion takes is a mistake.
         system: the system variables of the robot; None if that is not known.
     """
     parser = Parser(frozenset(COMMANDS), {**FUNCTIONS, **dict.fromkeys(functions)})
@@ -55,12 +57,17 @@ def check(
     made = {*variables, *_made(trees)}
     found: list[Mistake] = []
     for line, tree in zip(plan.lines, trees, strict=True):
-        found += _check_line(line, tree, plan, made, system)
+        found += _check_line(line, tree, plan, made, checks_numbers, system)
     return found
 
 
 def _check_line(
-    line: PlanLine, tree: ScriptLine, plan: MissionPlan, made: Collection[str], system: Collection[str] | None
+    line: PlanLine,
+    tree: ScriptLine,
+    plan: MissionPlan,
+    made: Collection[str],
+    checks_numbers: bool,
+    system: Collection[str] | None,
 ) -> Iterator[Mistake]:
     # The column counts in the file, where the line may be indented.
     indent = line.indent
@@ -80,42 +87,50 @@ def _check_line(
         if isinstance(statement, WaitFor) and not statement.conditions:
             yield mistake(statement.column, "a character that is not ASCII can stand in texts and comments only")
         if isinstance(statement, CommandStatement):
-            yield from (mistake(statement.column, text) for text in _command_mistakes(statement, plan))
+            for text in _command_mistakes(statement, plan, checks_numbers):
+                yield mistake(statement.column, text)
     if tree.problem is not None:
         yield mistake(tree.problem.column, tree.problem.message)
 
 
-def _command_mistakes(command: CommandStatement, plan: MissionPlan) -> Iterator[str]:
-    if command.is_broken:
+def _command_mistakes(statement: CommandStatement, plan: MissionPlan, checks_numbers: bool) -> Iterator[str]:
+    if statement.is_broken:
         return
-    signature, parameters = COMMANDS[command.name], command.parameters
-    if not signature.takes(len(parameters)):
-        yield f"{command.name} takes {signature.count}, not {len(parameters)}"
+    command, parameters = COMMANDS[statement.name], statement.parameters
+    if not command.takes(len(parameters)):
+        yield f"{command.name} takes {command.count}, not {len(parameters)}"
         return
     for number, operand in enumerate(parameters):
-        if text := signature.mistake(number, operand):
-            yield f"{command.name}: {text}"
-    if command.name in ("goto", "call") and isinstance(parameters[0], TextLiteral):
-        label = parameters[0].value
+        text = command.mistake(number, operand)
+        if not text and checks_numbers and isinstance(operand, NumberLiteral):
+            text = command.excess(number, operand.value)
+        if text:
+            yield text
+    for label in _texts(statement, Kind.LABEL):
         if plan.find_label(label) is None:
             yield f'there is no label "{label}"'
-    if command.name == "addwatch" and not command.conditions:
-        yield 'addwatch needs a condition, as in addwatch "name" 1 : ($odox > 1)'
-    for setting in command.speeds:
+    if command.needs_condition and not statement.conditions:
+        yield f"{command.name} needs a condition, as in {command.needs_condition}"
+    for setting in statement.speeds:
         if setting.letter == "a" and isinstance(setting.value, NumberLiteral) and not setting.value.value > 0.0:
             yield "an acceleration has to be above 0"
 
 
+def _texts(statement: CommandStatement, kind: Kind) -> Iterator[str]:
+    """The parameters of a kind that are texts."""
+    for number, operand in enumerate(statement.parameters):
+        if isinstance(operand, TextLiteral) and COMMANDS[statement.name].kind(number) is kind:
+            yield operand.value
+
+
 def _made(trees: Iterable[ScriptLine]) -> Iterator[str]:
-    """The variables that a script makes: by an assignment, or by `array`."""
+    """The variables that a script makes: by an assignment, or by a command."""
     for tree in trees:
         for statement in tree.statements:
             if isinstance(statement, Assign) and isinstance(statement.target, VariableName):
                 yield statement.target.name
-            elif isinstance(statement, CommandStatement) and statement.name == "array":
-                yield from (
-                    split_index(each.value)[0] for each in statement.parameters[:1] if isinstance(each, TextLiteral)
-                )
+            elif isinstance(statement, CommandStatement):
+                yield from (split_index(name)[0] for name in _texts(statement, Kind.NEW_NAME))
 
 
 def _variables(statement: Statement) -> Iterator[VariableName]:

@@ -1,122 +1,197 @@
-"""The commands of the language: their names, and the parameters that they take.
+"""The commands of the language, one row each: the parameters that it takes, and the function that carries it out.
 
-How many parameters there are is checked by MRC, and what they are is not; here both are.
+How many parameters there are is checked by MRC, and what they are is not; here both are, before a script runs and when
+a line is executed. A new command is a function, a row below, and a row of the page on SMR-CL.
 """
 
 from __future__ import annotations
 
+import enum
+import inspect
+from collections.abc import Callable
 from dataclasses import dataclass
 from types import MappingProxyType
 
+from . import driving, effects, reporting, settings
+from .arithmetic import format_number
+from .interpreter import Outcome
+from .parser import FUNCTIONS, KEYWORDS
 from .syntax import Operand, TextLiteral
 
-__all__ = ["COMMANDS", "MOST_PARAMETERS", "MOTIONS", "Signature"]
+__all__ = ["COMMANDS", "MOST_PARAMETERS", "RESERVED", "Command", "Kind"]
 
-#: A command that takes "up to 9" takes up to 49, as in MRC.
+#: Parameters of a command whose last one may be repeated, as in MRC, which calls it "up to 9".
 MOST_PARAMETERS = 49
+#: m, or rad, beyond which no motion is meant.
+_FARTHEST = 1e6
+
+
+class Kind(enum.Enum):
+    """The kind of a parameter."""
+
+    NUMBER = "a number"
+    #: m, rad or degrees, of at most `_FARTHEST` where the profile checks numbers.
+    LENGTH = "a length or an angle"
+    TEXT = "a text"
+    #: A text that names a label of the script.
+    LABEL = "a label"
+    #: A text that names the variable that the command makes.
+    NEW_NAME = "a new name"
+    #: MRC looks at whether there is a parameter, and not at what it is.
+    ANY = "anything"
+
+
+_TEXTS = frozenset((Kind.TEXT, Kind.LABEL, Kind.NEW_NAME))
+_NUMBERS = frozenset((Kind.NUMBER, Kind.LENGTH))
 
 
 @dataclass(frozen=True)
-class Signature:
-    """The parameters of a command.
+class Command:
+    """A row of the table.
 
     Attributes:
-        least: how many there must be.
-        most: how many there may be; 9 means `MOST_PARAMETERS`.
-        kinds: of each: "d" a number, "s" a text, "x" either; the last one is that of all further ones.
+        name: of the command.
+        carry_out: takes a `MissionEffects` and the parameters, a float or a str each.
+        kinds: of its parameters.
+        optional: how many of the last ones may be left out.
+        repeats: the last one may come again and again.
+        needs_condition: it is nothing without a stop condition; what it looks like with one.
+
+    Raises:
+        TypeError: the function does not take these parameters.
     """
 
-    least: int
-    most: int
-    kinds: str = ""
+    name: str
+    carry_out: Callable[..., Outcome]
+    kinds: tuple[Kind, ...] = ()
+    optional: int = 0
+    repeats: bool = False
+    needs_condition: str = ""
+
+    def __post_init__(self) -> None:
+        signature = inspect.signature(self.carry_out)
+        for count in (self.least, self.most):
+            try:
+                signature.bind(None, *range(count))
+            except TypeError as error:
+                raise TypeError(f"{self.name} takes {self.count}, and its function does not: {error}") from None
+
+    @property
+    def least(self) -> int:
+        """How many parameters there must be."""
+        return len(self.kinds) - self.optional
+
+    @property
+    def most(self) -> int:
+        """How many there may be."""
+        return MOST_PARAMETERS if self.repeats else len(self.kinds)
 
     def takes(self, count: int) -> bool:
         """Whether so many parameters will do."""
-        return self.least <= count <= (MOST_PARAMETERS if self.most == 9 else self.most)
-
-    def mistake(self, number: int, operand: Operand) -> str:
-        """The error of a parameter, counted from 0; "" for none."""
-        kind = self.kinds[min(number, len(self.kinds) - 1)]
-        if kind == "s" and not isinstance(operand, TextLiteral):
-            return f'parameter {number + 1} has to be a text, as in "name"'
-        if kind == "d" and isinstance(operand, TextLiteral):
-            return f"parameter {number + 1} has to be a number or a variable, not a text"
-        return ""
+        return self.least <= count <= self.most
 
     @property
     def count(self) -> str:
         """In words: how many."""
         if self.least == self.most:
             return f"{self.least} parameter{'s' * (self.least != 1)}"
-        return f"{self.least} to {MOST_PARAMETERS if self.most == 9 else self.most} parameters"
+        return f"{self.least} to {self.most} parameters"
+
+    def kind(self, number: int) -> Kind:
+        """The kind of a parameter, counted from 0, be it one too many."""
+        return self.kinds[min(number, len(self.kinds) - 1)] if self.kinds else Kind.ANY
+
+    def mistake(self, number: int, operand: Operand) -> str:
+        """The error of a parameter, counted from 0; "" for none."""
+        kind = self.kind(number)
+        if kind in _TEXTS and not isinstance(operand, TextLiteral):
+            return f'{self.name}: parameter {number + 1} has to be a text, as in "name"'
+        if kind in _NUMBERS and isinstance(operand, TextLiteral):
+            return f"{self.name}: parameter {number + 1} has to be a number or a variable, not a text"
+        return ""
+
+    def excess(self, number: int, value: float | str) -> str:
+        """The error of a parameter's value, counted from 0; "" for none."""
+        if self.kind(number) is not Kind.LENGTH or not isinstance(value, float) or abs(value) <= _FARTHEST:
+            return ""
+        expected = f"{Kind.LENGTH.value} of at most {_FARTHEST:g}"
+        return f"{self.name}: parameter {number + 1} has to be {expected}, not {format_number(value)}"
 
 
-#: Every command. "x" stands where MRC looks at whether there is a parameter, and not at what it is.
-COMMANDS: MappingProxyType[str, Signature] = MappingProxyType(
-    {
-        "fwd": Signature(1, 1, "d"),
-        "turn": Signature(1, 2, "dx"),
-        "drive": Signature(0, 4, "dddx"),
-        "driveon": Signature(0, 4, "dddx"),
-        "drivew": Signature(3, 4, "dddx"),
-        "driveonw": Signature(3, 4, "dddx"),
-        "motorcmds": Signature(2, 2, "d"),
-        "turnr": Signature(2, 3, "ddx"),
-        "turnc": Signature(2, 3, "ddx"),
-        "followline": Signature(1, 1, "s"),
-        "followwall": Signature(2, 2, "sd"),
-        "followwall2": Signature(2, 2, "sd"),
-        "label": Signature(1, 1, "s"),
-        "wait": Signature(1, 1, "d"),
-        "goto": Signature(1, 1, "s"),
-        "call": Signature(1, 1, "s"),
-        "return": Signature(0, 0),
-        "log": Signature(1, 9, "s"),
-        "stream": Signature(1, 9, "ds"),
-        "stop": Signature(0, 0),
-        "idle": Signature(0, 0),
-        "resetmotors": Signature(0, 0),
-        "barcode": Signature(0, 0),
-        "get": Signature(1, 2, "s"),
-        "set": Signature(2, 2, "sd"),
-        "setoutput": Signature(2, 2, "sd"),
-        "setoffset": Signature(2, 2, "sd"),
-        "setgain": Signature(2, 2, "sd"),
-        "setpar": Signature(4, 4, "sssd"),
-        "routeinput": Signature(4, 4, "s"),
-        "routeoutput": Signature(2, 2, "s"),
-        "control": Signature(1, 3, "s"),
-        "open": Signature(1, 1, "s"),
-        "writewifi": Signature(3, 3, "sdd"),
-        "play": Signature(1, 1, "s"),
-        "speak": Signature(1, 1, "s"),
-        "print": Signature(1, 1, "s"),
-        "read": Signature(1, 1, "s"),
-        "wallest": Signature(2, 4, "sd"),
-        "align": Signature(0, 0),
-        "ignoreobstacles": Signature(0, 0),
-        "vision": Signature(1, 1, "s"),
-        "laser": Signature(1, 1, "s"),
-        "putevent": Signature(1, 1, "s"),
-        "syncevent": Signature(1, 1, "s"),
-        "targethere": Signature(0, 0),
-        "resetodocov": Signature(0, 0),
-        "addwatch": Signature(2, 2, "sd"),
-        "array": Signature(2, 2, "sd"),
-        "trans": Signature(6, 6, "d"),
-        "invtrans": Signature(6, 6, "d"),
-        "stringcat": Signature(1, 9, "x"),
-        "tointstring": Signature(1, 1, "d"),
-        "drivetopoint": Signature(4, 5, "ddddx"),
-        "movetoxyz": Signature(3, 3, "d"),
-        "funcgen": Signature(1, 5, "d"),
-    }
+_ANY, _LENGTH, _NUMBER, _TEXT = Kind.ANY, Kind.LENGTH, Kind.NUMBER, Kind.TEXT
+_REFERENCE = (_LENGTH, _LENGTH, _LENGTH, _ANY)
+
+_TABLE = (
+    # -- motions
+    Command("fwd", driving.forward, (_LENGTH,)),
+    Command("turn", driving.turn, (_LENGTH, _ANY), optional=1),
+    Command("turnr", driving.turn_on_arc, (_LENGTH, _LENGTH, _ANY), optional=1),
+    Command("turnc", driving.turn_on_clothoid, (_LENGTH, _LENGTH, _ANY), optional=1),
+    Command("drive", driving.drive, _REFERENCE, optional=4),
+    Command("driveon", driving.drive_on, _REFERENCE, optional=4),
+    Command("drivew", driving.drive_in_world, _REFERENCE, optional=1),
+    Command("driveonw", driving.drive_on_in_world, _REFERENCE, optional=1),
+    Command("drivetopoint", driving.drive_to_point, (_LENGTH, _LENGTH, _LENGTH, _LENGTH, _ANY), optional=1),
+    Command("motorcmds", driving.set_wheels, (_LENGTH, _LENGTH)),
+    Command("followline", driving.follow_line, (_TEXT,)),
+    Command("followwall", driving.follow_wall, (_TEXT, _LENGTH)),
+    Command("followwall2", driving.follow_wall_by_table, (_TEXT, _LENGTH)),
+    Command("stop", driving.stop),
+    Command("idle", driving.idle),
+    Command("align", driving.align),
+    Command("movetoxyz", driving.move_to, (_NUMBER, _NUMBER, _NUMBER)),
+    Command("funcgen", driving.generate, (_LENGTH,) * 5, optional=4),
+    Command("ignoreobstacles", driving.ignore_obstacles),
+    Command("targethere", driving.set_target_here),
+    Command("resetodocov", driving.reset_covariance),
+    Command("resetmotors", driving.reset_motors),
+    # -- flow
+    Command("label", effects.pass_label, (_TEXT,)),
+    Command("goto", effects.go_to, (Kind.LABEL,)),
+    Command("call", effects.call, (Kind.LABEL,)),
+    Command("return", effects.go_back),
+    Command("wait", effects.wait, (_NUMBER,)),
+    # -- variables and settings
+    Command("array", settings.make_array, (Kind.NEW_NAME, _NUMBER)),
+    Command("trans", settings.transform, (_NUMBER,) * 6),
+    Command("invtrans", settings.transform_back, (_NUMBER,) * 6),
+    Command("set", settings.set_value, (_TEXT, _NUMBER)),
+    Command("setoutput", settings.set_output, (_TEXT, _NUMBER)),
+    Command("setoffset", settings.set_offset, (_TEXT, _NUMBER)),
+    Command("setgain", settings.set_gain, (_TEXT, _NUMBER)),
+    Command("setpar", settings.set_parameter, (_TEXT, _TEXT, _TEXT, _NUMBER)),
+    Command("routeinput", settings.route_input, (_TEXT,) * 4),
+    Command("routeoutput", settings.route_output, (_TEXT, _TEXT)),
+    # -- log, streams, watches, events, texts
+    Command("log", reporting.log, (_TEXT,), repeats=True),
+    Command("control", reporting.control_log, (_TEXT, _TEXT, _TEXT), optional=2),
+    Command("stream", reporting.stream, (_NUMBER, _TEXT), optional=1, repeats=True),
+    Command(
+        "addwatch",
+        reporting.add_watch,
+        (_TEXT, _NUMBER),
+        needs_condition='addwatch "name" 1 : ($odox > 1)',
+    ),
+    Command("putevent", reporting.put_event, (_TEXT,)),
+    Command("syncevent", reporting.sync_event, (_TEXT,)),
+    Command("print", reporting.print_text, (_TEXT,)),
+    Command("read", reporting.read, (_TEXT,)),
+    Command("stringcat", reporting.join_texts, (_ANY,), repeats=True),
+    Command("tointstring", reporting.write_whole, (_NUMBER,)),
+    # -- special hardware
+    Command("vision", effects.ask_camera, (_TEXT,)),
+    Command("laser", effects.ask_laser, (_TEXT,)),
+    Command("get", effects.get, (_TEXT, _TEXT), optional=1),
+    Command("play", effects.play, (_TEXT,)),
+    Command("speak", effects.speak, (_TEXT,)),
+    Command("open", effects.open_device, (_TEXT,)),
+    Command("writewifi", effects.write_wifi, (_TEXT, _NUMBER, _NUMBER)),
+    Command("wallest", effects.estimate_wall, (_TEXT, _NUMBER, _NUMBER, _NUMBER), optional=2),
+    Command("barcode", effects.read_barcode),
 )
 
-#: Those that move the robot.
-MOTIONS = frozenset(
-    (
-        *("fwd", "turn", "turnr", "turnc", "drive", "driveon", "drivew", "driveonw", "drivetopoint"),
-        *("followline", "followwall", "followwall2", "motorcmds", "align", "stop", "idle", "movetoxyz"),
-    )
-)
+#: Every command, by name.
+COMMANDS: MappingProxyType[str, Command] = MappingProxyType({command.name: command for command in _TABLE})
+
+#: Names that neither a variable nor a function of a mission can have.
+RESERVED = KEYWORDS | COMMANDS.keys() | FUNCTIONS.keys()

@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from .arithmetic import format_number
+from .commands import COMMANDS
 from .dialogue import ClientDialogue
 from .effects import Hook, MissionEffects
 from .expressions import LineFault
@@ -108,7 +109,9 @@ class MissionController:
         self.vehicle = Vehicle(conf, read, write, profile)
         self._outbox = Outbox()
         self.vehicle.control.say = self._say_of_motion
-        self.interpreter = ScriptInterpreter(self.vehicle, self._outbox, functions or {}, limits or MissionLimits())
+        self.interpreter = ScriptInterpreter(
+            self.vehicle, self._outbox, COMMANDS, functions or {}, limits or MissionLimits()
+        )
         self.effects = MissionEffects(self.vehicle, self.interpreter, self._outbox, self._outbox, hooks or {})
         self.interpreter.effects = self.effects
         self._profile = profile

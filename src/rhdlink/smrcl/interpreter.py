@@ -10,10 +10,9 @@ from __future__ import annotations
 import enum
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from .arithmetic import format_number, leading_number, truncate
-from .commands import COMMANDS
 from .expressions import Compiler, LineFault, Value
 from .lexer import TokenType, tokenize
 from .parser import FUNCTIONS, Parser
@@ -35,6 +34,9 @@ from .syntax import (
     WaitFor,
 )
 from .vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from .commands import Command
 
 __all__ = ["Effects", "Failure", "MissionLimits", "Outcome", "Output", "Run", "ScriptInterpreter", "never"]
 
@@ -64,11 +66,13 @@ class Output(Protocol):
 class Effects(Protocol):
     """The effects of commands; see `rhdlink.smrcl.effects`."""
 
-    def perform(self, name: str, parameters: Sequence[float | str], run: Run, conditions: Sequence[Value]) -> Outcome:
+    def perform(
+        self, command: Command, parameters: Sequence[float | str], run: Run, conditions: Sequence[Value]
+    ) -> Outcome:
         """Execute a command.
 
         Args:
-            name: of the command.
+            command: its row.
             parameters: of the number and the kinds that it takes.
             run: the plan that it belongs to.
             conditions: its stop conditions.
@@ -196,6 +200,7 @@ class ScriptInterpreter:
     Args:
         vehicle: what moves, and has the variables.
         output: gets the executed lines and the messages.
+        commands: of the language, by name.
         functions: further functions for expressions, by name.
         limits: bounds.
 
@@ -211,6 +216,7 @@ class ScriptInterpreter:
         self,
         vehicle: Vehicle,
         output: Output,
+        commands: Mapping[str, Command],
         functions: Mapping[str, Callable[..., float]],
         limits: MissionLimits,
     ) -> None:
@@ -219,7 +225,8 @@ class ScriptInterpreter:
         self._profile = vehicle.profile
         self._limits = limits
         self._symbols = vehicle.symbols
-        self._parser = Parser(frozenset(COMMANDS), {**FUNCTIONS, **dict.fromkeys(functions)})
+        self._commands = commands
+        self._parser = Parser(frozenset(commands), {**FUNCTIONS, **dict.fromkeys(functions)})
         self.compiler = Compiler(vehicle.symbols, vehicle.profile, functions)
         self.effects: Effects | None = None
         self.executed = 0
@@ -485,31 +492,35 @@ class ScriptInterpreter:
         pool, compiler = self._symbols.pool, self.compiler
         return lambda: pool[compiler.find(operand).place]
 
-    def _command(self, command: CommandStatement) -> _Step:
-        name = command.name
-        signature = COMMANDS[name]
-        parameters = [self._operand(each) for each in command.parameters]
-        speeds = [self._speed(each) for each in command.speeds]
-        conditions = tuple(map(self.compiler.compile, command.conditions))
+    def _command(self, statement: CommandStatement) -> _Step:
+        command = self._commands[statement.name]
+        parameters = [self._operand(each) for each in statement.parameters]
+        speeds = [self._speed(each) for each in statement.speeds]
+        conditions = tuple(map(self.compiler.compile, statement.conditions))
 
         def step(run: Run) -> Outcome | None:
             values = [parameter() for parameter in parameters]
             for speed in speeds:
                 speed()
-            if command.is_broken:
+            if statement.is_broken:
                 return None
             self._test(conditions)
             self._tests = conditions
-            if not signature.takes(len(values)):
+            if not command.takes(len(values)):
                 if not self._profile.says_why:
-                    most = "9" if signature.most == 9 else str(signature.most)
-                    self._output.message(f"Expecting between {signature.least}  and {most} parameters\n")
-                raise LineFault(f"{name} takes {signature.count}, not {len(values)}")
-            for number, operand in enumerate(command.parameters):
-                if mistake := signature.mistake(number, operand):
-                    raise LineFault(f"{name}: {mistake}")
+                    most = 9 if command.repeats else command.most
+                    self._output.message(f"Expecting between {command.least}  and {most} parameters\n")
+                raise LineFault(f"{command.name} takes {command.count}, not {len(values)}")
+            for number, (operand, value) in enumerate(zip(statement.parameters, values, strict=True)):
+                mistake = command.mistake(number, operand)
+                if not mistake and self._profile.numbers_are_checked:
+                    mistake = command.excess(number, value)
+                if mistake:
+                    raise LineFault(mistake)
+            if command.needs_condition and not conditions:
+                raise LineFault(f"{command.name} needs a condition, as in {command.needs_condition}")
             assert self.effects is not None
-            return self.effects.perform(name, values, run, conditions)
+            return self.effects.perform(command, values, run, conditions)
 
         return step
 

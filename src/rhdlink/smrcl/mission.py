@@ -21,11 +21,11 @@ from ..errors import BadMission, MissionFailed, Mistake, WrongVariables
 from ..host.plugin import Plugin
 from ..world import Pose
 from .checking import check
+from .commands import RESERVED
 from .controller import MissionController
 from .execution import Callbacks, MissionExecution, Provider, error_of, leaving_at_exit, log_saver
 from .interpreter import MissionLimits
 from .outbox import Said
-from .parser import RESERVED
 from .plan import MissionPlan, PlanLine, split_lines
 from .profile import Profile, find_profile
 from .robot_conf import SMR, VELOMEGA, RobotConf, read_robot_conf
@@ -201,6 +201,7 @@ class Mission:
             plan,
             functions=self._callbacks.functions,
             variables=self._variables,
+            checks_numbers=self.profile.numbers_are_checked,
             system=None if system is None else frozenset(system),
         )
 

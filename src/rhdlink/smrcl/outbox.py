@@ -5,11 +5,12 @@ from __future__ import annotations
 import enum
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 from .arithmetic import format_number
 from .plan import PlanLine
 
-__all__ = ["DataLog", "Outbox", "Said", "SaidKind"]
+__all__ = ["DataLog", "Outbox", "Recipient", "Said", "SaidKind"]
 
 #: Messages of one cycle that are kept; a script can print 20000.
 _MOST = 50_000
@@ -58,6 +59,32 @@ class Said:
         return self.text if self.kind in (SaidKind.VALUES, SaidKind.MESSAGE) else ""
 
 
+class Recipient(Protocol):
+    """Receives what a script says to its client: the session of the client that sent the command, or an `Outbox`."""
+
+    @property
+    def can_answer(self) -> bool:
+        """It can send a line for `read`."""
+
+    def text(self, text: str) -> None:
+        """`print`, `read`."""
+
+    def user_event(self, name: str) -> None:
+        """`putevent`."""
+
+    def sync_event(self, name: str) -> None:
+        """`syncevent`."""
+
+    def set_xml(self, is_on: bool) -> None:
+        """``set "xmlon"``."""
+
+    def stream(self, period: int, variables: Sequence[tuple[str, int]]) -> None:
+        """`stream`: names, and places in the pool."""
+
+    def save_log(self, name: str, text: str) -> None:
+        """`control "savelog"`."""
+
+
 class Outbox:
     """Collects the output of the interpreter; it takes the place of a client where there is none."""
 
@@ -88,7 +115,7 @@ class Outbox:
         """What a command, or an error, has to say."""
         self._add(SaidKind.MESSAGE, text)
 
-    # -- effects.Client ---------------------------------------------------------------------------------
+    # -- Recipient ------------------------------------------------------------------------------------
 
     @property
     def can_answer(self) -> bool:

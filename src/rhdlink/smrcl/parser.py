@@ -23,7 +23,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from .arithmetic import BINARY_FUNCTIONS, UNARY_FUNCTIONS
-from .commands import COMMANDS
 from .lexer import LONGEST_NAME, Token, TokenType, tokenize
 from .plan import LONGEST_LINE
 from .syntax import (
@@ -52,7 +51,7 @@ from .syntax import (
     WaitFor,
 )
 
-__all__ = ["DEEPEST", "FUNCTIONS", "KEYWORDS", "RESERVED", "Parser"]
+__all__ = ["DEEPEST", "FUNCTIONS", "KEYWORDS", "Parser"]
 
 #: Words that are statements rather than names.
 KEYWORDS = frozenset(("if", "eval", "switch", "case", "endswitch"))
@@ -64,9 +63,6 @@ FUNCTIONS: Mapping[str, int] = {
     "rem": 2,
     "ntrue": 2,
 }
-
-#: Names that a variable cannot have.
-RESERVED = KEYWORDS | COMMANDS.keys() | FUNCTIONS.keys()
 
 #: Brackets within brackets. A line of 255 characters has room for 125; scripts use a few.
 DEEPEST = 60

@@ -43,8 +43,8 @@ def test_what_has_no_end_is_ended(profile: Profile, source: str, reason: str) ->
 @pytest.mark.parametrize(
     ("source", "reason"),
     [
-        ("x = 1/0\nfwd x\n", "inf is no length or angle"),
-        ("turn 1e300\n", f"{1e300:.6f} is no length or angle"),
+        ("x = 1/0\nfwd x\n", "fwd: parameter 1 has to be a length or an angle of at most 1e+06, not inf"),
+        ("turn 1e300\n", f"turn: parameter 1 has to be a length or an angle of at most 1e+06, not {1e300:.6f}"),
         ('set "odowidth" 0', 'set "odowidth" takes a number above 0 of at most 1e+06, not 0.000000'),
         ('x = 0/0\nset "$odoth" x', 'set "$odoth" takes a number of at most 1e+06, not '),
         ('x = 1/0\nsetpar "motioncontrol" "followwall" "gain" x', "setpar of gain takes a number of at most"),

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from rhdlink.smrcl.commands import COMMANDS
+from rhdlink.smrcl.commands import COMMANDS, RESERVED
 from rhdlink.smrcl.lexer import TokenType, tokenize
-from rhdlink.smrcl.parser import FUNCTIONS, RESERVED, Parser
+from rhdlink.smrcl.parser import FUNCTIONS, Parser
 from rhdlink.smrcl.plan import LONGEST_LINE
 from rhdlink.smrcl.syntax import (
     PRECEDENCE,

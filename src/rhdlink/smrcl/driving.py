@@ -1,0 +1,220 @@
+"""The commands that move the robot, and those about its motion and its odometry; `commands` has the table of all."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from .arithmetic import format_number
+from .effects import MissionEffects
+from .expressions import LineFault
+from .interpreter import Outcome, never
+from .motion.basic import Align, FollowDirection, Forward, FunctionGenerator, Stop, Wheels
+from .motion.control import Standing
+from .motion.following import FollowLine, FollowWall, FollowWallTable
+from .motion.topoint import DriveToPoint
+from .motion.turning import ArcTurn, Clothoid, Turn
+from .odometry import Pose
+from .sensors import LineKind
+
+__all__ = [
+    "align",
+    "drive",
+    "drive_in_world",
+    "drive_on",
+    "drive_on_in_world",
+    "drive_to_point",
+    "follow_line",
+    "follow_wall",
+    "follow_wall_by_table",
+    "forward",
+    "generate",
+    "idle",
+    "ignore_obstacles",
+    "move_to",
+    "reset_covariance",
+    "reset_motors",
+    "set_target_here",
+    "set_wheels",
+    "stop",
+    "turn",
+    "turn_on_arc",
+    "turn_on_clothoid",
+]
+
+
+def forward(effects: MissionEffects, distance: float) -> Outcome:
+    """`fwd`: straight on, m; the distance is negative for backward."""
+    effects.vehicle.control.distance = distance
+    return effects.move(Forward(distance))
+
+
+def turn(effects: MissionEffects, angle: float, unit: object = None) -> Outcome:
+    """`turn`: on the spot."""
+    return effects.move(Turn(_radians(angle, unit)))
+
+
+def turn_on_arc(effects: MissionEffects, radius: float, angle: float, unit: object = None) -> Outcome:
+    """`turnr`: on an arc of a radius, m."""
+    return effects.move(ArcTurn(radius, _radians(angle, unit)))
+
+
+def turn_on_clothoid(effects: MissionEffects, radius: float, angle: float, unit: object = None) -> Outcome:
+    """`turnc`: likewise, with a curvature that grows and shrinks."""
+    return effects.move(Clothoid(radius, _radians(angle, unit)))
+
+
+def drive(effects: MissionEffects, *reference: float) -> Outcome:
+    """`drive`: along the line through a point in a direction; without them along the present one."""
+    return _follow(effects, FollowDirection(), reference)
+
+
+def drive_on(effects: MissionEffects, *reference: float) -> Outcome:
+    """`driveon`: likewise, from the commanded speed on."""
+    return _follow(effects, FollowDirection(keeps_speed=True), reference)
+
+
+def drive_in_world(effects: MissionEffects, *reference: float) -> Outcome:
+    """`drivew`: as `drive`, in world coordinates."""
+    return _follow(effects, FollowDirection(is_world=True), reference)
+
+
+def drive_on_in_world(effects: MissionEffects, *reference: float) -> Outcome:
+    """`driveonw`: as `driveon`, in world coordinates."""
+    return _follow(effects, FollowDirection(keeps_speed=True, is_world=True), reference)
+
+
+def _follow(effects: MissionEffects, motion: FollowDirection, reference: Sequence[float]) -> Outcome:
+    vehicle = effects.vehicle
+    vehicle.control.distance = 0.0
+    if len(reference) < 3:
+        here = vehicle.estimated_pose()
+        vehicle.control.reference.set(here.x, here.y, here.th)
+        return effects.move(motion)
+    x, y, th = reference[:3]
+    vehicle.control.reference.set(x, y, _radians(th, reference[3] if len(reference) > 3 else None))
+    return effects.move(motion)
+
+
+def drive_to_point(
+    effects: MissionEffects, x: float, y: float, th: float, radius: float, frame: object = None
+) -> Outcome:
+    """`drivetopoint`: to a pose by arcs of a radius and a straight line."""
+    goal = Pose(x, y, _radians(th, None))
+    return effects.move(DriveToPoint(goal, radius, is_absolute=frame == "abs"))
+
+
+def set_wheels(effects: MissionEffects, left: float, right: float) -> Outcome:
+    """`motorcmds`: the speeds of the wheels, m/s."""
+    return effects.move(Wheels(left, right))
+
+
+def follow_line(effects: MissionEffects, kind: str) -> Outcome:
+    """`followline`: a black or a white line."""
+    try:
+        effects.vehicle.line_kind = LineKind(kind)
+    except ValueError:
+        if effects.profile.names_are_checked:
+            names = ", ".join(each.value for each in LineKind)
+            raise LineFault(f'followline knows no line "{kind}", only {names}') from None
+        effects.vehicle.line_kind = LineKind.BLACK_MIDDLE
+    return effects.move(FollowLine())
+
+
+def follow_wall(effects: MissionEffects, side: str, distance: float) -> Outcome:
+    """`followwall`: beside a wall at a distance, m."""
+    _choose_side(effects, side)
+    return effects.move(FollowWall(effects.side_is_left, distance))
+
+
+def follow_wall_by_table(effects: MissionEffects, side: str, distance: float) -> Outcome:
+    """`followwall2`: likewise, with the gains of wdssparam.dat."""
+    _choose_side(effects, side)
+    if side[1:2] not in ("d", "r"):
+        effects.reject_name(f'followwall2 knows no method "{side[1:2]}", only d and r', "Wrong parameter \n")
+    if side[1:2] == "r":
+        raise LineFault("followwall2 by regression needs an estimator of walls, which is not there; use rd or ld")
+    if not effects.vehicle.control.parameters.wall_table:
+        raise LineFault("followwall2 needs the table of wdssparam.dat (wall_table of the robot's configuration)")
+    return effects.move(FollowWallTable(effects.side_is_left, distance))
+
+
+def _choose_side(effects: MissionEffects, side: str) -> None:
+    if side[:1] in ("l", "r"):
+        effects.side_is_left = side[:1] == "l"
+    else:
+        effects.reject_name(f'a side is "l" or "r", not "{side}"', "wrong parameter\n")
+
+
+def stop(effects: MissionEffects) -> Outcome:
+    """`stop`: stand, and hold the heading."""
+    return effects.move(Stop())
+
+
+def idle(effects: MissionEffects) -> Outcome:
+    """`idle`: the motors at zero."""
+    return effects.move(Standing())
+
+
+def align(effects: MissionEffects) -> Outcome:
+    """`align`: press both wheels against an obstacle."""
+    return effects.move(Align())
+
+
+def move_to(effects: MissionEffects, x: float, y: float, z: float) -> Outcome:
+    """`movetoxyz`: what a function of the user does."""
+    effects.use_hook("movetoxyz", x, y, z)
+    return effects.wait(never)
+
+
+def generate(effects: MissionEffects, *parameters: float) -> Outcome:
+    """`funcgen`: a signal; parameters that are left out are those of the signal before."""
+    effects.signal[: len(parameters)] = parameters
+    return effects.move(FunctionGenerator(effects.signal))
+
+
+def ignore_obstacles(effects: MissionEffects) -> Outcome:
+    """`ignoreobstacles`: the next motion is not slowed down by them."""
+    effects.vehicle.control.ignore_obstacles()
+    return effects.at_once()
+
+
+def set_target_here(effects: MissionEffects) -> Outcome:
+    """`targethere`: the next motion begins where the robot is."""
+    effects.vehicle.control.target = effects.vehicle.odometry.pose.copy()
+    return effects.go_on()
+
+
+def reset_covariance(effects: MissionEffects) -> Outcome:
+    """`resetodocov`: the pose is certain."""
+    effects.vehicle.covariance.reset()
+    return effects.go_on()
+
+
+def reset_motors(effects: MissionEffects) -> Outcome:
+    """`resetmotors`: stand for six cycles, in which the motors of an SMR are reset."""
+    vehicle = effects.vehicle
+    effects.output.message(f" p0 {format_number(effects.routine_result)} \n")
+    start = Pose()
+
+    def routine(cycle: int) -> bool:
+        nonlocal start
+        if cycle == 0:
+            effects.output.message("reset state1\n")
+            start = vehicle.odometry.pose.copy()
+            effects.routine_result = start.x
+            vehicle.control.start(Standing())
+            vehicle.reset_motors()
+        if cycle < 6:
+            return False
+        effects.output.message("reset state2 \n")
+        vehicle.odometry.pose = start
+        return True
+
+    effects.run.start_routine(routine)
+    return Outcome.WAIT
+
+
+def _radians(angle: float, unit: object) -> float:
+    """An angle in degrees, or in radians if there is another parameter, whatever it is."""
+    return angle * math.pi / 180.0 if unit is None else angle

@@ -1,0 +1,238 @@
+"""The commands that set variables of the mission and of the robot, and parameters, inputs and outputs of its control
+functions; `commands` has the table of all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from .arithmetic import cosine, divide, format_number, sine, truncate
+from .effects import MissionEffects
+from .expressions import LineFault
+from .interpreter import Outcome
+from .symbols import split_index
+
+__all__ = [
+    "make_array",
+    "route_input",
+    "route_output",
+    "set_gain",
+    "set_offset",
+    "set_output",
+    "set_parameter",
+    "set_value",
+    "transform",
+    "transform_back",
+]
+
+#: The largest number that a setting takes, under the sound profile.
+_LARGEST = 1e6
+
+#: What `set` accepts for hardware that no robot of today has, and that MRC only stores.
+_STORED_ONLY = frozenset(
+    (
+        *("linedetect", "rollpitchon", "rolloffset", "pitchoffset", "paintServoStatus", "kalmanon"),
+        *("hakoliftinggearstateref", "hakopowertakeoffstateref"),
+    )
+)
+#: Names of `set` that stand for a write variable of the robot.
+_WRITTEN = {"hakomanual": "hakomanual", "hakoenginespeed": "enginespeedref"}
+
+
+def make_array(effects: MissionEffects, name: str, size: float) -> Outcome:
+    """`array`: of zeros."""
+    count = truncate(size)
+    if count < 0 or effects.symbols.make_array(name, count) is None:
+        raise LineFault(
+            f"there is no room for an array of {format_number(size)} values; {effects.symbols.free} are free",
+            is_limit=True,
+        )
+    return effects.at_once()
+
+
+def transform(effects: MissionEffects, x0: float, y0: float, th0: float, x: float, y: float, th: float) -> Outcome:
+    """`trans`: a pose in the frame of another one, into `$res0` to `$res2`; m and rad."""
+    c, s = cosine(th0), sine(th0)
+    effects.vehicle.set_results(c * x - s * y + x0, s * x + c * y + y0, th + th0)
+    return effects.at_once()
+
+
+def transform_back(effects: MissionEffects, x0: float, y0: float, th0: float, x: float, y: float, th: float) -> Outcome:
+    """`invtrans`: likewise, from the outer frame into that of the pose."""
+    c, s = cosine(th0), sine(th0)
+    effects.vehicle.set_results(c * (x - x0) + s * (y - y0), -s * (x - x0) + c * (y - y0), th - th0)
+    return effects.at_once()
+
+
+def set_value(effects: MissionEffects, name: str, value: float) -> Outcome:
+    """`set`: a variable of the script, a system variable or a setting."""
+    special = _SETTINGS.get(name)
+    if special is not None:
+        _check(effects, f'set "{name}"', value, is_positive=name == "odowidth")
+        special(effects, value)
+    elif name in _STORED_ONLY:
+        if effects.profile.needs_are_checked:
+            raise LineFault(f'set "{name}" is for hardware that this robot has not')
+    elif name in _WRITTEN:
+        _set_raw(effects, name, _WRITTEN[name], value)
+    else:
+        _set_variable(effects, name, value)
+    return effects.at_once()
+
+
+def _check(effects: MissionEffects, what: str, value: float, *, is_positive: bool = False) -> None:
+    if not effects.profile.numbers_are_checked:
+        return
+    if not abs(value) <= _LARGEST or (is_positive and value <= 0.0):
+        expected = "a number above 0" if is_positive else "a number"
+        raise LineFault(f"{what} takes {expected} of at most {_LARGEST:g}, not {format_number(value)}")
+
+
+def _set_raw(effects: MissionEffects, name: str, variable: str, value: float) -> None:
+    if not effects.vehicle.set_word(variable, value) and effects.profile.needs_are_checked:
+        raise LineFault(f'set "{name}" needs a write variable {variable}, which this robot has not')
+
+
+def _set_variable(effects: MissionEffects, text: str, value: float) -> None:
+    name, index = split_index(text)
+    symbol = effects.symbols.user.get(name)
+    if symbol is None and name[:1] == "$":
+        symbol = effects.symbols.find_system(name[1:])
+    if symbol is None:
+        effects.reject_name(f"there is no variable {name}")
+        return
+    place = symbol.place + index
+    if effects.profile.indices_are_checked and not 0 <= index < symbol.size:
+        raise LineFault(f"index {index} is beyond {name}, which has {symbol.size} values")
+    if 0 <= place < len(effects.symbols.pool):
+        effects.symbols.pool[place] = value
+
+
+def _set_counter(effects: MissionEffects, value: float) -> None:
+    if not effects.interpreter.compiler.reset_counter(truncate(value)) and effects.profile.names_are_checked:
+        raise LineFault(f"there is no condition counter {format_number(value)}, only 0 to 9")
+
+
+def _set_odometry_ratio(effects: MissionEffects, ratio: float) -> None:
+    odometry = effects.vehicle.odometry
+    mean = (odometry.right_scale + odometry.left_scale) / 2
+    odometry.right_scale = divide(2 * ratio, 1 + ratio) * mean
+    odometry.left_scale = divide(2, 1 + ratio) * mean
+
+
+def _set_odometry_mean(effects: MissionEffects, mean: float) -> None:
+    odometry = effects.vehicle.odometry
+    ratio = divide(odometry.right_scale, odometry.left_scale)
+    odometry.right_scale = divide(2 * ratio, 1 + ratio) * mean
+    odometry.left_scale = divide(2, 1 + ratio) * mean
+
+
+def _set_kalman(effects: MissionEffects, value: float) -> None:
+    vehicle = effects.vehicle
+    if value and "xkalman" not in vehicle.external and effects.profile.needs_are_checked:
+        raise LineFault('set "usekalmanodo" needs a filter that provides $xkalman, $ykalman and $thkalman')
+    vehicle.uses_kalman = truncate(value) != 0
+    vehicle.control.target = vehicle.kalman_pose()
+
+
+def set_output(effects: MissionEffects, text: str, value: float) -> Outcome:
+    """`setoutput`: a write variable of the robot."""
+    name, index = split_index(text)
+    if not effects.vehicle.set_output(name, index, value):
+        effects.reject_name(f"the robot has no write variable {text}")
+    return effects.at_once()
+
+
+def set_offset(effects: MissionEffects, text: str, value: float) -> Outcome:
+    """`setoffset`: of a variable of the robot."""
+    return _scaled(effects, text, "offset", value, effects.vehicle.set_scale(*split_index(text), offset=value))
+
+
+def set_gain(effects: MissionEffects, text: str, value: float) -> Outcome:
+    """`setgain`: likewise."""
+    return _scaled(effects, text, "gain", value, effects.vehicle.set_scale(*split_index(text), gain=value))
+
+
+def _scaled(effects: MissionEffects, text: str, what: str, value: float, is_there: bool) -> Outcome:
+    if is_there:
+        effects.output.message(f" {what} assigned {format_number(value)}\n")
+    else:
+        effects.reject_name(f"the robot has no variable {text}")
+    return effects.at_once()
+
+
+def set_parameter(effects: MissionEffects, module: str, function: str, name: str, value: float) -> Outcome:
+    """`setpar`: a parameter of a control function."""
+    _check(effects, f"setpar of {name}", value)
+    if not effects.vehicle.set_parameter(module, function, name, value):
+        _reject_path(effects, module, function, f"{name} of {module} {function} is no parameter")
+    return effects.at_once()
+
+
+def route_input(effects: MissionEffects, module: str, function: str, name: str, text: str) -> Outcome:
+    """`routeinput`: an input of a control function comes from a system variable."""
+    variable, index = split_index(text)
+    if not effects.vehicle.has_input(module, function, name):
+        _reject_path(effects, module, function, f"{name} of {module} {function} is no input")
+        return effects.at_once()
+    symbol = effects.symbols.find_system(variable)
+    if symbol is None:
+        effects.reject_name(f"the robot has no variable {variable}", " input variable not found \n")
+    elif 0 <= symbol.place + index < len(effects.symbols.pool):
+        effects.vehicle.route_input(module, function, name, symbol.place + index)
+    return effects.at_once()
+
+
+def route_output(effects: MissionEffects, source: str, text: str) -> Outcome:
+    """`routeoutput`: the output of `funcgen` goes to a write variable of the robot."""
+    name, index = split_index(text)
+    if name not in effects.symbols.outputs:
+        effects.reject_name(f"the robot has no write variable {name}", "output not found\n")
+    elif source != "funcgen":
+        effects.reject_name(f'there is no generator "{source}", only funcgen', "input not found\n")
+    else:
+        effects.vehicle.generator_output = name, index
+    return effects.at_once()
+
+
+def _reject_path(effects: MissionEffects, module: str, function: str, reason: str) -> None:
+    functions = effects.vehicle.functions
+    if module not in functions:
+        effects.reject_name(f'there is no module "{module}"', "module not found\n")
+    elif function not in functions[module]:
+        effects.reject_name(f'{module} has no "{function}"', "paramlist not found\n")
+    if not effects.profile.names_are_checked:
+        effects.output.message("parameter not found \n")
+    effects.reject_name(reason)
+
+
+def _setter(path: str) -> Callable[[MissionEffects, float], None]:
+    """What sets an attribute of the vehicle: ``odometry.pose.x``."""
+    *owners, attribute = path.split(".")
+
+    def set_value(effects: MissionEffects, value: float) -> None:
+        owner: object = effects.vehicle
+        for name in owners:
+            owner = getattr(owner, name)
+        setattr(owner, attribute, value)
+
+    return set_value
+
+
+_SETTINGS: Mapping[str, Callable[[MissionEffects, float], None]] = {
+    "$odox": _setter("odometry.pose.x"),
+    "$odoy": _setter("odometry.pose.y"),
+    "$odoth": _setter("odometry.pose.th"),
+    "$gyro1off": _setter("heading_offset"),
+    "$gyro1gain": _setter("heading_gain"),
+    "$odocovE2": _setter("covariance.wheel"),
+    "$odocovA2": _setter("covariance.base"),
+    "odowidth": _setter("odometry.width"),
+    "odocontrol": lambda effects, value: setattr(effects.vehicle.odometry, "heading_source", truncate(value)),
+    "gyrotype": lambda effects, value: setattr(effects.vehicle.odometry, "is_rate", truncate(value) != 0),
+    "odoratio": _set_odometry_ratio,
+    "odoc0": _set_odometry_mean,
+    "conditioncounter": _set_counter,
+    "usekalmanodo": _set_kalman,
+    "xmlon": lambda effects, value: effects.client.set_xml(truncate(value) != 0),
+}
