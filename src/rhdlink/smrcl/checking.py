@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Sequence
 
 from ..errors import Mistake
-from .commands import COMMANDS, Kind
+from .commands import COMMANDS, ParameterKind
 from .parser import FUNCTIONS, Parser
 from .plan import MissionPlan, PlanLine
 from .symbols import split_index
@@ -106,7 +106,7 @@ def _command_mistakes(statement: CommandStatement, plan: MissionPlan, checks_num
             text = command.excess(number, operand.value)
         if text:
             yield text
-    for label in _texts(statement, Kind.LABEL):
+    for label in _texts(statement, ParameterKind.LABEL):
         if plan.find_label(label) is None:
             yield f'there is no label "{label}"'
     if command.needs_condition and not statement.conditions:
@@ -116,7 +116,7 @@ def _command_mistakes(statement: CommandStatement, plan: MissionPlan, checks_num
             yield "an acceleration has to be above 0"
 
 
-def _texts(statement: CommandStatement, kind: Kind) -> Iterator[str]:
+def _texts(statement: CommandStatement, kind: ParameterKind) -> Iterator[str]:
     """The parameters of a kind that are texts."""
     for number, operand in enumerate(statement.parameters):
         if isinstance(operand, TextLiteral) and COMMANDS[statement.name].kind(number) is kind:
@@ -130,7 +130,7 @@ def _made(trees: Iterable[ScriptLine]) -> Iterator[str]:
             if isinstance(statement, Assign) and isinstance(statement.target, VariableName):
                 yield statement.target.name
             elif isinstance(statement, CommandStatement):
-                yield from (split_index(name)[0] for name in _texts(statement, Kind.NEW_NAME))
+                yield from (split_index(name)[0] for name in _texts(statement, ParameterKind.NEW_NAME))
 
 
 def _variables(statement: Statement) -> Iterator[VariableName]:

@@ -18,7 +18,7 @@ from .interpreter import Outcome
 from .parser import FUNCTIONS, KEYWORDS
 from .syntax import Operand, TextLiteral
 
-__all__ = ["COMMANDS", "MOST_PARAMETERS", "RESERVED", "Command", "Kind"]
+__all__ = ["COMMANDS", "MOST_PARAMETERS", "RESERVED", "ParameterKind", "ScriptCommand"]
 
 #: Parameters of a command whose last one may be repeated, as in MRC, which calls it "up to 9".
 MOST_PARAMETERS = 49
@@ -26,7 +26,7 @@ MOST_PARAMETERS = 49
 _FARTHEST = 1e6
 
 
-class Kind(enum.Enum):
+class ParameterKind(enum.Enum):
     """The kind of a parameter."""
 
     NUMBER = "a number"
@@ -41,12 +41,12 @@ class Kind(enum.Enum):
     ANY = "anything"
 
 
-_TEXTS = frozenset((Kind.TEXT, Kind.LABEL, Kind.NEW_NAME))
-_NUMBERS = frozenset((Kind.NUMBER, Kind.LENGTH))
+_TEXTS = frozenset((ParameterKind.TEXT, ParameterKind.LABEL, ParameterKind.NEW_NAME))
+_NUMBERS = frozenset((ParameterKind.NUMBER, ParameterKind.LENGTH))
 
 
 @dataclass(frozen=True)
-class Command:
+class ScriptCommand:
     """A row of the table.
 
     Attributes:
@@ -63,7 +63,7 @@ class Command:
 
     name: str
     carry_out: Callable[..., Outcome]
-    kinds: tuple[Kind, ...] = ()
+    kinds: tuple[ParameterKind, ...] = ()
     optional: int = 0
     repeats: bool = False
     needs_condition: str = ""
@@ -97,9 +97,9 @@ class Command:
             return f"{self.least} parameter{'s' * (self.least != 1)}"
         return f"{self.least} to {self.most} parameters"
 
-    def kind(self, number: int) -> Kind:
+    def kind(self, number: int) -> ParameterKind:
         """The kind of a parameter, counted from 0, be it one too many."""
-        return self.kinds[min(number, len(self.kinds) - 1)] if self.kinds else Kind.ANY
+        return self.kinds[min(number, len(self.kinds) - 1)] if self.kinds else ParameterKind.ANY
 
     def mistake(self, number: int, operand: Operand) -> str:
         """The error of a parameter, counted from 0; "" for none."""
@@ -112,86 +112,86 @@ class Command:
 
     def excess(self, number: int, value: float | str) -> str:
         """The error of a parameter's value, counted from 0; "" for none."""
-        if self.kind(number) is not Kind.LENGTH or not isinstance(value, float) or abs(value) <= _FARTHEST:
+        if self.kind(number) is not ParameterKind.LENGTH or not isinstance(value, float) or abs(value) <= _FARTHEST:
             return ""
-        expected = f"{Kind.LENGTH.value} of at most {_FARTHEST:g}"
+        expected = f"{ParameterKind.LENGTH.value} of at most {_FARTHEST:g}"
         return f"{self.name}: parameter {number + 1} has to be {expected}, not {format_number(value)}"
 
 
-_ANY, _LENGTH, _NUMBER, _TEXT = Kind.ANY, Kind.LENGTH, Kind.NUMBER, Kind.TEXT
+_ANY, _LENGTH, _NUMBER, _TEXT = ParameterKind.ANY, ParameterKind.LENGTH, ParameterKind.NUMBER, ParameterKind.TEXT
 _REFERENCE = (_LENGTH, _LENGTH, _LENGTH, _ANY)
 
 _TABLE = (
     # -- motions
-    Command("fwd", driving.forward, (_LENGTH,)),
-    Command("turn", driving.turn, (_LENGTH, _ANY), optional=1),
-    Command("turnr", driving.turn_on_arc, (_LENGTH, _LENGTH, _ANY), optional=1),
-    Command("turnc", driving.turn_on_clothoid, (_LENGTH, _LENGTH, _ANY), optional=1),
-    Command("drive", driving.drive, _REFERENCE, optional=4),
-    Command("driveon", driving.drive_on, _REFERENCE, optional=4),
-    Command("drivew", driving.drive_in_world, _REFERENCE, optional=1),
-    Command("driveonw", driving.drive_on_in_world, _REFERENCE, optional=1),
-    Command("drivetopoint", driving.drive_to_point, (_LENGTH, _LENGTH, _LENGTH, _LENGTH, _ANY), optional=1),
-    Command("motorcmds", driving.set_wheels, (_LENGTH, _LENGTH)),
-    Command("followline", driving.follow_line, (_TEXT,)),
-    Command("followwall", driving.follow_wall, (_TEXT, _LENGTH)),
-    Command("followwall2", driving.follow_wall_by_table, (_TEXT, _LENGTH)),
-    Command("stop", driving.stop),
-    Command("idle", driving.idle),
-    Command("align", driving.align),
-    Command("movetoxyz", driving.move_to, (_NUMBER, _NUMBER, _NUMBER)),
-    Command("funcgen", driving.generate, (_LENGTH,) * 5, optional=4),
-    Command("ignoreobstacles", driving.ignore_obstacles),
-    Command("targethere", driving.set_target_here),
-    Command("resetodocov", driving.reset_covariance),
-    Command("resetmotors", driving.reset_motors),
+    ScriptCommand("fwd", driving.forward, (_LENGTH,)),
+    ScriptCommand("turn", driving.turn, (_LENGTH, _ANY), optional=1),
+    ScriptCommand("turnr", driving.turn_on_arc, (_LENGTH, _LENGTH, _ANY), optional=1),
+    ScriptCommand("turnc", driving.turn_on_clothoid, (_LENGTH, _LENGTH, _ANY), optional=1),
+    ScriptCommand("drive", driving.drive, _REFERENCE, optional=4),
+    ScriptCommand("driveon", driving.drive_on, _REFERENCE, optional=4),
+    ScriptCommand("drivew", driving.drive_in_world, _REFERENCE, optional=1),
+    ScriptCommand("driveonw", driving.drive_on_in_world, _REFERENCE, optional=1),
+    ScriptCommand("drivetopoint", driving.drive_to_point, (_LENGTH, _LENGTH, _LENGTH, _LENGTH, _ANY), optional=1),
+    ScriptCommand("motorcmds", driving.set_wheels, (_LENGTH, _LENGTH)),
+    ScriptCommand("followline", driving.follow_line, (_TEXT,)),
+    ScriptCommand("followwall", driving.follow_wall, (_TEXT, _LENGTH)),
+    ScriptCommand("followwall2", driving.follow_wall_by_table, (_TEXT, _LENGTH)),
+    ScriptCommand("stop", driving.stop),
+    ScriptCommand("idle", driving.idle),
+    ScriptCommand("align", driving.align),
+    ScriptCommand("movetoxyz", driving.move_to, (_NUMBER, _NUMBER, _NUMBER)),
+    ScriptCommand("funcgen", driving.generate, (_LENGTH,) * 5, optional=4),
+    ScriptCommand("ignoreobstacles", driving.ignore_obstacles),
+    ScriptCommand("targethere", driving.set_target_here),
+    ScriptCommand("resetodocov", driving.reset_covariance),
+    ScriptCommand("resetmotors", driving.reset_motors),
     # -- flow
-    Command("label", effects.pass_label, (_TEXT,)),
-    Command("goto", effects.go_to, (Kind.LABEL,)),
-    Command("call", effects.call, (Kind.LABEL,)),
-    Command("return", effects.go_back),
-    Command("wait", effects.wait, (_NUMBER,)),
+    ScriptCommand("label", effects.pass_label, (_TEXT,)),
+    ScriptCommand("goto", effects.go_to, (ParameterKind.LABEL,)),
+    ScriptCommand("call", effects.call, (ParameterKind.LABEL,)),
+    ScriptCommand("return", effects.go_back),
+    ScriptCommand("wait", effects.wait, (_NUMBER,)),
     # -- variables and settings
-    Command("array", settings.make_array, (Kind.NEW_NAME, _NUMBER)),
-    Command("trans", settings.transform, (_NUMBER,) * 6),
-    Command("invtrans", settings.transform_back, (_NUMBER,) * 6),
-    Command("set", settings.set_value, (_TEXT, _NUMBER)),
-    Command("setoutput", settings.set_output, (_TEXT, _NUMBER)),
-    Command("setoffset", settings.set_offset, (_TEXT, _NUMBER)),
-    Command("setgain", settings.set_gain, (_TEXT, _NUMBER)),
-    Command("setpar", settings.set_parameter, (_TEXT, _TEXT, _TEXT, _NUMBER)),
-    Command("routeinput", settings.route_input, (_TEXT,) * 4),
-    Command("routeoutput", settings.route_output, (_TEXT, _TEXT)),
+    ScriptCommand("array", settings.make_array, (ParameterKind.NEW_NAME, _NUMBER)),
+    ScriptCommand("trans", settings.transform, (_NUMBER,) * 6),
+    ScriptCommand("invtrans", settings.transform_back, (_NUMBER,) * 6),
+    ScriptCommand("set", settings.set_value, (_TEXT, _NUMBER)),
+    ScriptCommand("setoutput", settings.set_output, (_TEXT, _NUMBER)),
+    ScriptCommand("setoffset", settings.set_offset, (_TEXT, _NUMBER)),
+    ScriptCommand("setgain", settings.set_gain, (_TEXT, _NUMBER)),
+    ScriptCommand("setpar", settings.set_parameter, (_TEXT, _TEXT, _TEXT, _NUMBER)),
+    ScriptCommand("routeinput", settings.route_input, (_TEXT,) * 4),
+    ScriptCommand("routeoutput", settings.route_output, (_TEXT, _TEXT)),
     # -- log, streams, watches, events, texts
-    Command("log", reporting.log, (_TEXT,), repeats=True),
-    Command("control", reporting.control_log, (_TEXT, _TEXT, _TEXT), optional=2),
-    Command("stream", reporting.stream, (_NUMBER, _TEXT), optional=1, repeats=True),
-    Command(
+    ScriptCommand("log", reporting.log, (_TEXT,), repeats=True),
+    ScriptCommand("control", reporting.control_log, (_TEXT, _TEXT, _TEXT), optional=2),
+    ScriptCommand("stream", reporting.stream, (_NUMBER, _TEXT), optional=1, repeats=True),
+    ScriptCommand(
         "addwatch",
         reporting.add_watch,
         (_TEXT, _NUMBER),
         needs_condition='addwatch "name" 1 : ($odox > 1)',
     ),
-    Command("putevent", reporting.put_event, (_TEXT,)),
-    Command("syncevent", reporting.sync_event, (_TEXT,)),
-    Command("print", reporting.print_text, (_TEXT,)),
-    Command("read", reporting.read, (_TEXT,)),
-    Command("stringcat", reporting.join_texts, (_ANY,), repeats=True),
-    Command("tointstring", reporting.write_whole, (_NUMBER,)),
+    ScriptCommand("putevent", reporting.put_event, (_TEXT,)),
+    ScriptCommand("syncevent", reporting.sync_event, (_TEXT,)),
+    ScriptCommand("print", reporting.print_text, (_TEXT,)),
+    ScriptCommand("read", reporting.read, (_TEXT,)),
+    ScriptCommand("stringcat", reporting.join_texts, (_ANY,), repeats=True),
+    ScriptCommand("tointstring", reporting.write_whole, (_NUMBER,)),
     # -- special hardware
-    Command("vision", effects.ask_camera, (_TEXT,)),
-    Command("laser", effects.ask_laser, (_TEXT,)),
-    Command("get", effects.get, (_TEXT, _TEXT), optional=1),
-    Command("play", effects.play, (_TEXT,)),
-    Command("speak", effects.speak, (_TEXT,)),
-    Command("open", effects.open_device, (_TEXT,)),
-    Command("writewifi", effects.write_wifi, (_TEXT, _NUMBER, _NUMBER)),
-    Command("wallest", effects.estimate_wall, (_TEXT, _NUMBER, _NUMBER, _NUMBER), optional=2),
-    Command("barcode", effects.read_barcode),
+    ScriptCommand("vision", effects.ask_camera, (_TEXT,)),
+    ScriptCommand("laser", effects.ask_laser, (_TEXT,)),
+    ScriptCommand("get", effects.get, (_TEXT, _TEXT), optional=1),
+    ScriptCommand("play", effects.play, (_TEXT,)),
+    ScriptCommand("speak", effects.speak, (_TEXT,)),
+    ScriptCommand("open", effects.open_device, (_TEXT,)),
+    ScriptCommand("writewifi", effects.write_wifi, (_TEXT, _NUMBER, _NUMBER)),
+    ScriptCommand("wallest", effects.estimate_wall, (_TEXT, _NUMBER, _NUMBER, _NUMBER), optional=2),
+    ScriptCommand("barcode", effects.read_barcode),
 )
 
 #: Every command, by name.
-COMMANDS: MappingProxyType[str, Command] = MappingProxyType({command.name: command for command in _TABLE})
+COMMANDS: MappingProxyType[str, ScriptCommand] = MappingProxyType({command.name: command for command in _TABLE})
 
 #: Names that neither a variable nor a function of a mission can have.
 RESERVED = KEYWORDS | COMMANDS.keys() | FUNCTIONS.keys()

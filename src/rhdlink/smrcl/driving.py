@@ -17,31 +17,6 @@ from .motion.turning import ArcTurn, Clothoid, Turn
 from .odometry import Pose
 from .sensors import LineKind
 
-__all__ = [
-    "align",
-    "drive",
-    "drive_in_world",
-    "drive_on",
-    "drive_on_in_world",
-    "drive_to_point",
-    "follow_line",
-    "follow_wall",
-    "follow_wall_by_table",
-    "forward",
-    "generate",
-    "idle",
-    "ignore_obstacles",
-    "move_to",
-    "reset_covariance",
-    "reset_motors",
-    "set_target_here",
-    "set_wheels",
-    "stop",
-    "turn",
-    "turn_on_arc",
-    "turn_on_clothoid",
-]
-
 
 def forward(effects: MissionEffects, distance: float) -> Outcome:
     """`fwd`: straight on, m; the distance is negative for backward."""

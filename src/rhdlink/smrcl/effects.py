@@ -18,29 +18,7 @@ from .outbox import DataLog, Recipient
 from .vehicle import Vehicle
 
 if TYPE_CHECKING:
-    from .commands import Command
-
-__all__ = [
-    "Hook",
-    "MissionEffects",
-    "Watch",
-    "always",
-    "ask_camera",
-    "ask_laser",
-    "call",
-    "call_hook",
-    "estimate_wall",
-    "get",
-    "go_back",
-    "go_to",
-    "open_device",
-    "pass_label",
-    "play",
-    "read_barcode",
-    "speak",
-    "wait",
-    "write_wifi",
-]
+    from .commands import ScriptCommand
 
 #: What fulfils a command that needs hardware: it is given the parameters, and may return system variables by name. The
 #: one for `read` returns a text.
@@ -123,7 +101,7 @@ class MissionEffects:
         self.routine_result = 0.0
 
     def perform(
-        self, command: Command, parameters: Sequence[float | str], run: Run, conditions: Sequence[Value]
+        self, command: ScriptCommand, parameters: Sequence[float | str], run: Run, conditions: Sequence[Value]
     ) -> Outcome:
         """Execute a command, see `interpreter.Effects`."""
         self.run, self.conditions = run, conditions

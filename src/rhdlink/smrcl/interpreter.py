@@ -36,7 +36,7 @@ from .syntax import (
 from .vehicle import Vehicle
 
 if TYPE_CHECKING:
-    from .commands import Command
+    from .commands import ScriptCommand
 
 __all__ = ["Effects", "Failure", "MissionLimits", "Outcome", "Output", "Run", "ScriptInterpreter", "never"]
 
@@ -67,7 +67,7 @@ class Effects(Protocol):
     """The effects of commands; see `rhdlink.smrcl.effects`."""
 
     def perform(
-        self, command: Command, parameters: Sequence[float | str], run: Run, conditions: Sequence[Value]
+        self, command: ScriptCommand, parameters: Sequence[float | str], run: Run, conditions: Sequence[Value]
     ) -> Outcome:
         """Execute a command.
 
@@ -216,7 +216,7 @@ class ScriptInterpreter:
         self,
         vehicle: Vehicle,
         output: Output,
-        commands: Mapping[str, Command],
+        commands: Mapping[str, ScriptCommand],
         functions: Mapping[str, Callable[..., float]],
         limits: MissionLimits,
     ) -> None:

@@ -9,19 +9,6 @@ from .interpreter import Outcome, never
 from .outbox import DataLog
 from .symbols import split_index
 
-__all__ = [
-    "add_watch",
-    "control_log",
-    "join_texts",
-    "log",
-    "print_text",
-    "put_event",
-    "read",
-    "stream",
-    "sync_event",
-    "write_whole",
-]
-
 #: Watches under the sound profile; MRC has two.
 _MOST_WATCHES = 100
 

@@ -12,19 +12,6 @@ from .expressions import LineFault
 from .interpreter import Outcome
 from .symbols import split_index
 
-__all__ = [
-    "make_array",
-    "route_input",
-    "route_output",
-    "set_gain",
-    "set_offset",
-    "set_output",
-    "set_parameter",
-    "set_value",
-    "transform",
-    "transform_back",
-]
-
 #: The largest number that a setting takes, under the sound profile.
 _LARGEST = 1e6
 
