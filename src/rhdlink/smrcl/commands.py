@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from . import driving, effects, reporting, settings
+from . import driving, effects, settings
 from .arithmetic import format_number
 from .interpreter import Outcome
 from .parser import FUNCTIONS, KEYWORDS
@@ -55,7 +55,9 @@ class ScriptCommand:
         kinds: of its parameters.
         optional: how many of the last ones may be left out.
         repeats: the last one may come again and again.
-        needs_condition: it is nothing without a stop condition; what it looks like with one.
+        needs_condition: how it looks with a stop condition, which it needs; "" where it needs none.
+        hook: a function of the user can carry it out, see `Mission.on`; what MRC prints where there is none. None for a
+            command that no function replaces.
 
     Raises:
         TypeError: the function does not take these parameters.
@@ -67,6 +69,7 @@ class ScriptCommand:
     optional: int = 0
     repeats: bool = False
     needs_condition: str = ""
+    hook: str | None = None
 
     def __post_init__(self) -> None:
         signature = inspect.signature(self.carry_out)
@@ -139,7 +142,7 @@ _TABLE = (
     ScriptCommand("stop", driving.stop),
     ScriptCommand("idle", driving.idle),
     ScriptCommand("align", driving.align),
-    ScriptCommand("movetoxyz", driving.move_to, (_NUMBER, _NUMBER, _NUMBER)),
+    ScriptCommand("movetoxyz", driving.move_to, (_NUMBER, _NUMBER, _NUMBER), hook=""),
     ScriptCommand("funcgen", driving.generate, (_LENGTH,) * 5, optional=4),
     ScriptCommand("ignoreobstacles", driving.ignore_obstacles),
     ScriptCommand("targethere", driving.set_target_here),
@@ -163,31 +166,31 @@ _TABLE = (
     ScriptCommand("routeinput", settings.route_input, (_TEXT,) * 4),
     ScriptCommand("routeoutput", settings.route_output, (_TEXT, _TEXT)),
     # -- log, streams, watches, events, texts
-    ScriptCommand("log", reporting.log, (_TEXT,), repeats=True),
-    ScriptCommand("control", reporting.control_log, (_TEXT, _TEXT, _TEXT), optional=2),
-    ScriptCommand("stream", reporting.stream, (_NUMBER, _TEXT), optional=1, repeats=True),
+    ScriptCommand("log", effects.log, (_TEXT,), repeats=True),
+    ScriptCommand("control", effects.control_log, (_TEXT, _TEXT, _TEXT), optional=2),
+    ScriptCommand("stream", effects.stream, (_NUMBER, _TEXT), optional=1, repeats=True),
     ScriptCommand(
         "addwatch",
-        reporting.add_watch,
+        effects.add_watch,
         (_TEXT, _NUMBER),
         needs_condition='addwatch "name" 1 : ($odox > 1)',
     ),
-    ScriptCommand("putevent", reporting.put_event, (_TEXT,)),
-    ScriptCommand("syncevent", reporting.sync_event, (_TEXT,)),
-    ScriptCommand("print", reporting.print_text, (_TEXT,)),
-    ScriptCommand("read", reporting.read, (_TEXT,)),
-    ScriptCommand("stringcat", reporting.join_texts, (_ANY,), repeats=True),
-    ScriptCommand("tointstring", reporting.write_whole, (_NUMBER,)),
+    ScriptCommand("putevent", effects.put_event, (_TEXT,)),
+    ScriptCommand("syncevent", effects.sync_event, (_TEXT,)),
+    ScriptCommand("print", effects.print_text, (_TEXT,)),
+    ScriptCommand("read", effects.read, (_TEXT,), hook=""),
+    ScriptCommand("stringcat", effects.join_texts, (_ANY,), repeats=True),
+    ScriptCommand("tointstring", effects.write_whole, (_NUMBER,)),
     # -- special hardware
-    ScriptCommand("vision", effects.ask_camera, (_TEXT,)),
-    ScriptCommand("laser", effects.ask_laser, (_TEXT,)),
-    ScriptCommand("get", effects.get, (_TEXT, _TEXT), optional=1),
-    ScriptCommand("play", effects.play, (_TEXT,)),
-    ScriptCommand("speak", effects.speak, (_TEXT,)),
-    ScriptCommand("open", effects.open_device, (_TEXT,)),
-    ScriptCommand("writewifi", effects.write_wifi, (_TEXT, _NUMBER, _NUMBER)),
-    ScriptCommand("wallest", effects.estimate_wall, (_TEXT, _NUMBER, _NUMBER, _NUMBER), optional=2),
-    ScriptCommand("barcode", effects.read_barcode),
+    ScriptCommand("vision", effects.ask_of_text, (_TEXT,), hook="Not connected to cameraserver \n"),
+    ScriptCommand("laser", effects.ask_of_text, (_TEXT,), hook="No connection to laserserver \n"),
+    ScriptCommand("get", effects.get, (_TEXT, _TEXT), optional=1, hook=""),
+    ScriptCommand("play", effects.ask, (_TEXT,), hook=""),
+    ScriptCommand("speak", effects.ask_of_text, (_TEXT,), hook='/usr/local/bin/flite -t "{}"'),
+    ScriptCommand("open", effects.ask, (_TEXT,), hook="open {} \n"),
+    ScriptCommand("writewifi", effects.ask, (_TEXT, _NUMBER, _NUMBER), hook=""),
+    ScriptCommand("wallest", effects.estimate_wall, (_TEXT, _NUMBER, _NUMBER, _NUMBER), optional=2, hook=""),
+    ScriptCommand("barcode", effects.ask, hook=""),
 )
 
 #: Every command, by name.

@@ -138,7 +138,7 @@ def align(effects: MissionEffects) -> Outcome:
 
 def move_to(effects: MissionEffects, x: float, y: float, z: float) -> Outcome:
     """`movetoxyz`: what a function of the user does."""
-    effects.use_hook("movetoxyz", x, y, z)
+    effects.use_hook(x, y, z)
     return effects.wait(never)
 
 

@@ -1,4 +1,4 @@
-"""What commands act on, and what many of them do; those of the flow of a script and of special hardware.
+"""What commands act on, and what many of them do; the commands of flow, log, events, texts and special hardware.
 
 A command is a function: it takes `MissionEffects` and the command's parameters, sets the default end of its line, and
 returns how the line goes on. `commands` has the table of all.
@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 from linkcore.errors import BadValue
 
+from .arithmetic import format_number, truncate
 from .expressions import LineFault, Value
 from .interpreter import Outcome, Output, Run, ScriptInterpreter, never
 from .motion.control import ControlledMotion
 from .outbox import DataLog, Recipient
+from .symbols import split_index
 from .vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -26,6 +28,8 @@ Hook = Callable[..., Mapping[str, float] | str | None]
 
 #: Characters of the text buffer.
 _BUFFER = 255
+#: Watches under the sound profile; MRC has two.
+_MOST_WATCHES = 100
 
 
 class Watch:
@@ -64,8 +68,9 @@ class MissionEffects:
         hooks: what fulfils commands that need hardware, by the name of the command.
 
     Attributes:
-        run: the plan that the present command belongs to.
-        conditions: the stop conditions of the present command.
+        command: the present one, or the last.
+        run: the plan that it belongs to.
+        conditions: its stop conditions.
         log: of the variables.
         watches: of conditions.
         text_buffer: what `stringcat` has made.
@@ -90,6 +95,7 @@ class MissionEffects:
         self.hooks = hooks
         self.profile = vehicle.profile
         self.symbols = vehicle.symbols
+        self.command: ScriptCommand
         self.run: Run
         self.conditions: Sequence[Value] = ()
         self.log = DataLog(vehicle.symbols.pool)
@@ -104,7 +110,7 @@ class MissionEffects:
         self, command: ScriptCommand, parameters: Sequence[float | str], run: Run, conditions: Sequence[Value]
     ) -> Outcome:
         """Execute a command, see `interpreter.Effects`."""
-        self.run, self.conditions = run, conditions
+        self.command, self.run, self.conditions = command, run, conditions
         return command.carry_out(self, *parameters)
 
     # -- how a line goes on ---------------------------------------------------------------------------
@@ -138,15 +144,16 @@ class MissionEffects:
         if mrc:
             self.output.message(mrc)
 
-    def use_hook(self, name: str, *parameters: float | str, mrc: str = "") -> None:
+    def use_hook(self, *parameters: float | str, mrc: str | None = None) -> None:
         """Have a function of the user do what needs hardware.
 
         Args:
-            mrc: what MRC prints instead.
+            mrc: what MRC prints instead; by default the command's `hook`, with the first parameter in it.
         """
+        name = self.command.name
         hook = self.hooks.get(name)
         if hook is not None:
-            found = call_hook(name, hook, *parameters)
+            found = self.call_hook(hook, *parameters)
             try:
                 self.vehicle.provide(found or {})
             except (BadValue, TypeError, AttributeError) as error:
@@ -155,8 +162,20 @@ class MissionEffects:
             raise LineFault(
                 f'{name} needs hardware: give the mission a function for it, mission.on("{name}", function)'
             )
-        elif mrc:
-            self.output.message(mrc)
+        elif text := (self.command.hook or "").format(*parameters) if mrc is None else mrc:
+            self.output.message(text)
+
+    def call_hook(self, hook: Hook, *parameters: float | str) -> Any:
+        """What a function of the user returns.
+
+        Raises:
+            LineFault: it raised.
+        """
+        try:
+            return hook(*parameters)
+        except Exception as error:
+            reason = f"{type(error).__name__}: {error}"
+            raise LineFault(f"the function for {self.command.name} raised {reason}") from error
 
     # -- the text buffer ------------------------------------------------------------------------------
 
@@ -164,26 +183,10 @@ class MissionEffects:
         """Set the text buffer; what it has no room for is cut off."""
         self.text_buffer = text[:_BUFFER]
 
-    def text_of(self, text: str) -> str:
-        """A text that a command is given, or the text buffer for `"$str"`."""
-        return self.text_buffer if text[:1] == "$" else text
-
     def take_input(self, text: str) -> None:
         """A line for `read` has come; it becomes the text buffer."""
         self.is_reading = False
         self.set_text(text)
-
-
-def call_hook(name: str, hook: Hook, *parameters: float | str) -> Any:
-    """What a function of the user returns.
-
-    Raises:
-        LineFault: it raised.
-    """
-    try:
-        return hook(*parameters)
-    except Exception as error:
-        raise LineFault(f"the function for {name} raised {type(error).__name__}: {error}") from error
 
 
 # -- flow ---------------------------------------------------------------------------------------------
@@ -218,65 +221,149 @@ def wait(effects: MissionEffects, seconds: float) -> Outcome:
     return effects.wait(lambda: pool[place] >= seconds)
 
 
+# -- log, streams, watches, events, texts -------------------------------------------------------------
+
+
+def log(effects: MissionEffects, *names: str) -> Outcome:
+    """`log`: have variables logged in each cycle."""
+    for text in names:
+        if effects.log.columns >= DataLog.MOST_COLUMNS:
+            effects.reject_name(f"a log has at most {DataLog.MOST_COLUMNS} variables", "logtable full\n")
+            continue
+        is_system = text[:1] == "$"
+        name, index = split_index(text[1:] if is_system else text)
+        symbol = effects.symbols.find_system(name) if is_system else effects.symbols.user.get(name)
+        if symbol is None:
+            effects.reject_name(f"there is no variable {text}")
+            continue
+        if effects.profile.indices_are_checked and not 0 <= index < symbol.size:
+            raise LineFault(f"index {index} is beyond {name}, which has {symbol.size} values")
+        if 0 <= symbol.place + index < len(effects.symbols.pool):
+            effects.log.add(symbol.place + index)
+    return effects.at_once()
+
+
+def control_log(effects: MissionEffects, word: str, name: str = "log", unused: str = "") -> Outcome:
+    """`control`: the log; it is saved as `name`."""
+    if word == "stoplog":
+        effects.log.is_on = False
+    elif word == "startlog":
+        effects.log.is_on = True
+    elif word == "resetlog":
+        effects.log.reset()
+    elif word == "removelogvars":
+        effects.log.remove_all()
+    elif word == "savelog":
+        effects.client.save_log(name, effects.log.text)
+    else:
+        effects.reject_name(f'control knows no word "{word}"')
+    return effects.at_once()
+
+
+def stream(effects: MissionEffects, period: float, *names: str) -> Outcome:
+    """`stream`: send variables to the client, every `period` cycles."""
+    variables = []
+    for text in names:
+        # MRC looks for both, a system variable behind the first character and a variable of the script.
+        is_system = text[:1] == "$" or not effects.profile.names_are_checked
+        system = effects.symbols.find_system(text[1:]) if is_system else None
+        user = effects.symbols.user.get(text)
+        if system is None and user is None:
+            effects.reject_name(f"there is no variable {text}")
+        variables += [(each.name, each.place) for each in (system, user) if each is not None]
+    effects.client.stream(truncate(period), variables)
+    return effects.at_once()
+
+
+def add_watch(effects: MissionEffects, name: str, number: float) -> Outcome:
+    """`addwatch`: an event whenever its condition becomes true."""
+    most = _MOST_WATCHES if effects.profile.watches_apart else 2
+    if len(effects.watches) < most:
+        effects.watches.append(Watch(name if effects.profile.watches_apart else name[:31], effects.conditions))
+    elif effects.profile.watches_apart:
+        raise LineFault(f"there are {most} watches already", is_limit=True)
+    return effects.at_once()
+
+
+def put_event(effects: MissionEffects, name: str) -> Outcome:
+    """`putevent`: an event that the client gets when it asks for one."""
+    effects.client.user_event(name)
+    return effects.go_on()
+
+
+def sync_event(effects: MissionEffects, name: str) -> Outcome:
+    """`syncevent`: one that the client is sent at once."""
+    effects.client.sync_event(name)
+    return effects.go_on()
+
+
+def print_text(effects: MissionEffects, text: str) -> Outcome:
+    """`print`: to the client."""
+    effects.client.text(text)
+    return effects.at_once()
+
+
+def read(effects: MissionEffects, prompt: str) -> Outcome:
+    """`read`: ask the client; its answer becomes the text buffer."""
+    hook = effects.hooks.get("read")
+    if hook is not None:
+        effects.set_text(str(effects.call_hook(hook, prompt)))
+        return effects.at_once()
+    effects.client.text(prompt)
+    if not effects.profile.reads_input:
+        return effects.wait(never)
+    if not effects.client.can_answer:
+        raise LineFault('read needs an answer: give the mission a function for it, mission.on("read", function)')
+    effects.is_reading = True
+    return effects.wait(lambda: not effects.is_reading)
+
+
+def join_texts(effects: MissionEffects, *parts: float | str) -> Outcome:
+    """`stringcat`: into the text buffer."""
+    texts = []
+    for part in parts:
+        if isinstance(part, str):
+            texts.append(effects.text_buffer if part == "$str" else part)
+        else:
+            texts.append(f"{format_number(part)} ")
+    return _keep_text(effects, "".join(texts))
+
+
+def write_whole(effects: MissionEffects, value: float) -> Outcome:
+    """`tointstring`: a number without its fraction, into the text buffer."""
+    return _keep_text(effects, f"{truncate(value)} ")
+
+
+def _keep_text(effects: MissionEffects, text: str) -> Outcome:
+    effects.set_text(text)
+    effects.output.message(f"strbuf {effects.text_buffer} \n")
+    return effects.at_once()
+
+
 # -- special hardware ---------------------------------------------------------------------------------
 
 
-def ask_camera(effects: MissionEffects, text: str) -> Outcome:
-    """`vision`: what the camera sees."""
-    effects.use_hook("vision", effects.text_of(text), mrc="Not connected to cameraserver \n")
+def ask(effects: MissionEffects, *parameters: float | str) -> Outcome:
+    """What a function of the user does; without one, see `ScriptCommand.hook`."""
+    effects.use_hook(*parameters)
     return effects.at_once()
 
 
-def ask_laser(effects: MissionEffects, text: str) -> Outcome:
-    """`laser`: what the laser scanner sees."""
-    effects.use_hook("laser", effects.text_of(text), mrc="No connection to laserserver \n")
-    return effects.at_once()
+def ask_of_text(effects: MissionEffects, text: str) -> Outcome:
+    """Likewise, of a text or of the text buffer for `"$str"`."""
+    return ask(effects, effects.text_buffer if text[:1] == "$" else text)
 
 
 def get(effects: MissionEffects, what: str, text: str = "") -> Outcome:
     """`get`: where a guide mark is."""
     if what == "guidemark":
         effects.vehicle.provide({"guidemarkok": 0.0})
-        effects.use_hook("get", what, text)
-    else:
-        effects.reject_name(f'get knows no "{what}", only guidemark')
+        return ask(effects, what, text)
+    effects.reject_name(f'get knows no "{what}", only guidemark')
     return effects.at_once()
 
 
-def play(effects: MissionEffects, name: str) -> Outcome:
-    """`play`: a sound."""
-    effects.use_hook("play", name)
-    return effects.at_once()
-
-
-def speak(effects: MissionEffects, text: str) -> Outcome:
-    """`speak`: a text."""
-    text = effects.text_of(text)
-    effects.use_hook("speak", text, mrc=f'/usr/local/bin/flite -t "{text}"')
-    return effects.at_once()
-
-
-def open_device(effects: MissionEffects, what: str) -> Outcome:
-    """`open`: a device."""
-    effects.use_hook("open", what, mrc=f"open {what} \n")
-    return effects.at_once()
-
-
-def write_wifi(effects: MissionEffects, text: str, first: float, second: float) -> Outcome:
-    """`writewifi`: two numbers."""
-    effects.use_hook("writewifi", text, first, second)
-    return effects.at_once()
-
-
-def estimate_wall(effects: MissionEffects, *parameters: float | str) -> Outcome:
-    """`wallest`: where a wall is."""
-    # Which letters MRC takes beside these is not known.
-    knows = str(parameters[0])[1:2] in ("b", "c")
-    effects.use_hook("wallest", *parameters, mrc="" if knows else "Wrong parameter \n")
-    return effects.at_once()
-
-
-def read_barcode(effects: MissionEffects) -> Outcome:
-    """`barcode`: the one in front of the reader."""
-    effects.use_hook("barcode")
+def estimate_wall(effects: MissionEffects, method: str, *parameters: float) -> Outcome:
+    """`wallest`: where a wall is, by a method; which MRC knows beside these two is not known."""
+    effects.use_hook(method, *parameters, mrc="" if method[1:2] in ("b", "c") else "Wrong parameter \n")
     return effects.at_once()

@@ -15,6 +15,7 @@ from linkcore.arguments import check_callable
 from linkcore.errors import BadValue, LinkError
 
 from ..errors import MissionFailed, MissionLimit
+from .commands import COMMANDS
 from .controller import MissionController
 from .effects import Hook
 from .interpreter import Failure
@@ -44,9 +45,7 @@ class Callbacks:
     """
 
     #: Commands that a function can fulfil.
-    COMMANDS = frozenset(
-        ("vision", "laser", "get", "play", "speak", "read", "open", "writewifi", "wallest", "barcode", "movetoxyz")
-    )
+    COMMANDS = frozenset(command.name for command in COMMANDS.values() if command.hook is not None)
     OBSERVED = frozenset(kind.value for kind in SaidKind if kind is not SaidKind.LOG)
 
     def __init__(self) -> None:
