@@ -18,7 +18,7 @@ from typing import Any
 from .. import errors
 from ..clock import Stamp
 from ..errors import ConnectionLost, LinkTimeout, LocalError, RemoteError
-from .hand_over import CONNECTED, DATA, LOST, HandedOver, Records, Slot
+from .reader import CONNECTED, DATA, LOST, HandedOver, Records, Slot
 
 __all__ = ["IsolatedTransport"]
 
