@@ -1,7 +1,7 @@
 """The process that reads a connection for another one, which may hold its interpreter's lock for long.
 
-It reads at once, stamps the bytes, keeps the newest packet in shared memory, and hands all bytes over as records through
-a pipe. Of what the other does not take, it keeps 16 MiB; then it reads no more, so that nothing is lost.
+It reads at once, stamps the bytes, keeps the newest packet in shared memory, and hands all bytes over as records in a
+pipe. Of what the other does not take, it keeps 16 MiB; then it reads no more, so that nothing is lost.
 
 It ends when the other does: its standard input is a pipe that is never written, and ends with the other process. Where
 a third process has inherited that pipe, it sees that it has another parent.

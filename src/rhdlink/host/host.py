@@ -9,6 +9,7 @@ One thread does all of it and never waits for a client.
 
 from __future__ import annotations
 
+import functools
 import logging
 import os
 import time
@@ -168,16 +169,12 @@ class Host(Runnable):
         self.period = period
         self.database = Database()
         self.tick = 0
-        self._service_options = {
-            "clients": clients,
-            "allwriters": allwriters,
-            "resend": resend,
-            "width": width,
-            "limits": limits,
-        }
+        self._serving = functools.partial(
+            Service, clients=clients, allwriters=allwriters, resend=resend, width=width, limits=limits
+        )
         # What cannot be served fails here; later a service can fail only because of what plugins declare. Until the
         # host runs, this one says that there are no clients.
-        self._service = Service(Database(), **self._service_options)  # type: ignore[arg-type]
+        self._service = self._serving(Database())
         self._place = (address, port)
         self._client_timeout, self._inactivity_timeout = client_timeout, inactivity_timeout
         self._pacing = pacing
@@ -315,7 +312,7 @@ class Host(Runnable):
         # In the reverse of the list that begins with the highest rank: the ranked come last
         # (docs/protocols/rhd.md, Plugins).
         self._running = [plugin for plugin in reversed([*ranked, *others]) if plugin in self._begun]
-        self._service = Service(self.database, **self._service_options)  # type: ignore[arg-type]
+        self._service = self._serving(self.database)
         self._server = Server(
             self._service,
             *self._place,

@@ -9,7 +9,7 @@ import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from linkcore.arguments import check_callable
 from linkcore.errors import BadValue, LinkError
@@ -22,7 +22,10 @@ from .interpreter import Failure
 from .outbox import Said, SaidKind
 from .robot_link import RobotLink
 
-__all__ = ["Callbacks", "MissionExecution", "Provider", "error_of", "leaving_at_exit", "log_saver"]
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+__all__ = ["Callbacks", "MissionExecution", "Provider", "WithCallbacks", "error_of", "leaving_at_exit", "log_saver"]
 
 _log = logging.getLogger(__name__)
 
@@ -83,6 +86,56 @@ class Callbacks:
             function(what)
         except Exception:
             _log.exception("%r raised", function)
+
+
+class WithCallbacks:
+    """What takes callbacks of a user's program: a mission, or its server."""
+
+    def __init__(self) -> None:
+        self._callbacks = Callbacks()
+
+    def on(self, name: str, function: Callable[..., object]) -> Self:
+        """Have a function fulfil a command, or be called with what the mission reports. Returns this.
+
+        A command that needs hardware ("vision", "laser", "get", "play", "speak", "open", "writewifi", "wallest",
+        "barcode", "movetoxyz") calls it with its parameters; it may return system variables by name, as in
+        ``{"vis0": 1.0}``. The one for "read" returns the text that was asked for.
+
+        For "line" the function is called with each line that is executed, for "values" with the values of `eval`, for
+        "text" with the text of `print`, for "event" and "message" with each of these.
+
+        All of it is called between two ticks of the robot and has to be quick.
+
+        Raises:
+            BadValue: there is nothing of that name, or it cannot be called.
+        """
+        self._callbacks.add(name, function)
+        return self
+
+    def on_said(self, function: Callable[[Said], object]) -> Self:
+        """Tell a function everything that the mission says, in its order and with its kind. Returns this.
+
+        Raises:
+            BadValue: it cannot be called.
+        """
+        check_callable(function, "function")
+        self._callbacks.readers.append(function)
+        return self
+
+    def provide(self, name: str, provider: Provider) -> Self:
+        """Have a function give a value in each cycle. Returns this.
+
+        Args:
+            name: "line" for the brightness under each line sensor, 0 for black and 1 for white; "ir" for the five
+                infrared distances in m, from left to right; or the name of a built-in system variable.
+            provider: is called between two ticks of the robot and has to be quick.
+
+        Raises:
+            BadValue: it cannot be called.
+        """
+        check_callable(provider, "provider")
+        self._callbacks.providers[name.removeprefix("$")] = provider
+        return self
 
 
 class MissionExecution:

@@ -23,9 +23,8 @@ from ..world import Pose
 from .checking import check
 from .commands import RESERVED
 from .controller import MissionController
-from .execution import Callbacks, MissionExecution, Provider, error_of, leaving_at_exit, log_saver
+from .execution import MissionExecution, WithCallbacks, error_of, leaving_at_exit, log_saver
 from .interpreter import MissionLimits
-from .outbox import Said
 from .plan import MissionPlan, PlanLine, split_lines
 from .profile import Profile, find_profile
 from .robot_conf import SMR, VELOMEGA, RobotConf, read_robot_conf
@@ -84,7 +83,7 @@ def suitable_conf(conf: RobotConf | str | os.PathLike[str] | None, link: RobotLi
     return conf
 
 
-class Mission:
+class Mission(WithCallbacks):
     """A script, and the robot that it is for::
 
         mission = Mission("square.smr", robot)
@@ -121,6 +120,7 @@ class Mission:
         limits: MissionLimits | None = None,
         log_folder: str | os.PathLike[str] | None = None,
     ) -> None:
+        super().__init__()
         is_path = not isinstance(source, str) or ("\n" not in source and source.endswith(".smr"))
         self.name = Path(source).name if is_path else "script"
         self.source = read_script(source) if is_path else str(source)
@@ -130,52 +130,8 @@ class Mission:
         self._variables = dict(variables or {})
         self._limits = limits
         self._log_folder = log_folder
-        self._callbacks = Callbacks()
 
     # -- a user's program ----------------------------------------------------------------------------
-
-    def on(self, name: str, function: Callable[..., object]) -> Self:
-        """Have a function fulfil a command, or be told what the mission says. Returns the mission.
-
-        A command that needs hardware ("vision", "laser", "get", "play", "speak", "open", "writewifi", "wallest",
-        "barcode", "movetoxyz") calls it with its parameters; it may return system variables by name, as in
-        ``{"vis0": 1.0}``. The one for "read" returns the text that was asked for.
-
-        For "line" the function is called with each line that is executed, for "values" with the values of `eval`, for
-        "text" with the text of `print`, for "event" and "message" with each of these.
-
-        All of it is called between two ticks of the robot and has to be quick.
-
-        Raises:
-            BadValue: there is nothing of that name, or it cannot be called.
-        """
-        self._callbacks.add(name, function)
-        return self
-
-    def on_said(self, function: Callable[[Said], object]) -> Self:
-        """Tell a function everything that the mission says, in its order and with its kind. Returns the mission.
-
-        Raises:
-            BadValue: it cannot be called.
-        """
-        check_callable(function, "function")
-        self._callbacks.readers.append(function)
-        return self
-
-    def provide(self, name: str, provider: Provider) -> Self:
-        """Have a function give a value in each cycle. Returns the mission.
-
-        Args:
-            name: "line" for the brightness under each line sensor, 0 for black and 1 for white; "ir" for the five
-                infrared distances in m, from left to right; or the name of a built-in system variable.
-            provider: is called between two ticks of the robot and has to be quick.
-
-        Raises:
-            BadValue: it cannot be called.
-        """
-        check_callable(provider, "provider")
-        self._callbacks.providers[name.removeprefix("$")] = provider
-        return self
 
     def function(self, name: str, function: Callable[..., float]) -> Self:
         """Have a function that expressions can call: ``mission.function("dist", math.dist)``. Returns the mission.

@@ -12,7 +12,6 @@ import os
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from linkcore.arguments import check_callable
 from linkcore.errors import BadValue, Closed
 from linkcore.net.loop import Connection, Handler, SelectorLoop
 from linkcore.threads import Runnable
@@ -21,16 +20,15 @@ from ..errors import MissionFailed
 from ..host.plugin import Plugin
 from .controller import MissionController
 from .dialogue import MOST_BACKLOG, ClientDialogue, Session
-from .execution import Callbacks, MissionExecution, Provider, error_of, leaving_at_exit, log_saver
+from .execution import MissionExecution, WithCallbacks, error_of, leaving_at_exit, log_saver
 from .interpreter import Failure
 from .mission import Robot, suitable_conf
-from .outbox import Said
 from .profile import Profile, find_profile
 from .robot_conf import RobotConf
 from .robot_link import PluginLink, RobotLink, open_link
 
 if TYPE_CHECKING:
-    from typing_extensions import Self
+    pass
 
 __all__ = ["PORT", "MissionServer"]
 
@@ -43,7 +41,7 @@ PORT = 31001
 _FINISH, _CLOSE_TIMEOUT = 0.5, 5.0
 
 
-class MissionServer(Runnable):
+class MissionServer(Runnable, WithCallbacks):
     """Executes what clients send, on one robot. A context manager that starts and closes itself.
 
     ``run()`` does it here until `stop`; ``start()``, or a ``with`` block, in a thread of its own. It runs once.
@@ -85,7 +83,8 @@ class MissionServer(Runnable):
     ) -> None:
         if clients < 1:
             raise BadValue(f"clients is {clients}; expected at least 1")
-        super().__init__("mission server", _CLOSE_TIMEOUT, "the robot")
+        Runnable.__init__(self, "mission server", _CLOSE_TIMEOUT, "the robot")
+        WithCallbacks.__init__(self)
         self._robot = robot
         self._place = address, port
         self._profile = find_profile(compat)
@@ -93,7 +92,6 @@ class MissionServer(Runnable):
         self._clients = clients
         self._waits = not self._profile.client_loss_stops if waits is None else waits
         self._save_log = self._saver(log_folder)
-        self._callbacks = Callbacks()
         self._loop: SelectorLoop | None = None
         self._dialogue: ClientDialogue | None = None
         # Clients that came before the robot was connected.
@@ -102,27 +100,6 @@ class MissionServer(Runnable):
         self._link: RobotLink | None = None
         self._owns = False
         self._port = 0
-
-    def on(self, name: str, function: Callable[..., object]) -> Self:
-        """As `Mission.on`."""
-        self._callbacks.add(name, function)
-        return self
-
-    def on_said(self, function: Callable[[Said], object]) -> Self:
-        """Tell a function everything that the mission says, in its order and with its kind. Returns the server.
-
-        Raises:
-            BadValue: it cannot be called.
-        """
-        check_callable(function, "function")
-        self._callbacks.readers.append(function)
-        return self
-
-    def provide(self, name: str, provider: Provider) -> Self:
-        """As `Mission.provide`."""
-        check_callable(provider, "provider")
-        self._callbacks.providers[name.removeprefix("$")] = provider
-        return self
 
     @property
     def port(self) -> int:

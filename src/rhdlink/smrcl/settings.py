@@ -5,6 +5,7 @@ functions; `commands` has the table of all.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from operator import attrgetter
 
 from .arithmetic import cosine, divide, format_number, sine, truncate
 from .effects import MissionEffects
@@ -195,13 +196,10 @@ def _reject_path(effects: MissionEffects, module: str, function: str, reason: st
 
 def _setter(path: str) -> Callable[[MissionEffects, float], None]:
     """What sets an attribute of the vehicle: ``odometry.pose.x``."""
-    *owners, attribute = path.split(".")
+    owner, _, attribute = path.rpartition(".")
 
     def set_value(effects: MissionEffects, value: float) -> None:
-        owner: object = effects.vehicle
-        for name in owners:
-            owner = getattr(owner, name)
-        setattr(owner, attribute, value)
+        setattr(attrgetter(owner)(effects.vehicle) if owner else effects.vehicle, attribute, value)
 
     return set_value
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
+from operator import attrgetter
 
 from linkcore.errors import BadValue
 
@@ -53,6 +54,20 @@ BUILT_IN = (
     *("odocovth", "odocovthx", "odocovthy", "odocovx", "odocovxy", "odocovy"),
 )
 _PLACES = {name: number for number, name in enumerate(BUILT_IN)}
+
+
+def _span(first: str, last: str) -> slice:
+    """The places from one of them to another one."""
+    return slice(_PLACES[first], _PLACES[last] + 1)
+
+
+_LINE_AND_DISTANCES, _RAW_DISTANCES = _span("drivendist", "irdistright"), _span("irl", "irr")
+_ODOMETRY, _COVARIANCE = _span("odox", "ododencl"), _span("odocovth", "odocovy")
+_FOUND, _BLACK, _WHITE = (_PLACES[name] for name in ("blacklinefound", "crossingblackline", "crossingwhiteline"))
+_FIRST_LINE, _FIRST_RAW_LINE, _LINE_POSITION = _PLACES["line0"], _PLACES["lineraw0"], _span("linepos", "nolineb")
+_LOGGED, _MOTION = _span("log0", "log3"), _span("motorcmdl", "time")
+_SPEED_REFERENCE, _MOTCON, _TICK = _PLACES["hakospeedref"], _span("motcon_lvel", "motcon_omega"), _PLACES["tick"]
+
 #: Values that stand in MRC's structures before anything has measured them.
 _INITIAL = {"batteryvoltage": 14.0, "nolinecamr": 1.0, "nolinecaml": 1.0}
 
@@ -251,30 +266,30 @@ class Vehicle:
         pose, target, sensor, covariance = odometry.pose, control.target, self.line_sensor, self.covariance
         distances = self.infrared.distances
         left, right, driven_all = control.left, control.right, odometry.distance
-        values[0:7] = driven, seconds, *distances[:5]
-        values[12:21] = (
+        values[_LINE_AND_DISTANCES] = driven, seconds, *distances[:5]
+        values[_ODOMETRY] = (
             *(pose.x, pose.y, pose.th, driven_all, odometry.left_distance, odometry.right_distance),
             *(odometry.velocity, odometry.right_step, odometry.left_step),
         )
-        values[22] = sensor.is_found
-        values[23] = sensor.crosses_black(driven_all)
-        values[25] = sensor.crosses_white(driven_all)
+        values[_FOUND] = sensor.is_found
+        values[_BLACK] = sensor.crosses_black(driven_all)
+        values[_WHITE] = sensor.crosses_white(driven_all)
         if self._has_raw_ir:
-            values[7:12] = self.symbols.raw["irsensor"][:5]
-        size = min(sensor.size, 8)
+            values[_RAW_DISTANCES] = self.symbols.raw["irsensor"][:5]
+        size = min(sensor.size, len(_LINES))
         if self._has_raw_line:
-            values[39 : 39 + size] = self.symbols.raw["linesensor"][:size]
+            values[_FIRST_RAW_LINE : _FIRST_RAW_LINE + size] = self.symbols.raw["linesensor"][:size]
         if self._has_line:
-            values[31 : 31 + size] = sensor.values[:size]
-            values[47:49] = self.line_position(), sensor.is_missing
-        values[65:69] = distances[0], distances[4], control.wall_angle_left, control.wall_angle_right
-        values[72:81] = (
+            values[_FIRST_LINE : _FIRST_LINE + size] = sensor.values[:size]
+            values[_LINE_POSITION] = self.line_position(), sensor.is_missing
+        values[_LOGGED] = distances[0], distances[4], control.wall_angle_left, control.wall_angle_right
+        values[_MOTION] = (
             *(left, right, 0.0, control.is_blocked, target.x, target.y, target.th),
             *(control.remaining, time),
         )
         values[_SPEED_REFERENCE] = left
-        values[_MOTCON : _MOTCON + 3] = left, right, control.omega
-        values[_COVARIANCE : _COVARIANCE + 6] = (
+        values[_MOTCON] = left, right, control.omega
+        values[_COVARIANCE] = (
             *(covariance.th_th, covariance.th_x, covariance.th_y),
             *(covariance.x_x, covariance.x_y, covariance.y_y),
         )
@@ -418,10 +433,7 @@ class Vehicle:
         self._routes[path] = place
         inputs: tuple[list[tuple[object, str, int]], ...] = [], []
         for (is_sensed, owner, attribute), where in self._routes.items():
-            found: object = self
-            for each in owner.split("."):
-                found = getattr(found, each) if each else found
-            inputs[not is_sensed].append((found, attribute, where))
+            inputs[not is_sensed].append((attrgetter(owner)(self) if owner else self, attribute, where))
         self._sensed, self._acted = inputs
         return True
 
@@ -488,11 +500,6 @@ class Vehicle:
             if name in self._words:
                 self._changed[name] = self._words[name]
 
-
-_SPEED_REFERENCE = _PLACES["hakospeedref"]
-_MOTCON = _PLACES["motcon_lvel"]
-_COVARIANCE = _PLACES["odocovth"]
-_TICK = _PLACES["tick"]
 
 _PARAMETERS: Mapping[tuple[str, str, str], str] = {
     ("motioncontrol", "followwall", "gain"): "wall_gain",

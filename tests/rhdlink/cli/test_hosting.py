@@ -169,8 +169,8 @@ def test_the_width_of_time_stamps_can_be_chosen(spawn: Spawn, config: str, width
 def test_the_width_of_the_file_and_the_last_word_over_it(run: Run, tmp_path: Path) -> None:
     path = tmp_path / "rhdconfig.xml"
     path.write_text("<rhd><server><port value='0'/><width value='4'/></server></rhd>")
-    assert rhdlink.Host.from_config(path)._service_options["width"] == 4
-    assert rhdlink.Host.from_config(path, width=2)._service_options["width"] == 2
+    assert rhdlink.Host.from_config(path)._serving.keywords["width"] == 4
+    assert rhdlink.Host.from_config(path, width=2)._serving.keywords["width"] == 2
     status, _, err = run("serve", str(path), "--width", "3")
     assert status == 2
     assert "--width" in err

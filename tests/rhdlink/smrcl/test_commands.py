@@ -15,9 +15,13 @@ from pathlib import Path
 import pytest
 
 from rhdlink import Mission
+from rhdlink.smrcl import settings
+from rhdlink.smrcl import vehicle as vehicle_module
 from rhdlink.smrcl.commands import COMMANDS, MOST_PARAMETERS, ParameterKind, ScriptCommand
 from rhdlink.smrcl.effects import MissionEffects
 from rhdlink.smrcl.interpreter import Outcome
+from rhdlink.smrcl.vehicle import Vehicle
+from tests.rhdlink.smrcl.bench import Bench
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -39,7 +43,8 @@ def test_the_function_of_a_row_takes_the_kinds_of_its_parameters(command: Script
     assert effects.annotation == "MissionEffects"
     declared = [each.annotation for each in parameters]
     if parameters and parameters[-1].kind is inspect.Parameter.VAR_POSITIONAL:
-        declared += declared[-1:] * (len(command.kinds) - len(declared))
+        *declared, further = declared
+        declared += [further] * (len(command.kinds) - len(declared))
     assert [found for found, kind in zip(declared, command.kinds, strict=True) if found not in TAKEN[kind]] == []
 
 
@@ -97,6 +102,27 @@ def test_a_mistake_in_a_command_is_found_before_the_script_runs(line: str, messa
 
 def test_under_mrc_s_profile_a_number_is_no_mistake() -> None:
     assert Mission("fwd 1e7\nstop\n", compat="mrc").check() == []
+
+
+def test_what_settings_and_routes_set_is_there() -> None:
+    """A path that is misspelt would set an attribute that nothing reads."""
+    vehicle = Bench().controller.vehicle
+    before = attributes(vehicle)
+    effects = Bench(profile="mrc").controller.effects
+    for setting in settings._SETTINGS.values():
+        setting(effects, 1.0)
+    assert attributes(effects.vehicle) == before
+    for module, function, name in vehicle_module._INPUTS:
+        assert vehicle.route_input(module, function, name, 0)
+    for owner, attribute, _ in (*vehicle._sensed, *vehicle._acted):
+        assert isinstance(getattr(owner, attribute), float), attribute
+    for attribute in vehicle_module._PARAMETERS.values():
+        assert isinstance(getattr(vehicle.control.parameters, attribute), float), attribute
+
+
+def attributes(vehicle: Vehicle) -> list[set[str]]:
+    """The names of what settings set, and of what stands beside it."""
+    return [set(vars(each)) for each in (vehicle, vehicle.odometry, vehicle.odometry.pose, vehicle.covariance)]
 
 
 # -- adding one ------------------------------------------------------------------------------------------------
