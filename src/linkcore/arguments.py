@@ -49,7 +49,7 @@ def check_seconds(value: Any, name: str, *, positive: bool = False, finite: bool
         finite: infinity will not do.
 
     Raises:
-        BadValue: it is no number, not a number (NaN), or below what is allowed.
+        BadValue: it is not a number, is NaN, or is below what is allowed.
     """
     try:
         seconds = math.nan if isinstance(value, (bool, str, bytes)) else float(value)

@@ -165,7 +165,7 @@ class Lifecycle:
 
     @property
     def is_over(self) -> bool:
-        """It has ended, whichever way."""
+        """It has ended, as DONE, CANCELLED or FAILED."""
         return None in self._marks
 
     @property
@@ -343,9 +343,9 @@ class Handle:
             cancel: whether an exception that interrupts the waiting (Ctrl-C: `KeyboardInterrupt`) cancels it.
 
         Raises:
-            BadValue: `timeout` is no number of seconds.
+            BadValue: `timeout` is not a number of seconds.
             LocalError: in a callback of an arm's stream that was subscribed with ``inline=True``: this is the thread
-                that would have to hear of the end.
+                that would have to receive the end.
             LinkTimeout: it was not over in time; it goes on.
             Cancelled: it was cancelled, or preempted by another.
             LinkError: what else ended it. Of an arm: `SafetyStop`, `NotRunning`, `ConnectFailed`, `ConnectionLost`,

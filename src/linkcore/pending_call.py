@@ -69,7 +69,7 @@ class PendingCall:
         """Send nothing more, and cancel what it has begun. Returns at once; idempotent.
 
         Args:
-            submit: has a thread cancel it: the robot is told to brake, which may wait.
+            submit: has a thread cancel it: the robot is sent a stop, which may wait.
         """
         self.is_given_up = True
         for life in filter(None, (each() for each in tuple(self._lives))):

@@ -49,7 +49,7 @@ class Plot:
         title: above them.
 
     Raises:
-        BadValue: no field, or one that is no number.
+        BadValue: no field, or one that is not a number.
     """
 
     def __init__(self, curves: Sequence[Curves], title: str = "") -> None:
@@ -149,7 +149,7 @@ def _thinned(time: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[An
 
 def is_in_notebook() -> bool:
     """Whether this program runs in the kernel of a notebook."""
-    # Without IPython in sys.modules this is no notebook; it need not be imported to find out.
+    # Without IPython in sys.modules this is not a notebook; it need not be imported to find out.
     shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
     return shell is not None and hasattr(shell, "kernel")
 

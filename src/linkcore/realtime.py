@@ -68,7 +68,7 @@ class _Threads:
         return number
 
     def leave(self, number: int) -> None:
-        """A thread is none any more, if it was entered once."""
+        """The thread is no longer urgent, if it was entered once."""
         with self._lock:
             self._numbers[number] -= 1
             if not self._numbers[number]:

@@ -1,4 +1,4 @@
-"""Text from elsewhere, made safe to show: bytes from the wire steer no terminal, forge no log line, are no HTML."""
+"""Text from elsewhere, made safe to show: bytes from the wire steer no terminal, forge no log line, are not HTML."""
 
 from __future__ import annotations
 

@@ -247,7 +247,7 @@ class Runnable(ABC):
             timeout: seconds; None, or infinity, for as long as it takes.
 
         Raises:
-            BadValue: `timeout` is no number of seconds.
+            BadValue: `timeout` is not a number of seconds.
             LinkError: what ended it by itself: see the class.
         """
         if timeout is not None:

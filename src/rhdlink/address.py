@@ -45,7 +45,7 @@ def parse_address(text: object) -> Address:
     try:
         parts = urlsplit(stripped if "://" in stripped else f"rhd://{stripped}")
         host, port = parts.hostname, parts.port
-    except ValueError as error:  # half a bracket, or a port that is no number or none of TCP's
+    except ValueError as error:  # half a bracket, or a port that is not a number from 1 to 65535
         raise BadAddress(f"{text!r} is no address: {error}; {example}") from None
     if parts.scheme != "rhd":
         raise BadAddress(f"{text!r}: unknown kind {parts.scheme!r}; expected rhd")

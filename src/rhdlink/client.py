@@ -96,8 +96,8 @@ def connect(
             `Variables.access`.
         timeout: seconds for the connection and its handshake, and for each sync that does not say.
         unsent: what becomes of values that were set and not sent when a sync finds the connection lost, or cannot make
-            it again. "discard" forgets them: a robot that has lost its master should not be set moving by what was said
-            before. "send" leaves them to the next sync that succeeds, however late that is.
+            it again. "discard" forgets them: a robot that has lost its master should not be set moving by what was
+            written before. "send" leaves them to the next sync that succeeds, however late that is.
         width: 32-bit words of a time stamp, 2 or 4; by default found out from the handshake.
         limits: what the robot may ask for.
         record: a file that does not exist yet, for every byte that the robot sends, with the time at
@@ -205,7 +205,7 @@ class Variables(Declarations):
 
         Raises:
             NotThere: the robot has no such write variable.
-            BadValue: it is no such number, or as many.
+            BadValue: these are not whole numbers, or not as many as the variable is long.
             AccessDenied: the access is "r".
         """
         replica = self._known()
@@ -303,7 +303,7 @@ class Variables(Declarations):
         """Send what was set, and get what the robot knows: one round trip, at the robot's next tick.
 
         After a lost connection it first connects again: greets anew and finds the variables by name. When the
-        connection is lost, or cannot be made again, what was set before is forgotten, unless `connect` was told
+        connection is lost, or cannot be made again, what was set before is forgotten, unless `connect` was given
         ``unsent="send"``: set it again. What is set after that is sent.
 
         Args:
@@ -346,7 +346,7 @@ class Variables(Declarations):
             backoff: how to reconnect.
 
         Raises:
-            BadValue: a period that is no positive number.
+            BadValue: a period that is not a positive number.
             LocalError: it is kept in sync already, or the system has no thread left.
             Closed: after `close`.
         """
@@ -409,9 +409,9 @@ class Variables(Declarations):
     def close(self, timeout: float = 2.0) -> None:
         """Disconnect, and end the sync thread and every subscription, within `timeout` seconds.
 
-        What the last sync sent is waited for until the robot's side has acknowledged it, for 0.25 s at most. A robot is
-        not told: its values stay as they were sent last, until it notices that its master
-        is gone. Idempotent, from any thread.
+        What the last sync sent is waited for until the robot's side has acknowledged it, for 0.25 s at most. A robot
+        gets no message: its values stay as they were sent last, until it notices that its master is gone. Idempotent,
+        from any thread.
 
         Raises:
             BadRecording: the disk failed while it was recorded.

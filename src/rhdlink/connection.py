@@ -71,7 +71,7 @@ class Connection:
         AccessDenied: write access was refused, and there is no fallback.
         ConnectFailed, ConnectionLost, LinkTimeout: the server is not there, is gone, or is silent.
         WrongPeer: something else is listening.
-        PacketError: what came is no handshake.
+        PacketError: what came is not a handshake.
     """
 
     def __init__(
@@ -180,7 +180,7 @@ class Connection:
         """Wait for the replies that are outstanding, and deliver them.
 
         So no more than one request ever waits at a server: it would take one at each tick, and a program that is late
-        would drive the robot by what it said long ago.
+        would drive the robot by what it sent long ago.
 
         Raises:
             LinkTimeout: no reply in time; it stays outstanding.

@@ -36,8 +36,9 @@ __all__ = ["Drive"]
 
 #: m, m/s, m/s2 or degrees beyond which no mobile robot is meant.
 _MOST = 1e6
-#: Cycles in which a simulated robot comes to rest after a motion, before it is told to stand: 5 s, in which the heading
-#: error, which falls to 1/e in 1 s, becomes less than 0.01 degrees. A heading counter may hunt by one count for ever.
+#: Cycles in which a simulated robot comes to rest after a motion, before it is sent the speed 0: 5 s, in which the
+#: heading error, which falls to 1/e in 1 s, becomes less than 0.01 degrees. A heading counter may hunt by one count for
+#: ever.
 _SETTLING = 500
 #: Seconds that other threads wait for the one that drives.
 _CLOSE_TIMEOUT = 5.0
@@ -198,7 +199,7 @@ class Drive:
     def forward(self, distance: float, *, speed: float | None = None) -> Motion:
         """Straight on for `distance` m, backward if it is negative; slows down before obstacles and before the end.
 
-        The way is measured from the place that the motion before aimed at, so that errors do not add up.
+        The distance is measured from the place that the motion before aimed at, so that errors do not add up.
         """
         return self._begin("forward", Forward(_number("distance", distance)), speed)
 
@@ -211,9 +212,9 @@ class Drive:
         return self._begin("arc", ArcTurn(_positive("radius", radius), math.radians(_number("angle", angle))), speed)
 
     def to(self, x: float, y: float, heading: float, *, radius: float = 0.3, speed: float | None = None) -> Motion:
-        """To a pose, by the shortest way of an arc, a straight line and an arc, forward or backward.
+        """To a pose, by the shortest path of an arc, a straight line and an arc, forward or backward.
 
-        It ends a few centimetres and degrees off, since nothing corrects it on the way.
+        It ends a few centimetres and degrees off, since nothing corrects it under way.
         """
         goal = Place(_number("x", x), _number("y", y), math.radians(_number("heading", heading)))
         return self._begin("to", DriveToPoint(goal, _positive("radius", radius), is_absolute=True), speed)

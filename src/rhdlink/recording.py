@@ -168,7 +168,7 @@ def play(recording: RecordingFile, progress: Progress | None = None) -> Iterator
 
     Raises:
         BadRecording: it holds no robot that runs RHD.
-        PacketError: it holds bytes that are no batch.
+        PacketError: it holds bytes that are not a batch.
     """
     decoder, database, current = ServerDecoder(), Database(), 1
     for connection, record in received(recording, progress):
@@ -231,7 +231,7 @@ def summarise(recording: RecordingFile, progress: Progress | None = None) -> Sum
 
     Raises:
         BadRecording: it holds no robot that runs RHD.
-        PacketError: it holds bytes that are no batch.
+        PacketError: it holds bytes that are not a batch.
     """
     summary = Summary(str(recording.path), recording.path.stat().st_size, recording.is_complete, recording.left_out)
     first: float | None = None

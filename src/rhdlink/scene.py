@@ -69,7 +69,7 @@ class Scene:
         floor: brightness of the floor.
 
     Raises:
-        BadValue: points that are no numbers, or too many pieces.
+        BadValue: points that are not numbers, or too many pieces.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class Scene:
         return self._walls.hit(x, y, math.cos(angle), math.sin(angle))
 
     def blocked(self, x: float, y: float, dx: float, dy: float) -> float:
-        """The part of a way that can be driven before a wall, or more than 1."""
+        """The part of a path that can be driven before a wall, or more than 1."""
         return self._walls.hit(x, y, dx, dy)
 
     @classmethod
@@ -111,7 +111,7 @@ class Scene:
             size: m.
 
         Raises:
-            BadValue: it cannot be read, is no drawing, or has too many pieces.
+            BadValue: it cannot be read, is not a drawing, or has too many pieces.
         """
         try:
             with open(path, "rb") as file:
@@ -239,7 +239,7 @@ def _brightness(element: Element) -> float:
 
 
 def _shape(element: Element) -> Iterator[list[Point]]:
-    """The lines of an element; none of what is no shape."""
+    """The lines of an element; none of what is not a shape."""
     tag = element.tag.rpartition(":")[2]
     if tag == "line":
         yield [(element.number(f"x{n}", 0.0), element.number(f"y{n}", 0.0)) for n in (1, 2)]

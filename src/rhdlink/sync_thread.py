@@ -1,4 +1,4 @@
-"""A thread that keeps a robot in sync, and those who are told of what the robot does, each in a thread of its own."""
+"""A thread that keeps a robot in sync, and the subscribers of what comes, each in a thread of its own."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class SyncThread:
             else `sync` raised; None while it goes on, and after `close`.
 
     Raises:
-        BadValue: a period that is no positive number.
+        BadValue: a period that is not a positive number.
         LocalError: the system has no thread left.
     """
 
@@ -124,7 +124,7 @@ class SyncThread:
 
 
 class _Subscriber(NamedTuple):
-    event_type: type  # of what it is told
+    event_type: type  # of what its callback gets
     queue: PacketQueue
     names: frozenset[str] | None
     delivery: ThreadedDelivery
@@ -185,7 +185,7 @@ class Subscribers:
         return Subscription(delivery, detach, owner)
 
     def has(self, event_type: type) -> bool:
-        """Whether anybody is told of events of this type."""
+        """Whether anybody has subscribed to events of this type."""
         return any(each.event_type is event_type for each in self._subscribers)
 
     def wanted(self) -> frozenset[str] | None:

@@ -98,7 +98,7 @@ class World:
 
     @property
     def path(self) -> npt.NDArray[np.float64]:
-        """The way it went, shape (n, 2), m; the first point is the start, the last where it is."""
+        """The path that it drove, shape (n, 2), m; the first point is the start, the last where it is."""
         here = self.pose[:2]
         points = self._points if self._points[-1] == here else [*self._points, here]
         return np.array(points, dtype=np.float64)
@@ -139,7 +139,7 @@ class World:
         return self.scene.brightness(places)
 
     def _free(self, dx: float, dy: float) -> float:
-        """The part of a way that is free of walls, 0..1."""
+        """The part of a path that is free of walls, 0..1."""
         here = self.pose
         free = min(1.0, _until(here.x, dx, self.size), _until(here.y, dy, self.size))
         if self.scene is None or not (dx or dy):
@@ -173,9 +173,9 @@ _PAPER, _WALL, _GRID, _PATH, _ROBOT = "#ffffff", "#37474f", "#eceff1", "#1565c0"
 
 
 def svg(world: World, title: str = "") -> str:
-    """The square, the way and the robot as an SVG document; a grid line each metre.
+    """The square, the path and the robot as an SVG document; a grid line each metre.
 
-    The same way gives the same text, so that a picture can be compared and kept under version control.
+    The same path gives the same text, so that a picture can be compared and kept under version control.
     """
     scale = _PIXELS / world.size
     whole = _PIXELS + 2 * _MARGIN

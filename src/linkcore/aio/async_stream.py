@@ -36,7 +36,7 @@ class AsyncFeed(Generic[T]):
     Made by `AsyncStream.of`; a stream is the feed of its main class. For tasks of the loop that reads the stream.
 
     Args:
-        feed: the same for threads; it knows what is to be said of it.
+        feed: the same for threads; it has the texts of its errors.
     """
 
     __slots__ = ("_feed", "_kind", "_loop_connection", "_owner")
@@ -57,7 +57,7 @@ class AsyncFeed(Generic[T]):
         """The next packet that arrives.
 
         Raises:
-            BadValue: `timeout` is no number of seconds.
+            BadValue: `timeout` is not a number of seconds.
             LinkTimeout: none came within `timeout` seconds.
             RemoteError: the first connection could not be made, or the stream gave up.
             Closed: the stream was closed.
@@ -79,7 +79,7 @@ class AsyncFeed(Generic[T]):
             timeout: seconds.
 
         Raises:
-            BadValue: `condition` cannot be called, or `timeout` is no number of seconds.
+            BadValue: `condition` cannot be called, or `timeout` is not a number of seconds.
             LinkTimeout: it did not hold within `timeout` seconds; the message says how many packets there were.
             RemoteError, Closed: as `wait`.
         """
@@ -273,7 +273,7 @@ class AsyncStream(AsyncFeed[T]):
         """Wait until the stream is over: closed, or given up; False when time is up. At once where nothing has started.
 
         Raises:
-            BadValue: `timeout` is no number of seconds.
+            BadValue: `timeout` is not a number of seconds.
         """
         return await self._loop_connection.joined(None if timeout is None else check_seconds(timeout, "timeout"))
 

@@ -39,7 +39,7 @@ class LoopQueue:
         dropped: packets thrown away: one too many, too old, or waiting when the queue was closed.
         expired: those of them that were older than the lifespan when their turn came.
         evicts: drops the oldest when it is full, rather than reading no more.
-        is_over: `next` has said that no more will come.
+        is_over: `next` has returned None because no more will come.
     """
 
     #: A queue is never in the way of another, so it is served before the callbacks.

@@ -143,7 +143,7 @@ def _checksum(number: int, packet: bytes, monotonic: float, wall: float) -> int:
 
 
 class _Pipe:
-    """The way to the other process, which is never waited for."""
+    """The pipe to the other process, which is never waited for."""
 
     def __init__(self, descriptor: int) -> None:
         self.descriptor = descriptor

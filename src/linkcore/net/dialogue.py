@@ -24,11 +24,11 @@ class DialogueProtocol(Protocol):
 
     @property
     def is_greeted(self) -> bool:
-        """The peer has said what it says first, so that something can be asked."""
+        """The greeting of the peer has been received, so that something can be asked."""
 
     @property
     def is_in_step(self) -> bool:
-        """Greeted, nothing asked that was not answered, and nothing said that was not asked."""
+        """Greeted, nothing asked that was not answered, and nothing received that was not asked for."""
 
     @property
     def settling(self) -> float | None:

@@ -5,12 +5,12 @@ library's error tree: errors of the operating system are mapped here and nowhere
 
 What has been given up must not arrive later. TCP by itself does the opposite: what `send` handed to the kernel is
 retransmitted for minutes, also after `close` and after the end of the process (Linux: `tcp_retries2`, some 15 minutes),
-and arrives when the network is back. A robot would then carry out a motion whose caller was told long ago that it had
+and arrives when the network is back. A robot would then carry out a motion whose call raised long ago, since it had
 failed. Three settings prevent that:
 
 - `SO_LINGER` of 0 s from the first moment on: whatever ends the connection, `abort`, a lost process or the garbage
   collector, the kernel discards what it holds and resets the connection (tcp(7), RFC 1122 section 4.2.2.13).
-- `close` is the orderly way: it first waits, for a bounded time, until the peer's kernel has acknowledged everything.
+- `close` is orderly: it first waits, for a bounded time, until the peer's kernel has acknowledged everything.
 - `TCP_USER_TIMEOUT` (RFC 5482; Linux): the kernel ends the connection by itself where nothing is acknowledged for as
   long as the peer may be silent. It works while this process is suspended or held up, and no thread could call `abort`.
 """
@@ -116,7 +116,7 @@ class TcpTransport:
         self.round_trip = math.inf
         self._refused = refused
         self._socket: socket.socket | None = None
-        self._receive_timeout = silence  # what the socket has been told
+        self._receive_timeout = silence  # that of the socket
 
     @classmethod
     def accepted(cls, connection: socket.socket, host: str, port: int, *, silence: float) -> TcpTransport:
@@ -255,7 +255,7 @@ class TcpTransport:
         if connection is None:
             raise ConnectionLost(f"{self.name} is not connected")
         check_wanted()
-        # The socket blocks, for the sake of `receive`: where a send cannot be told not to, ask for room first.
+        # The socket blocks, for the sake of `receive`: where a send has no flag for not waiting, ask for room first.
         flags = getattr(socket, "MSG_DONTWAIT", 0)
         try:
             if not flags and not _has_room(connection, 0.0):

@@ -240,7 +240,7 @@ class End:
             self.shut()
 
     def reset(self) -> None:
-        """Discard what is not acknowledged and send a reset, which is lost where the way is silent."""
+        """Discard what is not acknowledged and send a reset, which is lost where the path is silent."""
         if self.is_open and self.is_connected and self.peer is not None:
             self._send_reset(self.peer)
         self._break(0)
@@ -373,7 +373,7 @@ class End:
 
 
 class Network:
-    """The computers and the ways between them.
+    """The computers and the paths between them.
 
     Args:
         scheduler: whose time it has.

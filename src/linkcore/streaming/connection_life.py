@@ -1,4 +1,4 @@
-"""The life of a connection: what it is doing, what can happen next, and what its subscribers are told. Sans-IO.
+"""The life of a connection: what it is doing, what can happen next, and which state its subscribers get. Sans-IO.
 
 `TRANSITIONS` is the whole of it; docs/architecture.md shows the table. What is not in the table cannot happen: it
 raises, so that a mistake in what reads the connection is seen where it is made. `ConnectionLife` adds what decides
@@ -72,7 +72,8 @@ class Backoff:
         tries: how many tries before giving up; None tries for ever, 0 never.
 
     Raises:
-        BadValue: a time that is none, a factor below 1, a jitter outside 0 to 1, or no number of tries.
+        BadValue: a time that is not a number of seconds, a factor below 1, a jitter outside 0 to 1, or tries that are
+            not a number.
     """
 
     first: float = 0.1
@@ -153,7 +154,7 @@ _ENDING = (*_READING, ConnectionPhase.GIVING_UP, ConnectionPhase.FINISHING)
 _Cause = tuple[ConnectionPhase, LifeEvent]
 _Effect = tuple[ConnectionPhase, ConnectionState | None]
 
-#: (phase, event) -> the phase after it, and the state of which subscribers are told.
+#: (phase, event) -> the phase after it, and the state that subscribers get.
 TRANSITIONS: Mapping[_Cause, _Effect] = MappingProxyType(
     {
         (ConnectionPhase.IDLE, LifeEvent.USE): (ConnectionPhase.STARTING, None),
@@ -188,7 +189,7 @@ class Attempt:
 
     Attributes:
         is_patient: nobody waits for it, so a failure is retried.
-        is_settled: it was made and subscribers were told, or it cannot be made.
+        is_settled: it was made and subscribers were notified, or it cannot be made.
         has_opened: it was made.
         failure: why it could not be made.
     """
@@ -239,7 +240,7 @@ class ConnectionLife:
         return self.is_closed or self.phase in (ConnectionPhase.FINISHING, ConnectionPhase.OVER)
 
     def fire(self, event: LifeEvent) -> ConnectionState | None:
-        """Something has happened: the state of which subscribers are to be told, if any.
+        """Something has happened: the state that subscribers are to get, if any.
 
         Raises:
             RuntimeError: it cannot happen now.
@@ -264,7 +265,7 @@ class ConnectionLife:
         self._received = received
 
     def end(self, failure: Exception | None) -> ConnectionState | None:
-        """The reader ends: what subscribers are to be told.
+        """The reader ends: the state that subscribers are to get.
 
         Args:
             failure: why; None where the peer has no more, or the connection was closed here.
@@ -275,7 +276,7 @@ class ConnectionLife:
         return self.fire(LifeEvent.FINISH if failure is None else LifeEvent.GIVE_UP)
 
     def lose(self, error: Exception | None) -> ConnectionState | None:
-        """A connection has ended, or could not be made: what subscribers are to be told."""
+        """A connection has ended, or could not be made: the state that subscribers are to get."""
         self.error = None if error is None else unraised(error)
         return self.fire(LifeEvent.LOSE)
 

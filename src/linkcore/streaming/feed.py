@@ -30,7 +30,7 @@ def check_deadline(deadline: float | None, on_deadline: Callable[[float], object
     """The deadline of a subscription, s.
 
     Raises:
-        BadValue: it is no positive number of seconds, or `on_deadline` cannot be called or has no deadline.
+        BadValue: it is not a positive number of seconds, or `on_deadline` cannot be called or has no deadline.
     """
     if deadline is not None:
         deadline = check_seconds(deadline, "deadline", positive=True)
@@ -67,7 +67,7 @@ class Feed(Generic[T]):
         """The next packet that arrives.
 
         Raises:
-            BadValue: `timeout` is no number of seconds.
+            BadValue: `timeout` is not a number of seconds.
             LinkTimeout: none came within `timeout` seconds.
             RemoteError: the first connection could not be made, or the stream gave up.
             LocalError: called in an inline callback, where nothing could come.
@@ -96,7 +96,7 @@ class Feed(Generic[T]):
             timeout: seconds.
 
         Raises:
-            BadValue: `condition` cannot be called, or `timeout` is no number of seconds.
+            BadValue: `condition` cannot be called, or `timeout` is not a number of seconds.
             LinkTimeout: it did not hold within `timeout` seconds; the message says how many packets there were.
             RemoteError, LocalError, Closed: as `wait`.
         """
@@ -252,7 +252,7 @@ class Feed(Generic[T]):
             period: seconds between two pictures.
 
         Raises:
-            BadValue: no field, or one that is not there or is no number, or a time that is none.
+            BadValue: no field, or one that is not there or is not a number, or a time that is not a number of seconds.
             LocalError: matplotlib is not installed; says how to.
             LinkTimeout: nothing came within `seconds`.
             RemoteError, LocalError, Closed: as `subscribe`.

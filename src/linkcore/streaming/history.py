@@ -68,7 +68,7 @@ class History:
             by `time.monotonic`, and ``received_wall`` by `time.time`, s. Empty where nothing has come yet.
 
         Raises:
-            BadValue: no such field, or one that is no number, or that this firmware does not send.
+            BadValue: no such field, or one that is not a number, or that this firmware does not send.
         """
         # In one step: the reader goes on.
         states = [state for _, state in self._states.copy()]
@@ -133,7 +133,7 @@ def _received(state: State) -> float:
 
 
 def _numbers(values: list[Any]) -> NDArray[Any] | None:
-    """One row for each value; None where they are no numbers."""
+    """One row for each value; None where they are not numbers."""
     array = np.array(values) if values[0] is not None else np.empty(0, dtype=object)
     if array.dtype.kind in "bui":
         return array.astype(np.int64)

@@ -78,7 +78,7 @@ def check_lifespan(value: Any) -> float | None:
     """Seconds after its arrival for which a packet is worth having; None for ever.
 
     Raises:
-        BadValue: it is no positive number of seconds.
+        BadValue: it is not a positive number of seconds.
     """
     return None if value is None else check_seconds(value, "lifespan", positive=True)
 
@@ -140,7 +140,7 @@ class PacketQueue:
 
     @property
     def is_over(self) -> bool:
-        """`next` has said that no more will come."""
+        """`next` has returned None because no more will come."""
         return self._is_over
 
     # -- the reader's side ---------------------------------------------------------------------

@@ -1,6 +1,6 @@
 """How the clock of a peer goes beside this computer's, from the times in its packets and when they arrived.
 
-A packet has the time of the peer at which it was made, and arrives later. How long it was on its way is not told, but
+A packet has the time of the peer at which it was made, and arrives later. How long it was under way is unknown, but
 two things are: it was no less than nothing; and the quickest of many took no longer than the handshake of their TCP
 connection, which went there and back. So the packets that came quickest show the relation of both clocks, but for that
 round trip: `ClockEstimator` keeps the quickest packet of each second of the last minute, and puts under these the
@@ -78,7 +78,7 @@ class ClockRelation(NamedTuple):
 
 
 class _Second(NamedTuple):
-    """The packets of about a second: time and way of the quickest, how many there are, and their mean way."""
+    """The packets of about a second: time and delay of the quickest, how many there are, and their mean delay."""
 
     moment: float
     way: float

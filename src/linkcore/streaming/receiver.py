@@ -49,7 +49,7 @@ class Receiver:
         """The typed packets that `data` completes. One bad packet takes no other with it.
 
         Raises:
-            WrongPeer: what comes is no such stream at all.
+            WrongPeer: what comes is not such a stream at all.
         """
         counters = self._counters
         counters.bytes += len(data)

@@ -109,7 +109,7 @@ class Stream(Feed[T]):
         """Wait until a recording is over and all of it is delivered; False when time is up.
 
         Raises:
-            BadValue: `timeout` is no number of seconds.
+            BadValue: `timeout` is not a number of seconds.
         """
         return self._connection.join(float("inf") if timeout is None else check_seconds(timeout, "timeout"))
 
@@ -121,7 +121,7 @@ class Stream(Feed[T]):
         is up, by a full queue or an inline callback, makes `block` drop too. Idempotent; may be called from a callback.
 
         Raises:
-            BadValue: `timeout` is no number of seconds.
+            BadValue: `timeout` is not a number of seconds.
         """
         self._connection.close(check_seconds(timeout, "timeout"))
 

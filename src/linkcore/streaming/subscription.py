@@ -205,7 +205,7 @@ class ThreadedDelivery(Delivery):
                 last = self._last
                 age = monotonic() - last
                 wait = deadline - age if age < deadline else deadline
-                if age >= deadline and told != last:  # told once for each time
+                if age >= deadline and told != last:  # called once for each time
                     told = last
                     self._miss(age)
 
@@ -357,7 +357,7 @@ class Subscription:
         Waits up to `timeout` seconds for a callback that is running; the callback is left to end by itself after that.
 
         Raises:
-            BadValue: `timeout` is no number of seconds.
+            BadValue: `timeout` is not a number of seconds.
         """
         timeout = check_seconds(timeout, "timeout")
         self._detach(self._delivery)
@@ -367,7 +367,7 @@ class Subscription:
         """Take no more, but deliver what waits; False when time is up before that is done.
 
         Raises:
-            BadValue: `timeout` is no number of seconds.
+            BadValue: `timeout` is not a number of seconds.
         """
         timeout = check_seconds(timeout, "timeout")
         self._detach(self._delivery)
@@ -377,7 +377,7 @@ class Subscription:
         """Wait until everything is delivered and no more will come, as after a recording; False when time is up.
 
         Raises:
-            BadValue: `timeout` is no number of seconds.
+            BadValue: `timeout` is not a number of seconds.
         """
         return self._delivery.join(_NEVER if timeout is None else check_seconds(timeout, "timeout"))
 

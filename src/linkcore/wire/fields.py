@@ -50,7 +50,7 @@ class Shape:
 
     Attributes:
         number: the number on the wire, or each of several; None for bytes, of which there may be any number.
-        count: how many, as an array; None for one that is none.
+        count: how many, as an array; None for a single one.
         read: from one number, or the bytes, to what the user holds; None where that is the number itself. Never fails.
     """
 
@@ -91,7 +91,7 @@ class Number(Shape):
         return self.name
 
     def write(self, value: Any) -> Any:
-        return value + 0  # what is no number cannot be added to one
+        return value + 0  # what is not a number cannot be added to one
 
 
 Float32b, Float64b = Number("Float32b", "f"), Number("Float64b", "d")
@@ -290,7 +290,7 @@ class Header:
         self.width = self._struct.size
 
     def pack(self, **values: int) -> bytes:
-        """The header on the wire; a part that is not given is zero, and what is no part of it is passed over."""
+        """The header on the wire; a part that is not given is zero, and what is not a part of it is passed over."""
         return self._struct.pack(*(values.get(name, 0) for name in self.parts))
 
     def unpack(self, data: bytes) -> dict[str, int]:

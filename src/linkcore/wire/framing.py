@@ -26,7 +26,7 @@ __all__ = ["FrameBoundary", "Framer", "PacketProtocol", "check_explained", "is_s
 
 
 class FrameBoundary(Protocol):
-    """How the packets of a protocol are told apart. Sizes count the header.
+    """How the packets of a protocol are delimited. Sizes count the header.
 
     Two rules make resynchronisation linear and independent of how the bytes are cut into chunks:
 
@@ -41,7 +41,7 @@ class FrameBoundary(Protocol):
     pace: int
 
     def whole(self, buffer: bytes | bytearray) -> list[bytes]:
-        """The packets with which the buffer begins, as far as that can be told quickly and for certain."""
+        """The packets with which the buffer begins, as far as that can be found quickly and for certain."""
 
     def check(self, buffer: bytes | bytearray, at: int) -> tuple[int, int]:
         """In step: whether the packet that has to begin at `at` is one.
@@ -104,7 +104,7 @@ class Framer:
         """The packets that `data` completes, each whole.
 
         Raises:
-            WrongPeer: what comes is no such stream at all.
+            WrongPeer: what comes is not such a stream at all.
         """
         kept = self._kept
         buffer: bytes | bytearray = data

@@ -120,7 +120,7 @@ class HttpParser:
         """The message, once it is whole. What comes after it is thrown away.
 
         Raises:
-            PacketError: this is no such message, or it is too large.
+            PacketError: this is not such a message, or it is too large.
         """
         self._data += data
         try:

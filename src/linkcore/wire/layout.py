@@ -41,7 +41,7 @@ class Place:
         field: its declaration.
         shape: what this layout has of it.
         number: the number on the wire, or each of several; None for bytes, of which there may be any number.
-        count: how many, or None for one that is no array.
+        count: how many, or None for a single one.
         offset: of its first byte in the packet; behind text, where it would be if that were empty.
         stride: bytes from one element to the next.
         at: index, or slice, among the unpacked values of the packet.
@@ -97,7 +97,7 @@ class Layout:
         name: of the packet, for errors.
         fields: in wire order, each with the shape that it has here.
         header: what precedes them.
-        constants: values of the header's parts, and of fields that the encoder is not told of.
+        constants: values of the header's parts, and of fields that the encoder is not given.
         names: of all fields that the packet has in any layout; by default those that this one has.
         first: the first version that has this layout.
         has_block: whether the optional fields are in it.
@@ -461,7 +461,7 @@ def _code(place: Place) -> str:
 
 
 def _zeros(place: Place) -> list[Any]:
-    """What lies on the wire of a field that the encoder is not told of."""
+    """What lies on the wire of a field that the encoder is not given."""
     return [b"" if place.number is None else 0] * (place.count or 1)
 
 

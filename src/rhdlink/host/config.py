@@ -90,7 +90,7 @@ class Element:
         """`get` as a finite number between `least` and `most`.
 
         Raises:
-            BadConfiguration: it is none.
+            BadConfiguration: it is something else.
         """
         text = self.get(name)
         if text is None:
@@ -107,7 +107,7 @@ class Element:
         """`get` as a whole number between `least` and `most`.
 
         Raises:
-            BadConfiguration: it is none.
+            BadConfiguration: it is something else.
         """
         text = self.get(name)
         if text is None:
@@ -208,7 +208,7 @@ class Configuration:
         synchronized: whether each tick waits for the master's request, at most one period.
         width: words of a time stamp, 2 or 4, as the clients have it; ``<server> <width value="4"/>``. The original has
             no such element: its width is that of the machine it was built for.
-        resend: what a client is told, "changed" or "original"; ``<server> <resend value="original"/>``.
+        resend: what a client is sent, "changed" or "original"; ``<server> <resend value="original"/>``.
         limits: what a client may ask for; ``<server> <limits variables="100" length="64" words="1000" batch="4096"/>``.
         client_timeout, inactivity_timeout: seconds, see `Host`; ``<clients timeout="5" inactivity="10"/>``.
         plugins: in the order of the file, those not enabled among them.
@@ -241,7 +241,7 @@ def read_config(path: str | os.PathLike[str]) -> Configuration:
     """The configuration in a file.
 
     Raises:
-        BadConfiguration: it cannot be read, or is none.
+        BadConfiguration: it cannot be read, or is not XML as expected.
     """
     if not isinstance(path, (str, os.PathLike)):  # open() would take a number for a descriptor
         raise BadConfiguration(f"cannot read {path!r}: expected the path of an rhdconfig.xml")

@@ -58,7 +58,7 @@ class Plugin(Declarations):
         """Read what the program has written, and set what it is to know.
 
         Args:
-            tick: the number of the round that clients were last told; 0 in the first call.
+            tick: the number of the round that clients were sent last; 0 in the first call.
         """
 
     def terminate(self) -> None:

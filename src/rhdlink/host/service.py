@@ -223,10 +223,10 @@ class Service:
             self.refused_clients += 1
             client.failure = "all slots were taken meanwhile"
             return b""
-        # A second writer becomes a reader and is told so; the original leaves the answer out (docs/protocols/rhd.md,
+        # A second writer becomes a reader and is sent that; the original leaves the answer out (docs/protocols/rhd.md,
         # Defects, 7).
         client.access = "w" if wanted == "w" and (self._allwriters or not self.writers) else "r"
-        # What was set before now is news to the others only: this client is told of all that by its handshake.
+        # What was set before now is news to the others only: this client gets all that with its handshake.
         self._spread_dirty()
         # The lowest free one, as in the original: replies of a round go out in the order of slots.
         client.slot = self._slots.index(None)

@@ -75,7 +75,7 @@ class MqttTopic:
     values: tuple[str, ...]
 
     def parse(self, payload: bytes) -> tuple[float, ...] | None:
-        """The values of a payload; None for what is none."""
+        """The values of a payload; None for anything else."""
         try:
             words = payload[:_LONGEST].decode("ascii").split()
             found = tuple(float(word) for word in words[: len(self.values)])
@@ -263,9 +263,9 @@ class MqttRobot(VelocityBridge):
         class Robobot(rhdlink.robots.VelocityOmega):
             pose = rhdlink.Read(rhdlink.Float64, 4)      # time, x, y, heading
 
-    While a program may write, the robot is told so, and its velocity again, four times a second. When none may, or the
-    host ends, it is told to stand and nothing more, and stops by itself 2 s later if that was lost. When no pose has
-    come for `timeout` seconds it is told to stand until there is one.
+    While a program may write, the robot is sent that, and its velocity again, four times a second. When none may, or
+    the host ends, it is sent the velocity 0 and nothing more, and stops by itself 2 s later if that was lost. When no
+    pose has come for `timeout` seconds it is sent the velocity 0 until there is one.
 
     Args:
         broker: address of the broker; in an `rhdconfig.xml`, ``broker="..."``.

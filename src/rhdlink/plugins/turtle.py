@@ -2,7 +2,7 @@
 
 `Turtle` is driven as a velocity-omega robot, `SmrTurtle` as an SMR, by the speeds of its wheels; variables and scales
 are those that MRC expects. Both stop when their last writer goes away, which the original leaves to each plugin, and do
-not start again before they are told to: a master that is killed says no goodbye.
+not start again before they are written again: a master that is killed ends no connection in order.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ class SmrTurtle(_InWorld):
         world: to be driven in; an 11 x 11 m one, from its middle, by default.
         needs_master: whether to stop when no client may write.
         width: between the wheels, m.
-        tick_length: way of a wheel for one tick of its encoder, m.
+        tick_length: travel of a wheel for one tick of its encoder, m.
         encoder_bits: 32, or 16 for counters that wrap as those of the real robot do; MRC takes each wrap of the latter
             as an odometry error.
 

@@ -173,7 +173,7 @@ class VelocityBridge(Plugin):
         """Hand over a new velocity, and tell the poses that have come."""
         poses, odometer = self._poses, self._odometer
         if poses:
-            # Every one of them, in order: the way between two poses counts, and not only the last place. As many as
+            # Every one of them, in order: the path between two poses counts, and not only the last place. As many as
             # there are now, since another thread may go on adding.
             for _ in range(len(poses)):
                 odometer.update(*poses.popleft())

@@ -80,7 +80,7 @@ class MissionController:
         write: the values of its write variables, by name.
         profile: as MRC does it, or sound.
         functions: further functions for expressions.
-        hooks: what fulfils commands that need hardware.
+        hooks: what carries out commands that need hardware.
         limits: bounds.
         warm_up: cycles before the first line, in which the filters of the sensors settle.
 

@@ -40,7 +40,7 @@ class Session:
     """One client.
 
     Attributes:
-        is_closed: it has said goodbye, or was given up; nothing more is taken from it.
+        is_closed: it has left, or was given up; nothing more is taken from it.
         uses_xml: the form of its events.
     """
 
@@ -102,7 +102,7 @@ class Session:
         """The next line, or None."""
         return self._lines.popleft() if self._lines else None
 
-    # -- what the client is told ----------------------------------------------------------------------
+    # -- what the client is sent ----------------------------------------------------------------------
 
     def event(self, plain: str, xml: str) -> None:
         """Send an event in the xml form, or keep it until it is requested.

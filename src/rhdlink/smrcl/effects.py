@@ -22,8 +22,8 @@ from .vehicle import Vehicle
 if TYPE_CHECKING:
     from .commands import ScriptCommand
 
-#: What fulfils a command that needs hardware: it is given the parameters, and may return system variables by name. The
-#: one for `read` returns a text.
+#: What carries out a command that needs hardware: it is given the parameters, and may return system variables by name.
+#: The one for `read` returns a text.
 Hook = Callable[..., Mapping[str, float] | str | None]
 
 #: Characters of the text buffer.
@@ -65,7 +65,7 @@ class MissionEffects:
         interpreter: whose lines they are.
         output: gets the output that MRC prints.
         client: receives texts, events, streams and logs.
-        hooks: what fulfils commands that need hardware, by the name of the command.
+        hooks: what carries out commands that need hardware, by the name of the command.
 
     Attributes:
         command: the present one, or the last.

@@ -40,14 +40,14 @@ class Callbacks:
     """The callbacks of a user's program. All of them are called between two ticks, so they have to be quick.
 
     Attributes:
-        hooks: what fulfils commands that need hardware, by the name of the command.
+        hooks: what carries out commands that need hardware, by the name of the command.
         observers: functions that are called with texts, by kind: "line", "values", "message", "text", "event".
         readers: functions that are called with all output.
         providers: of sensors and system variables, by name.
         functions: for expressions, by name.
     """
 
-    #: Commands that a function can fulfil.
+    #: Commands that a function can carry out.
     COMMANDS = frozenset(command.name for command in COMMANDS.values() if command.hook is not None)
     OBSERVED = frozenset(kind.value for kind in SaidKind if kind is not SaidKind.LOG)
 
@@ -59,7 +59,7 @@ class Callbacks:
         self.functions: dict[str, Callable[..., float]] = {}
 
     def add(self, name: str, function: Callable[..., object]) -> None:
-        """Have a function fulfil a command, or be told what the mission says.
+        """Have a function carry out a command, or get the output of one kind.
 
         Raises:
             BadValue: there is nothing of that name, or it cannot be called.
@@ -95,7 +95,7 @@ class WithCallbacks:
         self._callbacks = Callbacks()
 
     def on(self, name: str, function: Callable[..., object]) -> Self:
-        """Have a function fulfil a command, or be called with what the mission reports. Returns this.
+        """Have a function carry out a command, or get the output of one kind. Returns this.
 
         A command that needs hardware ("vision", "laser", "get", "play", "speak", "open", "writewifi", "wallest",
         "barcode", "movetoxyz") calls it with its parameters; it may return system variables by name, as in
@@ -113,7 +113,7 @@ class WithCallbacks:
         return self
 
     def on_said(self, function: Callable[[Said], object]) -> Self:
-        """Tell a function everything that the mission says, in its order and with its kind. Returns this.
+        """Have a function get all output of the mission, in its order and with its kind. Returns this.
 
         Raises:
             BadValue: it cannot be called.
@@ -152,7 +152,7 @@ class MissionExecution:
     Attributes:
         controller: what executes.
         cycles: exchanges with the robot so far.
-        is_told: what is to be written next is what the robot was told last.
+        is_told: what is to be written next is what was written last.
     """
 
     def __init__(

@@ -177,7 +177,7 @@ class Run:
             self.stage = _Stage.FETCH
 
     def enter(self, distance: float, cycles: int) -> None:
-        """Begin a cycle, `cycles` periods after the one before; way and time count from the first cycle of a stage."""
+        """Begin a cycle, `cycles` periods after the one before; distance and time count from the first of a stage."""
         if self.stage is not self._entered:
             self._entered = self.stage
             self.cycles = 0
@@ -187,7 +187,7 @@ class Run:
 
 
 def never() -> bool:
-    """The default end of what goes on until it is told."""
+    """The default end of what goes on until a stop condition is true."""
     return False
 
 
@@ -257,7 +257,7 @@ class ScriptInterpreter:
         return run.is_done
 
     def update_variables(self, run: Run) -> None:
-        """Bring the system variables up to date, with way and time of a run."""
+        """Bring the system variables up to date, with distance and time of a run."""
         vehicle = self._vehicle
         driven = vehicle.odometry.distance - run.start_distance
         vehicle.update_variables(driven, run.cycles * vehicle.control.parameters.period, self.time)
@@ -587,7 +587,7 @@ class ScriptInterpreter:
         run.plan.next = place
 
     def call(self, label: str, run: Run) -> None:
-        """Go to a label, and remember the way back.
+        """Go to a label, and remember the line to return to.
 
         Raises:
             Fault: there is no such label, or there are too many calls within calls.

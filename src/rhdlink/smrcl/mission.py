@@ -90,8 +90,8 @@ class Mission(WithCallbacks):
         mission.on("text", print)
         mission.run()
 
-    It can be run any number of times, each time from its beginning. When it ends, however it ends, the robot is told to
-    stand; if this process is killed, the host has to do that.
+    It can be run any number of times, each time from its beginning. When it ends, however it ends, the robot is
+    stopped; if this process is killed, the host has to do that.
 
     Args:
         source: a script: a path, or the text itself if it has more than one line or does not end in ".smr".
@@ -173,7 +173,7 @@ class Mission(WithCallbacks):
             How it went.
 
         Raises:
-            BadValue: `timeout` is no number of seconds.
+            BadValue: `timeout` is not a number of seconds.
             LinkTimeout: it was not over in time; the robot stands.
             BadMission: the script cannot work, and has not begun.
             MissionFailed: a line could not be executed.

@@ -1,6 +1,6 @@
 """Where the robot is, from its counters: MRC's odometry, step for step.
 
-A step adds the mean way of both wheels along the heading that the robot has half-way through its turn. How far it
+A step adds the mean travel of both wheels along the heading that the robot has half-way through its turn. How far it
 turned comes from the wheels, from a heading (`Odometry.heading`), or from a curvature. A step in which a counter moves
 by `max_tick` or more is dropped as a fault, its turn with it.
 
@@ -156,12 +156,12 @@ def _step(difference: int) -> int:
 class Covariance:
     """How far the odometry may be off: the covariance of heading, x and y since the last reset.
 
-    First-order propagation of three sources: the scale of each wheel, whose variance grows with its way, and the
+    First-order propagation of three sources: the scale of each wheel, whose variance grows with its travel, and the
     distance between the wheels, whose variance grows with the turn. Robots without two wheels get what follows from
     their one counter, as in MRC: it means little.
 
     Attributes:
-        wheel: variance of a wheel's way after 1 m, m2.
+        wheel: variance of a wheel's travel after 1 m, m2.
         base: relative variance of the distance between the wheels after a full turn.
         th_th, th_x, th_y, x_x, x_y, y_y: of the covariance matrix, rad2, rad m, m2.
     """

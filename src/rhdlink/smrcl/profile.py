@@ -45,7 +45,7 @@ class Profile:
     full_turns: bool = _fixed(
         "`turn` normalises its angle, so that 270 is -90, and never ends if the heading passes 180 degrees between two "
         "cycles",
-        "it turns as far as it was told, and ends wherever the heading wraps",
+        "it turns by the whole angle, and ends wherever the heading wraps",
     )
     topoint_is_signed: bool = _fixed(
         "an arc of `drivetopoint` ends when it has turned far enough to either side, so that a short backward arc ends "
@@ -96,7 +96,7 @@ class Profile:
     )
     checks_first: bool = _fixed(
         "an error in a script is found when its line is reached",
-        "a script with an error in it does not begin; all of them are told, with line and column",
+        "a script with an error in it does not begin; all of them are reported, with line and column",
     )
     says_why: bool = _fixed(
         "an error reads `syntax error in line : 3`; motions tell what they plan",

@@ -189,7 +189,7 @@ class LineSensor:
         }
 
     def _miss(self) -> None:
-        """A line is found, or lost, when the darkest sensor has said so for 6 cycles."""
+        """A line is found, or lost, when the darkest sensor has measured that for 6 cycles."""
         if (self._darkest < _THRESHOLD) if self.is_missing else (self._darkest > _THRESHOLD):
             self._count += 1
             if self._count > 5:
@@ -202,7 +202,7 @@ class LineSensor:
         return self.smoothed[3] < 0.3 and self.smoothed[4] < 0.3
 
     def crosses_black(self, distance: float) -> bool:
-        """Both halves have been on black within 3 cm; `distance` is the way driven, m."""
+        """Both halves have been on black within 3 cm; `distance` is that driven so far, m."""
         return self._black_crossing.update(self._halves[0], self._halves[1], distance)
 
     def crosses_white(self, distance: float) -> bool:

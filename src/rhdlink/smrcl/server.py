@@ -34,7 +34,7 @@ __all__ = ["PORT", "MissionServer"]
 
 _log = logging.getLogger(__name__)
 
-#: The port that MRC listens on unless it is told another.
+#: The port that MRC listens on unless an option names another.
 PORT = 31001
 
 #: Seconds that a client gets to take the last answers, and that other threads wait for the one that drives.
@@ -46,8 +46,8 @@ class MissionServer(Runnable, WithCallbacks):
 
     ``run()`` does it here until `stop`; ``start()``, or a ``with`` block, in a thread of its own. It runs once.
 
-    The robot is told to stand when the server ends, and under the sound profile when the client goes whose command is
-    executed. There is no password: whoever can connect can drive the robot, so by default only this machine can.
+    The robot is sent the speed 0 when the server ends, and under the sound profile when the client goes whose command
+    is executed. There is no password: whoever can connect can drive the robot, so by default only this machine can.
 
     Args:
         robot: see `Mission`; a plugin such as `Turtle()` is run in this process, at its own pace.
@@ -227,7 +227,7 @@ class MissionServer(Runnable, WithCallbacks):
         self._loop.serve_once(self._loop.time())
 
     def _answer(self) -> None:
-        """Send what they are told."""
+        """Send the answers of the dialogue."""
         for handler in list(self._handlers):
             handler.answer()
 
@@ -270,7 +270,7 @@ class _ClientHandler(Handler):
                 self._connection.close(reset=True, reason="sent too much before the robot was there")
 
     def answer(self) -> None:
-        """Send what the client is told, and end the connection of one that has left."""
+        """Send the answers, and end the connection of one that has left."""
         session = self.session
         if session is None:
             return

@@ -134,7 +134,7 @@ class Symbols:
 
 
 def split_index(text: str) -> tuple[str, int]:
-    """``"servo[2]"`` to ``("servo", 2)``; the index is 0 where there is none, and for what is no number.
+    """``"servo[2]"`` to ``("servo", 2)``; the index is 0 where there is none, and for what is not a number.
 
     As in MRC an index of -1 counts as none.
     """

@@ -1,4 +1,4 @@
-"""The syntax tree of SMR-CL, and its way back to text.
+"""The syntax tree of SMR-CL, and how it is written as text.
 
 A tree says what is written and nothing of what it means to a robot: whether a variable exists is found out when the
 line is executed, as in MRC. Columns do not count when trees are compared.

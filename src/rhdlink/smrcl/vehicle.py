@@ -92,7 +92,7 @@ _MOST_MISSED = 1000
 def counted(value: float, *, rounds_alike: bool) -> int:
     """A number as it is written: rounded to the nearest, or C's conversion of ``value + 0.5``. nan is 0.
 
-    MRC would send -2147483648 for what is no number or does not fit.
+    MRC would send -2147483648 for what is not a number or does not fit.
     """
     if value != value:
         return 0
@@ -450,7 +450,7 @@ class Vehicle:
         """Set built-in system variables that nothing here computes, from a user's program.
 
         Raises:
-            BadValue: a name that is none of them.
+            BadValue: a name that is not one of them.
         """
         for name, value in values.items():
             name = name.removeprefix("$")

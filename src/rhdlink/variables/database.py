@@ -1,4 +1,4 @@
-"""The variable database: what a robot knows and what it is told, by name.
+"""The variable database: what a robot reports and what it is sent, by name.
 
 Two tables. Read variables go from the robot to programs, write variables from programs to the robot; the words are
 those of the programs, as in the original. A `Database` belongs to one thread; who shares it among several puts a lock
@@ -144,7 +144,7 @@ class VariableTable:
         self.fresh: NDArray[np.bool_] = np.zeros(count, np.bool_)
         self._received: list[slice | Ids] = []
         self._selections: dict[tuple[int, int], Selection] = {}
-        # What a plugin set before the next one added variables is still to be told.
+        # What a plugin set before the next one added variables is still to be sent.
         kept = self.dirty.take()
         self.dirty = DirtySet(count)
         self.dirty.add_many(kept, ordered=True)
@@ -168,7 +168,7 @@ class VariableTable:
         Raises:
             BadValue: the name is not of 1 to 32 characters of Latin-1, or is there already; or no such
                 length.
-            LocalError: the table is frozen: clients have been told of it.
+            LocalError: the table is frozen: clients have been sent it.
         """
         if self.is_frozen:
             raise LocalError(f"{name!r} cannot be made: the variables are fixed once the server runs")
@@ -191,7 +191,7 @@ class VariableTable:
             BadValue: no variable has such an id.
         """
         start = self.start(identity)
-        # Read only: writing here would set no stamp and no flag, so nobody would be told.
+        # Read only: writing here would set no stamp and no flag, so nobody would be sent it.
         view = self.values[start : start + self._sizes[identity]]
         view.flags.writeable = False
         return view
@@ -361,7 +361,7 @@ class Database:
             granted: "r" or "w"; None for none, as the original refuses.
             width: words of a time stamp.
         """
-        # A client that has been told of the tables is never told of another variable.
+        # A client that has been sent the tables is never sent another variable.
         self.freeze()
         if self._tables is None:
             self._tables = encode_table("w", self.write.rows) + encode_table("r", self.read.rows)

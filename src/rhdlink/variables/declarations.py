@@ -1,7 +1,7 @@
 """Variables as typed properties: declared in a class, bound by name to a database.
 
 The declarations say nothing of who is reading them: on the robot's side `Read` variables are set and `Write` variables
-read, on a program's side it is the other way round.
+read, on a program's side it is the reverse.
 """
 
 from __future__ import annotations

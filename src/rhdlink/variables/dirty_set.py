@@ -1,4 +1,4 @@
-"""Which variables changed and have not been told of yet: a dirty set for each party that is to be told."""
+"""Which variables changed and have not been sent yet: a dirty set for each peer that they are to be sent to."""
 
 from __future__ import annotations
 

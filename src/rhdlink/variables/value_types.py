@@ -211,7 +211,7 @@ class _Integer(_Number[int, A, SupportsIndex]):
         pack = struct.Struct(f"={count}i").pack
 
         def pack_list(values: Any) -> Words:
-            # struct refuses what is no whole number of 32 bits in a tenth of the time; numpy says what was wrong.
+            # struct refuses what is not a whole number of 32 bits in a tenth of the time; numpy says what was wrong.
             if type(values) is list:
                 with contextlib.suppress(struct.error):
                     return np.frombuffer(pack(*values), np.int32)
@@ -259,7 +259,7 @@ class _Float(_Number[float, NDArray[Any], SupportsFloat]):
 
 
 def _numbers(values: Any, count: int, what: str) -> NDArray[np.float64]:
-    """Values as float64; raises `BadValue` for what is no number, text that looks like one among it."""
+    """Values as float64; raises `BadValue` for what is not a number, text that looks like one among it."""
     array = _shaped(values, count, what)
     if array.dtype.kind not in "fiubO":
         raise BadValue(f"{values!r} is not {what}: expected numbers")
@@ -309,7 +309,7 @@ class Scaled(ValueType[float, NDArray[np.float64], SupportsFloat]):
         unit: of the value.
 
     Raises:
-        BadValue: a scale that is no positive number.
+        BadValue: a scale that is not a positive number.
     """
 
     def __init__(self, scale: float, *, unit: str = "") -> None:
@@ -335,7 +335,7 @@ class Scaled(ValueType[float, NDArray[np.float64], SupportsFloat]):
         scale = self.scale
 
         def pack_number(value: Any) -> Words | int:
-            # Both round halves to even. Beyond a word, and for what is no plain number, `pack` says what is wrong.
+            # Both round halves to even. Beyond a word, and for what is not a plain number, `pack` says what is wrong.
             if type(value) is float or type(value) is int:
                 steps = value / scale
                 if _LEAST <= steps <= _MOST:
@@ -416,7 +416,7 @@ class _Millionths(ValueType[float, NDArray[np.float64], SupportsFloat]):
 class Text(ValueType[str, tuple[str, ...], str]):
     """Text of at most `size` bytes of UTF-8, filled up with NUL.
 
-    Reading ends at the first NUL and replaces what is no UTF-8.
+    Reading ends at the first NUL and replaces what is not UTF-8.
 
     Raises:
         BadValue: a size below 1.

@@ -213,7 +213,7 @@ class ServerDecoder(_Decoder):
         if self.handshake is not None:
             return self.handshake
         buffer = self._buffer
-        # A refused writer is told of no access at all by the original (docs/protocols/rhd.md, Access).
+        # The original sends a refused writer no access at all (docs/protocols/rhd.md, Access).
         if self._at == 0 and len(buffer) >= 2 and buffer[0] == _ACCESS:
             if buffer[1:2] not in (b"r", b"w"):
                 self._refuse(f"access {bytes(buffer[:2])!r} is granted; expected 'ar' or 'aw'", 1)
@@ -244,7 +244,7 @@ class ServerDecoder(_Decoder):
     def take_batch(self) -> Batch | None:
         """The next batch after the handshake, or None if it has not come whole.
 
-        A symbol table in it is tolerated if it says what the handshake said: the original's threads mix their output
+        A symbol table in it is tolerated if it equals that of the handshake: the original's threads mix their output
         up (docs/protocols/rhd.md, Defects, 5).
 
         Raises:
@@ -398,11 +398,11 @@ class ClientDecoder(_Decoder):
         """The access that the client asks for, "r" or "w", or None if that has not come whole.
 
         Raises:
-            PacketError: what came is no access request. Every further call raises it again.
+            PacketError: what came is not an access request. Every further call raises it again.
         """
         self._check()
         if self.access is None and self._buffer:
-            if self._buffer[0] != _ACCESS:  # said now, since the second byte may never come
+            if self._buffer[0] != _ACCESS:  # reported now, since the second byte may never come
                 self._refuse_package("'ar' or 'aw'", letters=1)
             if len(self._buffer) >= 2:
                 if self._buffer[1:2] not in (b"r", b"w"):

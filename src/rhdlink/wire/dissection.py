@@ -41,15 +41,15 @@ class PackagePart:
 
 @dataclass
 class Piece:
-    """A package, or bytes that are none.
+    """A package, or bytes that belong to none.
 
     Attributes:
         offset: of its first byte.
         batch: how many batches ended before it; the handshake is the first.
-        package: its two letters; "" where it is none.
+        package: its two letters; "" for other bytes.
         meaning: in words.
         parts: its bytes, in order.
-        error: why it is none, or no whole one; None where it is.
+        error: why these bytes are not a whole package; None where they are.
     """
 
     offset: int
@@ -92,7 +92,7 @@ def dissect(
     Args:
         data: of one direction of a connection.
         sender: "server" or "client".
-        tables: what the server of the connection said; those in `data` itself are found.
+        tables: those that the server of the connection sent; those in `data` itself are found.
         width: words of a time stamp.
     """
     dissector = _Dissector(data, sender, dict(tables or {}), width)

@@ -35,9 +35,9 @@ class Stop(ControlledMotion):
 
 
 class Align(ControlledMotion):
-    """`align`: press the robot against an obstacle. A wheel that has stopped is told 4 m/s; its motor limits that."""
+    """`align`: press the robot against an obstacle. A wheel that has stopped gets 4 m/s; its motor limits that."""
 
-    #: m/s below which a wheel has stopped, and what it is told then.
+    #: m/s below which a wheel has stopped, and its speed then.
     STOPPED = 0.01
     PRESSING = 4.0
 
@@ -146,7 +146,7 @@ class Forward(ControlledMotion):
         return sign(control.distance) * control.remaining < self.TOLERANCE
 
     def progress(self, control: MotionControl) -> float:
-        """By the way that remains."""
+        """By the distance that remains."""
         return 1.0 - control.remaining / self._distance if self._distance else 1.0
 
 

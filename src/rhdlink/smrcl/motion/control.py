@@ -43,7 +43,7 @@ class MotionParameters:
     Attributes:
         period: of a cycle, s.
         width: between the wheels, m.
-        kp: 1/s, of the remaining way: bounds the speed near the end of `fwd` and `turn`.
+        kp: 1/s, of the remaining distance: bounds the speed near the end of `fwd` and `turn`.
         gain: of the heading error, m/s (of a wheel) or rad/s, for 1 rad.
         limit: of what the heading error adds to a wheel, m/s, or to the turn rate, rad/s.
         stop_distance: m at which the robot stands before an obstacle.
@@ -54,7 +54,7 @@ class MotionParameters:
         wall_gain, wall_tau, wall_alfa: of `followwall`: its PD controller, rad/s for 1 m.
         wall_angle_gain, wall_input_mode: m for 1 rad of the angle to the wall, where the mode is 1.
         wall_table: for `followwall2`: angle gain, distance gain and reference gain for each 0.01039 m/s of speed.
-        evaluation: how `drivetopoint` chooses: 0 the shortest way, 1 the shortest without driving backward.
+        evaluation: how `drivetopoint` chooses: 0 the shortest path, 1 the shortest without driving backward.
     """
 
     period: float = 0.01
@@ -88,7 +88,7 @@ class ControlledMotion:
         """Set the speeds for one cycle."""
 
     def is_done(self, control: MotionControl) -> bool:
-        """Whether the line of the script ends by itself: the default end. False for what goes on until it is told."""
+        """Whether the line of the script ends by itself: the default end. False for what only a condition ends."""
         return False
 
     def progress(self, control: MotionControl) -> float:

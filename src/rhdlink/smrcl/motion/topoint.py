@@ -1,7 +1,7 @@
 """`drivetopoint`: to a pose, along an arc, a straight line and an arc, each forward or backward.
 
 Both arcs have the same radius. The first circle touches the start pose on its left or right, the last one the goal;
-a common tangent joins them, and each arc goes either way round. Of all these paths the shortest is taken; one that
+a common tangent joins them, and each arc goes round to either side. Of all these paths the shortest is taken; one that
 comes later has to be 1 mm shorter, so the order of the enumeration is part of the result and that of MRC
 (drivetopoint_generate.c and drivetopoint_evaluate.c by J. M. Bruun and O. Corradi).
 """
@@ -20,13 +20,13 @@ from .turning import ArcTurn
 
 __all__ = ["ArcPath", "DriveToPoint", "NoWay"]
 
-#: m, or rad, below which something is nothing while ways are made, and while they are compared.
+#: m, or rad, below which something is nothing while paths are made, and while they are compared.
 _EXACT, _NEGLIGIBLE = 1e-6, 1e-3
 
 
 @dataclass(frozen=True)
 class ArcPath:
-    """A way to a pose.
+    """A path to a pose.
 
     Attributes:
         first, last: angle of the arcs, rad; positive where the centre is on the left.
@@ -53,7 +53,7 @@ class ArcPath:
 
 
 def choose_path(goal: Pose, radius: float, *, forward_only: bool = False) -> ArcPath | None:
-    """The shortest way from the origin to `goal`; None if there is none: `forward_only`, or the goal is no number."""
+    """The shortest path from the origin to `goal`; None if there is none: `forward_only`, or the goal is nan or inf."""
     best: ArcPath | None = None
     for path in ways(goal, radius):
         if forward_only and path.goes_backward:
@@ -76,7 +76,7 @@ def relative(goal: Pose, start: Pose) -> Pose:
 
 
 def ways(goal: Pose, radius: float) -> Iterator[ArcPath]:
-    """Every way from the origin to `goal`."""
+    """Every path from the origin to `goal`."""
     if radius < _EXACT:
         # Turn on the spot, drive, turn on the spot.
         heading = math.atan2(goal.y, goal.x)
@@ -124,7 +124,7 @@ def _tangents(start: _Point, end: _Point, radius: float, *, is_same_side: bool) 
 def _around(
     start: _Point, end: _Point, leave: _Point, arrive: _Point, goal: Pose, radius: float, side: int
 ) -> Iterator[ArcPath]:
-    """The ways along one tangent: either way round each circle."""
+    """The paths along one tangent: round each circle to either side."""
     straight = _distance(leave, arrive)
     if straight < _EXACT:
         straight, direction = 0.0, 0
@@ -175,7 +175,7 @@ _NOTHING = ArcPath(0.0, 0, 0.0, 0, 0.0, 0)
 
 
 class NoWay(ValueError):
-    """There is no way to the goal, or none that does not go backward."""
+    """There is no path to the goal, or none that does not go backward."""
 
 
 class DriveToPoint(ControlledMotion):
@@ -201,7 +201,7 @@ class DriveToPoint(ControlledMotion):
         """Plan.
 
         Raises:
-            NoWay: `evaluation` is 1, and every way goes backward; or the goal is no number.
+            NoWay: `evaluation` is 1, and every path goes backward; or the goal is not a number.
         """
         control.say("\ndtp: Generating feasible paths...")
         goal = relative(self._goal, control.pose) if self._is_absolute else self._goal
@@ -218,7 +218,7 @@ class DriveToPoint(ControlledMotion):
         straight: ControlledMotion = (
             Forward(path.straight_direction * path.straight) if turns_back else FollowDirection()
         )
-        # A piece and the direction of the speed in it. Slowing down before the way turns back is left to `fwd`, which
+        # A piece and the direction of the speed in it. Slowing down before the path turns back is left to `fwd`, which
         # has its direction in its distance.
         self._pieces = [
             (ArcTurn(self._radius, path.first, is_piece=True) if path.first else None, path.first_direction),

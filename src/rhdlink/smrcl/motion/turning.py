@@ -104,7 +104,7 @@ class ArcTurn(ControlledMotion):
 
     Args:
         radius: m.
-        angle: rad; the centre is on the left of a positive one. Backward the heading turns the other way.
+        angle: rad; the centre is on the left of a positive one. Backward the heading turns to the other side.
         is_piece: of `drivetopoint`, which goes on behind it.
     """
 
@@ -159,7 +159,7 @@ class ArcTurn(ControlledMotion):
     def _is_over(self, control: MotionControl) -> bool:
         turned = abs(self._turned)
         if self._is_piece and control.profile.topoint_is_signed:
-            # A robot that still rolls the other way has turned to the other side.
+            # A robot that still rolls in the other direction has turned to the other side.
             turned = self._turned * sign(self._angle) * sign(control.speed)
         return abs(self._angle) - turned < 0.0
 
@@ -186,7 +186,7 @@ class ArcTurn(ControlledMotion):
 
 
 class Clothoid(ControlledMotion):
-    """`turnc`: an arc whose curvature grows up to its middle and shrinks again; ends by the way driven.
+    """`turnc`: an arc whose curvature grows up to its middle and shrinks again; ends by the distance driven.
 
     Between two tangents that a circle of the radius would touch a pair of clothoids of the same angle is laid.
 
@@ -215,7 +215,7 @@ class Clothoid(ControlledMotion):
         # Length of the tangents from their intersection.
         tangent = divide(power(radius * c, 2.0) + power(radius * s + radius, 2.0), 2 * radius * c)
         across, along = _fresnel(math.sqrt(angle / math.pi))
-        #: Curvature for 1 m of way, 1/m2.
+        #: Curvature for 1 m of the path, 1/m2.
         opened = across + along * (math.tan(angle / 2) if angle < math.inf else NAN)
         self._sharpness = power(divide(1.0, tangent), 2.0) * math.pi * power(opened, 2.0)
         self._half = root(divide(angle, self._sharpness))
@@ -258,11 +258,11 @@ class Clothoid(ControlledMotion):
             control.finish()
 
     def is_done(self, control: MotionControl) -> bool:
-        """When it has driven the whole way."""
+        """When it has driven the whole path."""
         return abs(control.remaining) < 0.005
 
     def progress(self, control: MotionControl) -> float:
-        """By the way driven."""
+        """By the distance driven."""
         return self._driven / (2 * self._half) if self._half > 0.0 else 1.0
 
 
