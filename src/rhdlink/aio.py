@@ -17,12 +17,12 @@ import functools
 import inspect
 import os
 from collections.abc import AsyncIterator
-from typing import TYPE_CHECKING, Any, Generic, Literal, TypedDict, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Generic, Literal, TypedDict
 
 from linkcore.errors import Closed
 from linkcore.event_loop import Opening, Workers, finished, running_loop
 
-from .client import Access, Variables
+from .client import Access, R, Variables
 from .client import connect as connect_here
 
 if TYPE_CHECKING:
@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from .wire.decoder import Limits
 
 __all__ = ["AsyncRobot", "connect", "connect_async"]
-
-R = TypeVar("R", bound=Variables)
 
 
 class AsyncRobot(Generic[R]):
@@ -105,19 +103,9 @@ class _Options(TypedDict, total=False):
     record: str | os.PathLike[str] | None
 
 
-@overload
 def connect_async(
-    address: str, variables: None = None, **options: Unpack[_Options]
-) -> Opening[AsyncRobot[Variables]]: ...
-
-
-@overload
-def connect_async(address: str, variables: type[R], **options: Unpack[_Options]) -> Opening[AsyncRobot[R]]: ...
-
-
-def connect_async(
-    address: str, variables: type[Variables] | None = None, **options: Unpack[_Options]
-) -> Opening[AsyncRobot[Any]]:
+    address: str, variables: type[R] | None = None, **options: Unpack[_Options]
+) -> Opening[AsyncRobot[R]]:
     """Connect to a robot, to be entered or awaited.
 
     ``async with rhdlink.connect_async(...) as robot``, or ``robot = await rhdlink.connect_async(...)``.

@@ -8,7 +8,7 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from typing import Any, Literal, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 from numpy.typing import ArrayLike
 
@@ -33,20 +33,27 @@ from .variables.snapshot import Update, Variable, to_html
 from .wire.decoder import Limits
 from .wire.schema import WIDTHS
 
-__all__ = ["Access", "Variables", "connect"]
+__all__ = ["Access", "R", "Variables", "connect"]
 
 _log = logging.getLogger(__name__)
 
 #: "r" reads the robot's variables; "w" is its master and writes them too.
 Access = Literal["r", "w"]
 
-R = TypeVar("R", bound="Variables")
+if TYPE_CHECKING:
+    from typing_extensions import TypeVar
+
+    #: The class that declares a robot's variables.
+    R = TypeVar("R", bound="Variables", default="Variables")
+else:
+    from typing import TypeVar
+
+    R = TypeVar("R")
 
 
-@overload
 def connect(
     address: str,
-    variables: None = None,
+    variables: type[R] | None = None,
     *,
     access: Access = "r",
     fallback: Literal["r"] | None = None,
@@ -55,36 +62,7 @@ def connect(
     width: int | None = None,
     limits: Limits | None = None,
     record: str | os.PathLike[str] | None = None,
-) -> Variables: ...
-
-
-@overload
-def connect(
-    address: str,
-    variables: type[R],
-    *,
-    access: Access = "r",
-    fallback: Literal["r"] | None = None,
-    timeout: float = 5.0,
-    unsent: Unsent = "discard",
-    width: int | None = None,
-    limits: Limits | None = None,
-    record: str | os.PathLike[str] | None = None,
-) -> R: ...
-
-
-def connect(
-    address: str,
-    variables: type[Variables] | None = None,
-    *,
-    access: Access = "r",
-    fallback: Literal["r"] | None = None,
-    timeout: float = 5.0,
-    unsent: Unsent = "discard",
-    width: int | None = None,
-    limits: Limits | None = None,
-    record: str | os.PathLike[str] | None = None,
-) -> Variables:
+) -> R:
     """Connect to a robot.
 
     Args:
@@ -112,9 +90,7 @@ def connect(
         WrongPeer, PacketError: what is there is no RHD server.
     """
     place = parse_address(address)
-    if variables is None:
-        variables = Variables
-    elif not (isinstance(variables, type) and issubclass(variables, Variables)):
+    if variables is not None and not (isinstance(variables, type) and issubclass(variables, Variables)):
         raise BadValue(f"variables={variables!r}; expected a class that derives from rhdlink.Variables")
     check_choice(access, "access", ("r", "w"))
     check_choice(fallback, "fallback", (None, "r"))
@@ -123,7 +99,7 @@ def connect(
     timeout = check_seconds(timeout, "timeout", positive=True, finite=True)
     if limits is not None and not isinstance(limits, Limits):
         raise BadValue(f"limits={limits!r}; expected rhdlink.variables.Limits(...)")
-    robot = variables()
+    robot = cast("R", Variables()) if variables is None else variables()
     transport: Transport = TcpTransport(place.host, place.port, silence=timeout)
     robot._connect(
         str(place),
