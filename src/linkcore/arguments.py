@@ -85,7 +85,7 @@ def check_number(
         limit_of: whose limits these are, for the message; empty if they hold everywhere.
 
     Raises:
-        BadValue: it is none, or out of range; the message has value, limits and unit, and asks for another unit if
+        BadValue: it is not a number, or out of range; the message has value, limits and unit, and asks for another unit if
             the value were within the limits in that one.
     """
     try:

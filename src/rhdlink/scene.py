@@ -239,7 +239,7 @@ def _brightness(element: Element) -> float:
 
 
 def _shape(element: Element) -> Iterator[list[Point]]:
-    """The lines of an element; none of what is not a shape."""
+    """The lines of an element; no lines of one that is not a shape."""
     tag = element.tag.rpartition(":")[2]
     if tag == "line":
         yield [(element.number(f"x{n}", 0.0), element.number(f"y{n}", 0.0)) for n in (1, 2)]

@@ -69,7 +69,7 @@ def described(path: str | os.PathLike[str], channel: int, payload: bytes, key: s
     """The JSON object in the payload of a channel (key "name") or of an event (key "state").
 
     Raises:
-        BadRecording: it is none, or holds no text under `key`.
+        BadRecording: it is not a JSON object, or holds no text under `key`.
     """
     try:
         info = json.loads(payload)

@@ -436,7 +436,7 @@ class Sockets:
         self._open.pop(number, None)
 
     def find(self, which: Any) -> Pollable | None:
-        """What has this descriptor, or None if that is none of the simulation."""
+        """What has this descriptor, or None if that does not belong to the simulation."""
         number = which if isinstance(which, int) else which.fileno()
         return self._open.get(number)
 

@@ -449,7 +449,8 @@ def indices(fields: Sequence[tuple[Field, Shape]]) -> dict[str, int | slice]:
 def is_of_cells(shapes: Sequence[Shape]) -> bool:
     """Whether there is nothing but 8-byte cells, and so many of them that a packet is best swapped as a whole.
 
-    A 64-bit integer is none: read as a double it would lose its value. A mask is, since it is read by its bits.
+    A 64-bit integer is not such a cell: read as a double it would lose its value. A mask is, since it is read by its
+    bits.
     """
     is_uniform = all(shape is Mask64 or (shape.number is not None and shape.number.code == "d") for shape in shapes)
     return is_uniform and sum(shape.count or 1 for shape in shapes) >= MANY_CELLS

@@ -90,7 +90,7 @@ class Element:
         """`get` as a finite number between `least` and `most`.
 
         Raises:
-            BadConfiguration: it is something else.
+            BadConfiguration: it is not such a number.
         """
         text = self.get(name)
         if text is None:
@@ -107,7 +107,7 @@ class Element:
         """`get` as a whole number between `least` and `most`.
 
         Raises:
-            BadConfiguration: it is something else.
+            BadConfiguration: it is not such a number.
         """
         text = self.get(name)
         if text is None:
@@ -241,7 +241,7 @@ def read_config(path: str | os.PathLike[str]) -> Configuration:
     """The configuration in a file.
 
     Raises:
-        BadConfiguration: it cannot be read, or is not XML as expected.
+        BadConfiguration: it cannot be read, or is not an `rhdconfig.xml`.
     """
     if not isinstance(path, (str, os.PathLike)):  # open() would take a number for a descriptor
         raise BadConfiguration(f"cannot read {path!r}: expected the path of an rhdconfig.xml")
@@ -261,7 +261,7 @@ def parse_config(data: bytes | str, source: str = "rhdconfig.xml") -> Configurat
         source: what to call it in messages.
 
     Raises:
-        BadConfiguration: it is none, or beyond the limits of what is read.
+        BadConfiguration: it is not such XML, or beyond the limits of what is read.
     """
     root = parse_xml(data, source)
     if root.tag != "rhd":
@@ -314,7 +314,7 @@ def parse_xml(data: bytes | str, source: str) -> Element:
         source: what to call it in messages.
 
     Raises:
-        BadConfiguration: it is none, or beyond the limits of what is read.
+        BadConfiguration: it is not such XML, or beyond the limits of what is read.
     """
     return _Tree(source).parse(data.encode("utf-8", "surrogatepass") if isinstance(data, str) else data)
 

@@ -109,7 +109,7 @@ def parse_topics(text: str, source: str = "table") -> Topics:
     """The table in a text.
 
     Raises:
-        BadValue: it is none; says in which line.
+        BadValue: it is not such a table; the message names the line.
     """
     found: list[MqttTopic] = []
     for number, line in enumerate(text.splitlines(), start=1):
@@ -139,7 +139,7 @@ def read_topics(path: str | os.PathLike[str]) -> Topics:
     """The table in a file.
 
     Raises:
-        BadValue: it cannot be read, or is none.
+        BadValue: it cannot be read, or is not such a table.
     """
     try:
         with open(path, "rb") as file:

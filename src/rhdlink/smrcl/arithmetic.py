@@ -12,21 +12,6 @@ import re
 from collections.abc import Callable
 from types import MappingProxyType
 
-__all__ = [
-    "BINARY_FUNCTIONS",
-    "UNARY_FUNCTIONS",
-    "divide",
-    "format_number",
-    "leading_number",
-    "normalize_angle",
-    "parse_number",
-    "power",
-    "remainder_inclusive",
-    "remainder_modulo",
-    "sign",
-    "truncate",
-]
-
 #: x86 makes a nan with the sign bit set, and C prints it as "-nan". The sign means nothing.
 NAN = -math.nan
 

@@ -1,8 +1,8 @@
 """The two profiles: "mrc" does what the original does, "sound" what a mission may expect.
 
 Each difference is one field of `Profile`, with what the original does and what is done instead; the table in the
-documentation is made of them. Differences that no script can want (crashes, endless loops inside of MRC, memory that is
-overrun) are none: they are bounded under both profiles, see `BOTH`.
+documentation is made of them. What no script can want (crashes, endless loops inside of MRC, memory that is overrun)
+is bounded under both profiles, see `BOTH`.
 """
 
 from __future__ import annotations

@@ -217,7 +217,7 @@ def parse_robot_conf(data: bytes | str, source: str = "robot.conf") -> RobotConf
     """The configuration in the text of a `robot.conf`.
 
     Raises:
-        BadConfiguration: it is none, or says what cannot be.
+        BadConfiguration: it is not a `robot.conf`, or has values that cannot be.
     """
     conf = RobotConf()
     changes: dict[str, Any] = {}

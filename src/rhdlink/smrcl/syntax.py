@@ -9,34 +9,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-__all__ = [
-    "PRECEDENCE",
-    "UNARY_PRECEDENCE",
-    "ArrayElement",
-    "Assign",
-    "Binary",
-    "Call",
-    "Case",
-    "CommandStatement",
-    "EndSwitch",
-    "Evaluate",
-    "Expression",
-    "If",
-    "Negate",
-    "NumberLiteral",
-    "Operand",
-    "Problem",
-    "ScriptLine",
-    "SpeedSetting",
-    "Statement",
-    "Switch",
-    "TextLiteral",
-    "VariableName",
-    "WaitFor",
-    "write_expression",
-    "write_line",
-]
-
 #: How tightly a binary operator binds; a level for almost each of them, as in MRC's grammar. Equal ones group to the
 #: left, ``^`` to the right.
 PRECEDENCE = {

@@ -207,7 +207,7 @@ class ServerDecoder(_Decoder):
         """The handshake, or None if it has not come whole.
 
         Raises:
-            PacketError: what came is none. Every further call raises it again.
+            PacketError: what came is something else. Every further call raises it again.
         """
         self._check()
         if self.handshake is not None:
@@ -248,7 +248,7 @@ class ServerDecoder(_Decoder):
         up (docs/protocols/rhd.md, Defects, 5).
 
         Raises:
-            PacketError: what came is none. Every further call raises it again.
+            PacketError: what came is something else. Every further call raises it again.
         """
         handshake = self.handshake
         if handshake is None:
@@ -415,7 +415,7 @@ class ClientDecoder(_Decoder):
         """The next request after the access request, or None if it has not come whole.
 
         Raises:
-            PacketError: what came is none. Every further call raises it again.
+            PacketError: what came is something else. Every further call raises it again.
         """
         if self.access is None:
             raise BadValue("take_request() before the access request has been taken")

@@ -14,19 +14,6 @@ from .data import DataPackage, Selection, Stamps, Words
 from .schema import ACCESS, DATA, INT, NAME_SIZE, READY, TABLE
 from .schema import END as END_PACKAGE
 
-__all__ = [
-    "END",
-    "LONGEST_NAME",
-    "Batch",
-    "Handshake",
-    "Request",
-    "SymbolRow",
-    "encode_access",
-    "encode_data",
-    "encode_ready",
-    "encode_table",
-]
-
 #: Bytes of a name that a symbol table can hold, besides the terminating NUL.
 LONGEST_NAME = NAME_SIZE - 1
 #: The end of a batch; its second byte says nothing, and the original sends this one.

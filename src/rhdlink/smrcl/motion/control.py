@@ -17,17 +17,6 @@ from ..arithmetic import NAN, normalize_angle, sign
 from ..odometry import Pose
 from ..profile import Profile
 
-__all__ = [
-    "ControlledMotion",
-    "DriveKind",
-    "MotionControl",
-    "MotionParameters",
-    "Standing",
-    "limited",
-    "ramped",
-    "root",
-]
-
 
 class DriveKind(enum.Enum):
     """How a robot is driven."""
