@@ -85,8 +85,8 @@ def check_number(
         limit_of: whose limits these are, for the message; empty if they hold everywhere.
 
     Raises:
-        BadValue: it is not a number, or out of range; the message has value, limits and unit, and asks for another unit if
-            the value were within the limits in that one.
+        BadValue: it is not a number, or out of range; the message has value, limits and unit, and asks for another
+            unit if the value were within the limits in that one.
     """
     try:
         if isinstance(value, (bool, str, bytes)):
