@@ -12,25 +12,27 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from linkcore.arguments import check_number, check_wait
-from linkcore.errors import BadValue, Cancelled, LinkError, LocalError
+from linkcore.errors import BadValue, LinkError, LocalError
 from linkcore.handle import Lifecycle, Motion
 from linkcore.streaming.packet_queue import drop_oldest, latest
 from linkcore.threads import CallbackThread
 
 from .bounds import JOINT_ACCELERATION, JOINT_SPEED
 from .interfaces.realtime.packets import RealtimeState
-from .motion.common_time import CommonTime
+from .motion.common_time import CommonPace, CommonTime
 from .motion.follower import Follower
 from .motion.following import Tolerances, stands
+from .motion.group_motion import GroupMotion, GroupStream, end_all
 from .motion.linked import LinkedProgram
 from .motion.motions import LinkName
 from .motion.trajectory import Trajectory
 from .robot import Robot
 from .vectors import Numbers, six
 
-__all__ = ["Group", "GroupMotion"]
+__all__ = ["Group", "GroupMotion", "GroupStream"]
 
 #: Peak of speed and of acceleration of the quintic from 0 to 1 in one second, at rest at both ends.
 _PEAK_SPEED, _PEAK_ACCELERATION = 1.875, 10.0 / math.sqrt(3.0)
@@ -38,44 +40,6 @@ _PEAK_SPEED, _PEAK_ACCELERATION = 1.875, 10.0 / math.sqrt(3.0)
 _SHORTEST = 0.1
 #: States of one arm that wait for those of the others.
 _WAITING = 64
-
-
-class GroupMotion(Motion):
-    """A motion of several arms under way. It is over when that of each arm is; what ends one before its time ends all.
-
-    Attributes:
-        motions: those of the arms, in the order of the group.
-    """
-
-    def __init__(
-        self, life: Lifecycle, motions: Sequence[Motion], names: Sequence[str], stopping: CallbackThread
-    ) -> None:
-        super().__init__(life)
-        self.motions = tuple(motions)
-        self._names = tuple(names)
-        lives = [motion._life for motion in motions]
-        life.brake = partial(_end_all, lives, f"cancelled with its group of {len(lives)}")
-        for number, each in enumerate(lives):
-            # In a thread of its own: the one that ends a motion may hold the section of its robot, and must not wait
-            # for that of another.
-            each.on_end(partial(stopping.call, self._look, number))
-
-    def _measured(self) -> float:
-        return min(motion.progress for motion in self.motions)
-
-    def _look(self, number: int) -> None:
-        """The motion of one arm is over."""
-        motion = self.motions[number]
-        error = motion.error
-        if error is not None:
-            others = [each._life for each in self.motions if each is not motion]
-            _end_all(others, f"stopped, since that of {self._names[number]} ended: {error}")
-            if isinstance(error, Cancelled):
-                self._life.cancel(f"cancelled with that of {self._names[number]}: {error}")
-            else:
-                self._life.fail(error)
-        elif all(each.done and each.error is None for each in self.motions):
-            self._life.finish()
 
 
 class Group:
@@ -168,7 +132,7 @@ class Group:
                 begun.append(Motion(life, partial(getattr, follower, "progress")))
                 program.begin()
         except BaseException:
-            _end_all([motion._life for motion in begun], "stopped, since that of another arm could not begin")
+            end_all([motion._life for motion in begun], "stopped, since that of another arm could not begin")
             raise
         return self._motion("follow", begun, seconds)
 
@@ -225,6 +189,49 @@ class Group:
             wait=wait,
         )
 
+    def stream(
+        self,
+        buffer: float = 0.5,
+        *,
+        acceleration: ArrayLike = 10.0,
+        jerk: ArrayLike = 100.0,
+        watchdog: float = 1.0,
+        lookahead_time: float = 0.03,
+        gain: float = 300.0,
+        link: LinkName = "reverse",
+    ) -> GroupStream:
+        """Points with times for all arms, appended while they move through those before::
+
+            with both.stream() as stream:
+                for left, right in planner:
+                    stream.append([left, right])
+                stream.wait_until_dry()
+
+        Each program holds the next points of its arm, as that of `Motions.stream`. Where one has none left, or is
+        stopped, all come to a stop within the limits of the stream.
+
+        Args:
+            buffer, acceleration, jerk, watchdog, lookahead_time, gain, link: as for `Motions.stream`, of each arm.
+
+        Raises:
+            LocalError: as `Motions.stream`, for one of the arms.
+        """
+        common = CommonPace()
+        streams = []
+        for robot in self.robots:
+            stream = robot.motion.stream(
+                buffer,
+                acceleration=acceleration,
+                jerk=jerk,
+                watchdog=watchdog,
+                lookahead_time=lookahead_time,
+                gain=gain,
+                link=link,
+            )
+            stream._join(common.member(robot.clock.to_local, 1.0 / robot.firmware.rate))
+            streams.append(stream)
+        return GroupStream(self._life("stream"), streams, self._names, self._stopping)
+
     def stop(self, acceleration: float = 2.0, *, wait: bool | float = False) -> None:
         """Brake all arms, at `acceleration` in rad/s²; each is told, also where another one cannot be.
 
@@ -245,7 +252,11 @@ class Group:
         if errors:
             raise errors[0]
 
-    def _motion(self, name: str, motions: Sequence[Motion], seconds: float) -> GroupMotion:
+    @property
+    def _names(self) -> list[str]:
+        return [robot.address for robot in self.robots]
+
+    def _life(self, name: str) -> Lifecycle:
         sections = [robot.motion._context.section for robot in self.robots]
 
         @contextlib.contextmanager
@@ -255,10 +266,12 @@ class Group:
                     stack.enter_context(section.waiting())
                 yield
 
-        life = Lifecycle(f"{name} of {len(motions)} arms", self._callbacks, waiting)
+        return Lifecycle(f"{name} of {len(self.robots)} arms", self._callbacks, waiting)
+
+    def _motion(self, name: str, motions: Sequence[Motion], seconds: float) -> GroupMotion:
+        life = self._life(name)
         life.begin()
-        names = [robot.address for robot in self.robots]
-        motion = GroupMotion(life, motions, names, self._stopping)
+        motion = GroupMotion(life, motions, self._names, self._stopping)
         if seconds:
             motion.wait(seconds)
         return motion
@@ -328,8 +341,3 @@ class _Aligned:
         candidates = [each for each in (self._before, self._after) if each is not None]
         nearest = min(candidates, key=lambda each: abs(self._to_local(each.time) - local))
         return nearest if abs(self._to_local(nearest.time) - local) <= self._furthest else None
-
-
-def _end_all(lives: Sequence[Lifecycle], why: str) -> None:
-    for life in lives:
-        life.cancel(why, brake=True)

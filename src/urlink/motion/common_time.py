@@ -1,8 +1,11 @@
-"""One time for the trajectories of several arms: it begins for all at once, and passes as slowly as for the slowest.
+"""One time for several arms: it begins for all at once, and passes as slowly as for the slowest.
 
-It is a function of this computer's clock. Each arm's states have a time of its own controller, which `RobotClock`
-converts, so it does not matter how long they were on their way. A program whose states do not come, or that is paused,
-halts it for all.
+Of trajectories, whose set-points are made here, it is a function of this computer's clock. Each arm's states have a
+time of its own controller, which `RobotClock` converts, so it does not matter how long they were on their way. A
+program whose states do not come, or that is paused, halts it for all.
+
+Of streams, whose points are in programs on the robots, it is the pace of each program (`urlink.urscript.buffering`): no
+stream goes ahead of another one.
 """
 
 from __future__ import annotations
@@ -13,8 +16,9 @@ from collections.abc import Callable
 
 from ..interfaces.realtime.packets import RealtimeState
 from .controller_clock import RAMP, ProgramClock
+from .following import AHEAD
 
-__all__ = ["CommonTime", "MemberClock"]
+__all__ = ["CommonPace", "CommonTime", "MemberClock", "MemberPace"]
 
 #: s from when the last arm is ready to the beginning: states and set-points of all arms get through in that. Chosen; an
 #: arm whose states take longer begins late, and catches up.
@@ -131,3 +135,101 @@ class MemberClock(ProgramClock):
     def restart(self) -> None:
         """Go on after a pause."""
         self._own.restart()
+
+
+class CommonPace:
+    """How fast the streams of a group pass. Any thread may call."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._members: tuple[MemberPace, ...] = ()
+        #: seconds of the streams per second of this computer, at monotonic s of it, and to what that goes
+        self._rate, self._local, self._wanted = 0.0, -math.inf, 0.0
+
+    def member(self, to_local: Callable[[float], float], cycle: float) -> MemberPace:
+        """The pace of one more arm; its arguments are those of `CommonTime.member`."""
+        member = MemberPace(self, to_local, cycle)
+        self._members = (*self._members, member)
+        return member
+
+    def leave(self, member: MemberPace) -> None:
+        """The stream of that arm is over, so it holds up nobody."""
+        with self._lock:
+            self._members = tuple(each for each in self._members if each is not member)
+
+    def at(self, local: float) -> float:
+        """Seconds of the streams per second of this computer at monotonic s of it, near the newest state."""
+        most = RAMP * max(local - self._local, 0.0)
+        return self._rate + min(max(self._wanted - self._rate, -most), most)
+
+    def look(self, local: float, now: float) -> None:
+        """Go on until `local`, the time of a state that has come `now`, both monotonic s of this computer."""
+        with self._lock:
+            rates = [each.own_rate(now) for each in self._members if not each.is_idle]
+            wanted = min(rates, default=0.0)
+            if not rates:
+                self._rate = self._wanted = 0.0
+            if self._rate == self._wanted == 0.0:
+                # They stand. They begin later, so that all are told in time.
+                self._local, self._wanted = local + (_LEAD if wanted else 0.0), wanted
+            elif local > self._local:
+                self._rate, self._local, self._wanted = self.at(local), local, wanted
+
+    def lead(self, place: float, local: float) -> float:
+        """s by which a stream is ahead of the one that is furthest behind.
+
+        Args:
+            place: s on its clock, at `local`, monotonic s of this computer.
+        """
+        return place - min(each.place_at(local, self._rate) for each in self._members)
+
+
+class MemberPace:
+    """The pace of the stream of one arm of a group; made by `CommonPace.member`.
+
+    Attributes:
+        is_paused: returns whether its program is paused.
+        is_idle: it has no points left, so it holds up nobody.
+    """
+
+    def __init__(self, common: CommonPace, to_local: Callable[[float], float], cycle: float) -> None:
+        self.is_paused: Callable[[], bool] = bool
+        self.is_idle = True
+        self._common = common
+        self._to_local = to_local
+        self._cycle = cycle
+        #: by the newest state: seconds of its program per second of its controller, 0 where it does not go through
+        #: points; s on its clock; monotonic s of this computer at its time and at its arrival
+        self._rate, self._place, self._local, self._seen = 0.0, 0.0, -math.inf, -math.inf
+
+    def leave(self) -> None:
+        """The stream of this arm is over."""
+        self._common.leave(self)
+        self.is_paused = bool
+
+    def own_rate(self, now: float) -> float:
+        """Seconds of the stream that pass per second of its controller at most, as far as is known `now`."""
+        return 0.0 if self.is_paused() or now - self._seen > _SILENT else self._rate
+
+    def place_at(self, local: float, rate: float) -> float:
+        """s on its clock at monotonic s of this computer, if it passes with `rate`."""
+        since = min(max(local - self._local, -_SILENT), _SILENT)
+        return self._place + (rate * since if self._rate else 0.0)
+
+    def look(self, time: float, now: float, place: float, rate: float, *, is_idle: bool) -> float:
+        """What its program is to be told: seconds of the stream per second of the program.
+
+        Args:
+            time: of a state, s of the controller.
+            now: its arrival, monotonic s of this computer.
+            place: s on the clock of the stream at that time.
+            rate: seconds of the program per second of the controller; 0 where it does not go through points.
+            is_idle: see the attribute.
+        """
+        local = self._to_local(time) if math.isfinite(time) else now
+        self._rate, self._place, self._local, self._seen, self.is_idle = rate, place, local, now, is_idle
+        self._common.look(local, now)
+        wanted = self._common.at(local + AHEAD * self._cycle)
+        lead = self._common.lead(place, local) / _SETTLING
+        # An arm that is slower than the others passes as fast as it can.
+        return (1.0 if 0.0 < rate <= wanted else wanted / rate if rate else 0.0) * (1.0 - min(max(lead, 0.0), 1.0))

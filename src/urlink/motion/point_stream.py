@@ -15,6 +15,7 @@ from linkcore.errors import Closed, LinkError, LinkTimeout, LocalError
 from ..firmware import Firmware
 from ..urscript.buffering import buffering
 from ..vectors import FloatArray
+from .common_time import MemberPace
 from .context import MotionContext
 from .jerk_limited import JointLimit
 from .linked import Link
@@ -23,7 +24,7 @@ from .path import shown_tcp
 from .setpoints import Servoing
 from .stream_feed import StreamFeed
 from .stream_points import PointReader, Points
-from .stream_steps import Bounds, Handed, Mark
+from .stream_steps import Aim, Bounds, Handed, Mark
 
 __all__ = ["PointStream"]
 
@@ -92,6 +93,12 @@ class PointStream(LinkedBlock):
         life.on_end(lambda: feed.end(life.error or Closed("the block of the stream was left")))
         self._is_producing = False  # a lock without waiting: a second caller is refused
 
+    def _join(self, pace: MemberPace) -> None:
+        """Go on with other streams, before it begins."""
+        self._feed.pace = pace
+        pace.is_paused = partial(getattr, self._program, "is_paused")
+        self._life.on_end(pace.leave)
+
     # -- points ----------------------------------------------------------------------------------------
 
     def append(self, points: Points, *, wait: bool | float = True) -> float:
@@ -119,17 +126,29 @@ class PointStream(LinkedBlock):
         """
         seconds = check_wait(wait)
         with self._producing():
-            while True:
-                mark = self._mark()
-                aims = self._reader.after(points, mark)
-                handed = Handed()
-                with self._context.section:
-                    if self._feed.mark is mark:  # no other thread has cleared it meanwhile
-                        self._feed.add(aims, handed)
-                        break
+            handed = None
+            while handed is None:
+                handed = self._add(*self._checked(points))
             if seconds:
-                self._await(handed.future, seconds, "the robot has had no room for the points")
+                self._await_room(handed, seconds)
         return self.room
+
+    def _checked(self, points: Points) -> tuple[Mark, list[Aim]]:
+        """Where the stream ends, and what is to be appended there."""
+        mark = self._mark()
+        return mark, self._reader.after(points, mark)
+
+    def _add(self, mark: Mark, aims: Sequence[Aim]) -> Handed | None:
+        """Append them; None where another thread has cleared the stream meanwhile."""
+        handed = Handed()
+        with self._context.section:
+            if self._feed.mark is not mark:
+                return None
+            self._feed.add(aims, handed)
+        return handed
+
+    def _await_room(self, handed: Handed, seconds: float) -> None:
+        self._await(handed.future, seconds, "the robot has had no room for the points")
 
     def replace(self, from_time: float, points: Points) -> float:
         """Replace all points after a time by others, with continuous positions, speeds and accelerations.

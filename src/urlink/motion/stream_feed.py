@@ -25,17 +25,31 @@ from linkcore.errors import BadValue, Cancelled
 
 from ..errors import ToleranceExceeded
 from ..interfaces.realtime.packets import RealtimeState
-from ..urscript.buffering import BRAKING, CUT, FINE, MOVING, OPEN, POINT, REPORTED, RESTING, WORD, PointRegisters
+from ..urscript.buffering import (
+    BRAKING,
+    CUT,
+    FINE,
+    MOVING,
+    OPEN,
+    PACING,
+    POINT,
+    REPORTED,
+    RESTING,
+    WORD,
+    PointRegisters,
+)
 from ..urscript.links import SCALE, STOP, WAIT
+from .common_time import MemberPace
 from .controller_clock import ProgramClock
-from .following import Rest
+from .following import AHEAD, Rest
 from .stream_steps import Aim, Bounds, Handed, JointMoment, Mark, Step, onto
 
 __all__ = ["StreamFeed"]
 
 _WORD, _REPORT = struct.Struct(f">{WORD}i"), struct.Struct(f">{REPORTED}i")
 _STOP_WORD = _WORD.pack(STOP, *[0] * (WORD - 1))
-_WAIT_WORD = _WORD.pack(WAIT, *[0] * (WORD - 1))
+#: Difference of two paces that is not told while points are waiting to be sent.
+_SAME_PACE = 1e-3
 #: Cycles, and s, that a cut takes to the program at first, and s at most: each that comes too late doubles the time.
 _AHEAD, _WAY, _LONGEST_WAY = 6, 0.01, 1.0
 #: Words within which a program has found out where the arm is, after a pause in which it was slow at first.
@@ -113,6 +127,7 @@ class StreamFeed:
         buffer: s that it is to hold.
 
     Attributes:
+        pace: of the streams of several arms; None for one by itself.
         begun: resolved once the arm rests, so that points can be appended.
         starved: how often the arm had to brake because no points were left.
         margin: s before which the program cannot be reached.
@@ -141,12 +156,17 @@ class StreamFeed:
         self.starved = 0
         self.margin = _AHEAD * cycle + _WAY
         self.mark: Mark | None = None
+        self.pace: MemberPace | None = None
         self._clock = ProgramClock(cycle)
+        #: the pace of the program; those that it is to have, up to the newest; and, of those, what it was told last, and
+        #: whether by the last word
+        self._pace, self._paces = 1.0, deque([1.0] * (AHEAD + 1), AHEAD + 1)
+        self._told, self._has_told = 1.0, True
         self._begin = Rest("the stream")
         self._is_lossy = False
         self._received = b""
         self._words = self._epoch = self._head = 0
-        #: s of the program since the first state, as far as states show it, and at the last report
+        #: s on the steps since the first state, as far as states show it, and at the last report
         self._passed = self._reported = 0.0
         self._report = _Report(0, 0, 0, 0, 0.0, RESTING)
         #: the steps from the present one on that were sent
@@ -262,23 +282,41 @@ class StreamFeed:
             ToleranceExceeded: no way leads onto the points from where the arm has braked to.
         """
         with self._section:
-            self._passed += self._clock.passed(state, now)[1]
+            self._pass(self._clock.passed(state, now)[1])
             self._words += 1
             self._received += received
             while len(self._received) >= _REPORT.size:
                 words, epoch, head, base, passed, phase = _REPORT.unpack_from(self._received)
                 self._received = self._received[_REPORT.size :]
                 self._take(_Report(words, epoch, head, base, passed / SCALE, phase))
+            if self.pace is not None:
+                is_idle = not (self._steps or self._queue or self._cut)
+                rate = self._clock.rate if self._report.phase == MOVING else 0.0
+                self._paces.append(self.pace.look(state.time, now, self.time, rate, is_idle=is_idle))
             if self.mark is None:
                 if self._begin.is_reached(state, now):
                     self._rest_at(0.0, JointMoment.at_rest(state.q_target))
                     self.begun.set_result(None)
-                return _WAIT_WORD
+                return self._wait_word()
             for handed in {aim.handed for aim in self._queue if aim.handed is not None}:
                 if handed.call is not None and handed.call.is_given_up:
                     self.forget(handed)
                     handed.settle(Cancelled("the task that appended these points has given them up"))
             return self._next()
+
+    def _pass(self, seconds: float) -> None:
+        """So many seconds of the program have passed: with its pace, as it keeps that itself."""
+        phase, change = self._report.phase, PACING * seconds
+        if phase in (MOVING, BRAKING):
+            wanted = self._paces[0] if phase == MOVING else 1.0
+            self._pace += min(max(wanted - self._pace, -change), change)
+        else:
+            self._pace = self._paces[0]
+        self._passed += self._pace * seconds
+
+    def _wait_word(self) -> bytes:
+        self._told, self._has_told = self._paces[-1], True
+        return _WORD.pack(WAIT, 0, round(SCALE * self._told), *[0] * (WORD - 3))
 
     def _rest_at(self, time: float, moment: JointMoment) -> None:
         self.mark = Mark(time, moment)
@@ -301,7 +339,9 @@ class StreamFeed:
             if self._cut.word == 0:
                 self._cut = dataclasses.replace(self._cut, word=self._words)
             return self._cut_word
-        if self._is_open and self._queue and self._has_room:
+        is_paced = self._has_told or abs(self._paces[-1] - self._told) < _SAME_PACE
+        if self._is_open and self._queue and self._has_room and is_paced:
+            self._has_told = False
             aim = self._queue.popleft()
             assert aim.step is not None
             before = self._steps[-1] if self._steps else self._last
@@ -313,7 +353,7 @@ class StreamFeed:
             if aim.handed is not None and not any(each.handed is aim.handed for each in self._queue):
                 aim.handed.settle()
             return self._word(POINT, self._head, aim.step.length, aim.degree, aim.moment)
-        return _WAIT_WORD
+        return self._wait_word()
 
     @property
     def _has_room(self) -> bool:

@@ -8,6 +8,11 @@ ends. A step of degree 1 is straight, one of degree 3 or 5 is the polynomial tha
 Accelerations leap where cubics meet, so one of degree 3 ends without; one of degree 4 is the beginning of a cubic, and
 its end keeps the acceleration.
 
+A `WAIT` brings the pace, in millionths, as its number: the seconds on the steps that pass in one of the program. That
+is less than 1 where other arms are slower, and 0 where the arm is to stand on its way until they are ready. It is
+approached evenly. At rest it holds at once; while the arm brakes it goes back to 1. Where the program is to end, the
+arm brakes from the speed that it has.
+
 A `CUT` replaces what comes after a place that the arm has not passed: the step after the point of its number is cut to
 the time that is given, and its end is the next point. It opens an epoch, and points of other epochs are refused. If the
 arm has passed that place, the whole epoch is refused, and the arm goes on as if nothing had come.
@@ -58,6 +63,7 @@ __all__ = [
     "FINE",
     "MOVING",
     "OPEN",
+    "PACING",
     "POINT",
     "REPORTED",
     "RESTING",
@@ -81,6 +87,9 @@ BRAKING_FACTOR = 1.5 * 2.0**0.5
 #: rad that an acceleration may lead a joint beyond the last point: where the jerk of the stream would let it be more,
 #: the joint brakes with more jerk.
 STRAY = 0.05
+#: 1/s with which the pace changes. Chosen: more than it is told to (`urlink.motion.controller_clock.RAMP`), so that
+#: what a late word has held back is made up for.
+PACING = 10.0
 #: Seconds between two reports.
 _REPORTING = 0.02
 #: Seconds that the controller's own watchdog leaves to braking, beside the second that it has for that anyway.
@@ -154,7 +163,7 @@ def buffering(
         lookahead_time, gain: of ``servoj``.
         deceleration: rad/s² of the ``stopj`` at its end, when the arm rests on its last set-point.
     """
-    period = number(1.0 / firmware.rate)
+    period, change = number(1.0 / firmware.rate), number(PACING / firmware.rate)
     most_missed = missable(watchdog, firmware.rate)
     # Reading waits, and a scaled servoj takes several cycles, so a thread of its own moves the arm.
     if isinstance(link, ReverseSocket):
@@ -163,7 +172,7 @@ def buffering(
         rates, follow = "rates[{at}]", _over_registers(firmware, link, most_missed, watchdog)
     text = f"""
 {indented(_variables(capacity, acceleration, jerk))}
-{indented(_geometry(period))}
+{indented(_geometry(period, change))}
 {indented(_words(capacity, rates))}
         thread play():
           going = True
@@ -184,6 +193,9 @@ def buffering(
               if phase == {MOVING}:
                 degree = 5
                 reach(passed)
+                at_v = [{each("at_v[{i}] * pace")}]
+                at_a = [{each("at_a[{i}] * pace * pace")}]
+                pace = 1.0
                 head = base
                 brake()
                 passed = 0.0
@@ -196,6 +208,7 @@ def buffering(
               phase = {MOVING}
               passed = 0.0
             end
+            keep_pace()
             advance()
             is_over = (leaving or starved) and phase == {RESTING}
             exit_critical
@@ -250,6 +263,8 @@ def _over_socket(firmware: Firmware, link: ReverseSocket, most_missed: int) -> s
                   keep()
                 elif word[1] == {CUT}:
                   cut()
+                elif word[1] == {WAIT}:
+                  pace_told = word[3] / {SCALE}.0
                 end
               end
               report = [words, taken, head, base, floor(passed * {SCALE}.0), phase]
@@ -313,6 +328,8 @@ def _over_registers(firmware: Firmware, link: PointRegisters, most_missed: int, 
                   keep()
                 elif word[1] == {CUT} and word[2] != taken:
                   cut()
+                elif word[1] == {WAIT}:
+                  pace_told = word[3] / {SCALE}.0
                 end
               end
             end
@@ -355,6 +372,8 @@ def _variables(capacity: int, acceleration: Sequence[float], jerk: Sequence[floa
         phase = {RESTING}
         length = 0.0
         passed = 0.0
+        pace = 1.0
+        pace_told = 1.0
         words = 0
         missed = 0
         cycle = 0
@@ -367,8 +386,13 @@ def _variables(capacity: int, acceleration: Sequence[float], jerk: Sequence[floa
     """
 
 
-def _geometry(period: str) -> str:
-    """Where the arm is to be, cycle by cycle: `at_q`, `at_v` and `at_a` are those at the end of a step."""
+def _geometry(period: str, change: str) -> str:
+    """Where the arm is to be, cycle by cycle: `at_q`, `at_v` and `at_a` are those at the end of a step.
+
+    Args:
+        period: s of a cycle.
+        change: of the pace in a cycle.
+    """
     way = "(" + "kept_q{i}[first] - at_q[{i}]) / h"
     ends = {"w": "kept_v{i}[first]", "b": "kept_a{i}[first]"}
     cubic = {
@@ -476,9 +500,24 @@ def _geometry(period: str) -> str:
             phase = {BRAKING}
           end
         end
+        def keep_pace():
+          wanted = pace_told
+          if phase == {BRAKING}:
+            wanted = 1.0
+          end
+          if phase == {RESTING} or phase == {OPEN}:
+            pace = wanted
+          elif pace < wanted - {change}:
+            pace = pace + {change}
+          elif pace > wanted + {change}:
+            pace = pace - {change}
+          else:
+            pace = wanted
+          end
+        end
         def advance():
           if phase == {MOVING} or phase == {BRAKING}:
-            passed = passed + {period}
+            passed = passed + {period} * pace
             while (phase == {MOVING} or phase == {BRAKING}) and passed >= length:
               passed = passed - length
               reach(length)

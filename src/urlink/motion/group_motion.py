@@ -1,0 +1,205 @@
+"""What several arms do as one: its handle, and streams of points on one time base."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Iterator, Sequence
+from functools import partial
+from typing import TYPE_CHECKING
+
+from linkcore.arguments import check_seconds, check_wait
+from linkcore.errors import BadValue, Cancelled, LinkError
+from linkcore.handle import Lifecycle, Motion
+from linkcore.threads import CallbackThread
+
+from .point_stream import PointStream
+from .stream_points import Points
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+__all__ = ["GroupMotion", "GroupStream", "end_all"]
+
+#: s by which the points of two arms may end at different times.
+_SAME_TIME = 1e-6
+#: s within which the handle hears of the end of a stream, and the reason of it.
+_REASON = 1.0
+
+
+class GroupMotion(Motion):
+    """A motion of several arms under way. It is over when that of each arm is; what ends one before its time ends all.
+
+    Attributes:
+        motions: those of the arms, in the order of the group.
+    """
+
+    def __init__(
+        self, life: Lifecycle, motions: Sequence[Motion], names: Sequence[str], stopping: CallbackThread
+    ) -> None:
+        super().__init__(life)
+        self.motions = tuple(motions)
+        self._names = tuple(names)
+        lives = [motion._life for motion in motions]
+        life.brake = partial(end_all, lives, f"cancelled with its group of {len(lives)}")
+        for number, each in enumerate(lives):
+            # In a thread of its own: the one that ends a motion may hold the section of its robot, and must not wait
+            # for that of another.
+            each.on_end(partial(stopping.call, self._look, number))
+
+    def _measured(self) -> float:
+        return min(motion.progress for motion in self.motions)
+
+    def _look(self, number: int) -> None:
+        """The motion of one arm is over."""
+        motion = self.motions[number]
+        error = motion.error
+        if error is not None:
+            others = [each._life for each in self.motions if each is not motion]
+            end_all(others, f"stopped, since that of {self._names[number]} ended: {error}")
+            if isinstance(error, Cancelled):
+                self._life.cancel(f"cancelled with that of {self._names[number]}: {error}")
+            else:
+                self._life.fail(error)
+        elif all(each.done and each.error is None for each in self.motions):
+            self._life.finish()
+
+
+class GroupStream(GroupMotion):
+    """A stream of points for several arms; made by `Group.stream`, open in a ``with`` block.
+
+    As `PointStream`, but each call has the points of all arms. They begin at the same moment, and none goes ahead of
+    another: all pass as slowly as the slowest, and stand on their ways while one has no points, or is paused.
+
+    Attributes:
+        motions: the streams of the arms.
+    """
+
+    motions: tuple[PointStream, ...]
+
+    def __init__(
+        self, life: Lifecycle, streams: Sequence[PointStream], names: Sequence[str], stopping: CallbackThread
+    ) -> None:
+        super().__init__(life, streams, names, stopping)
+        self._block = contextlib.ExitStack()
+
+    def __enter__(self) -> Self:
+        """Upload the programs and wait until all have connected.
+
+        Raises:
+            LocalError, LinkError: as `PointStream`; none has moved.
+        """
+        try:
+            with contextlib.ExitStack() as begun:
+                for stream in self.motions:
+                    begun.enter_context(stream)
+                self._block = begun.pop_all()
+        except BaseException as error:
+            self._life.fail(error if isinstance(error, Exception) else Cancelled(f"{self.name} was interrupted"))
+            raise
+        self._life.begin()
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        """Stop all arms, and wait until they stand still. Raises no earlier error."""
+        with self._block:
+            for stream in self.motions:
+                with contextlib.suppress(LinkError):
+                    stream._program.finish()
+        with contextlib.suppress(LinkError):
+            self.wait(_REASON)
+
+    def append(self, points: Sequence[Points], *, wait: bool | float = True) -> float:
+        """Append points for each arm; see `PointStream.append`.
+
+        Args:
+            points: for each arm, in the order of the group. Their times are s on the one clock of the stream; they end
+                at the same time.
+            wait: return once all robots have room for all of them, within 60 s or as many as are given.
+
+        Returns:
+            s of points for which there is room after that.
+
+        Raises:
+            BadValue: not for each arm; they end at different times; or an arm could not follow them. Nothing was
+                appended.
+            LocalError, LinkError: as `PointStream.append`; or what has ended the stream of another arm.
+        """
+        seconds = check_wait(wait)
+        if len(points) != len(self.motions):
+            raise BadValue(f"points for {len(points)} arms; expected them for each of the {len(self.motions)}")
+        with self._reasons(), contextlib.ExitStack() as stack:
+            for stream in self.motions:
+                stack.enter_context(stream._producing())
+            checked = [stream._checked(each) for stream, each in zip(self.motions, points, strict=True)]
+            ends = [aims[-1].time for _, aims in checked]
+            if max(ends) - min(ends) > _SAME_TIME:
+                raise BadValue(
+                    f"the points end at {', '.join(f'{end:g}' for end in ends)} s; expected the same for all"
+                )
+            handed = [stream._add(*each) for stream, each in zip(self.motions, checked, strict=True)]
+            until = time.monotonic() + seconds
+            for stream, each in zip(self.motions, handed, strict=True):
+                if seconds and each is not None:
+                    stream._await_room(each, max(until - time.monotonic(), 0.0))
+        return self.room
+
+    def wait_until_dry(self, timeout: float = 60.0) -> None:
+        """Wait until all arms have come to the end of their points, and rest.
+
+        Raises:
+            LinkTimeout: they have not, in `timeout` seconds; they go on.
+            LocalError, LinkError: as for `append`.
+        """
+        until = time.monotonic() + check_seconds(timeout, "timeout", finite=True)
+        with self._reasons():
+            for stream in self.motions:
+                stream.wait_until_dry(max(until - time.monotonic(), 0.0))
+
+    @property
+    def time(self) -> float:
+        """The clock of the stream, s, as `PointStream.time`: of the arm that is furthest behind."""
+        return min(stream.time for stream in self.motions)
+
+    @property
+    def end(self) -> float:
+        """The time of the last point, s on the clock of the stream."""
+        return max(stream.end for stream in self.motions)
+
+    @property
+    def buffered(self) -> float:
+        """s from `time` to `end`: how much is left."""
+        return max(self.end - self.time, 0.0)
+
+    @property
+    def room(self) -> float:
+        """s of points that all robots have room for; less than zero if points wait in memory."""
+        return min(stream.room for stream in self.motions)
+
+    @property
+    def is_dry(self) -> bool:
+        """Whether all arms rest because there are no points."""
+        return all(stream.is_dry for stream in self.motions)
+
+    @property
+    def starved(self) -> int:
+        """How often one of the arms had to brake because there were no more points."""
+        return max(stream.starved for stream in self.motions)
+
+    @contextlib.contextmanager
+    def _reasons(self) -> Iterator[None]:
+        """What has ended one stream is the error of all."""
+        try:
+            yield
+        except LinkError:
+            if any(stream.done for stream in self.motions):
+                self._life.wait(_REASON)
+            if self.error is not None:
+                raise self.error from None
+            raise
+
+
+def end_all(lives: Sequence[Lifecycle], why: str) -> None:
+    """Cancel these, and have their arms brake."""
+    for life in lives:
+        life.cancel(why, brake=True)
