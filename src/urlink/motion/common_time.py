@@ -226,10 +226,12 @@ class MemberPace:
             rate: seconds of the program per second of the controller; 0 where it does not go through points.
             is_idle: see the attribute.
         """
-        local = self._to_local(time) if math.isfinite(time) else now
-        self._rate, self._place, self._local, self._seen, self.is_idle = rate, place, local, now, is_idle
+        local, ahead = self._to_local(time) if math.isfinite(time) else now, AHEAD * self._cycle
+        # What a report says, and a state shows, is so much older: of two cycles that differ, arms would be apart.
+        self._place = place + self._common.at(local) * ahead if rate else place
+        self._rate, self._local, self._seen, self.is_idle = rate, local, now, is_idle
         self._common.look(local, now)
-        wanted = self._common.at(local + AHEAD * self._cycle)
-        lead = self._common.lead(place, local) / _SETTLING
+        wanted = self._common.at(local + ahead)
+        lead = self._common.lead(self._place, local) / _SETTLING
         # An arm that is slower than the others passes as fast as it can.
         return (1.0 if 0.0 < rate <= wanted else wanted / rate if rate else 0.0) * (1.0 - min(max(lead, 0.0), 1.0))
