@@ -145,6 +145,8 @@ class CommonPace:
         self._members: tuple[MemberPace, ...] = ()
         #: seconds of the streams per second of this computer, at monotonic s of it, and to what that goes
         self._rate, self._local, self._wanted = 0.0, -math.inf, 0.0
+        #: all stand, until each goes through points
+        self._holds = True
 
     def member(self, to_local: Callable[[float], float], cycle: float) -> MemberPace:
         """The pace of one more arm; its arguments are those of `CommonTime.member`."""
@@ -165,15 +167,16 @@ class CommonPace:
     def look(self, local: float, now: float) -> None:
         """Go on until `local`, the time of a state that has come `now`, both monotonic s of this computer."""
         with self._lock:
-            rates = [each.own_rate(now) for each in self._members if not each.is_idle]
-            wanted = min(rates, default=0.0)
-            if not rates:
-                self._rate = self._wanted = 0.0
-            if self._rate == self._wanted == 0.0:
-                # They stand. They begin later, so that all are told in time.
-                self._local, self._wanted = local + (_LEAD if wanted else 0.0), wanted
+            busy = [each for each in self._members if not each.is_idle]
+            are_led = bool(busy) and all(each.is_led for each in busy)
+            if not busy or (self._rate == 0.0 and not are_led):
+                self._rate, self._local, self._wanted, self._holds = 0.0, local, 0.0, True
+            elif self._holds:
+                # Later, so that all are told in time.
+                self._local, self._holds = max(local, now) + _LEAD, False
             elif local > self._local:
-                self._rate, self._local, self._wanted = self.at(local), local, wanted
+                self._rate, self._local = self.at(local), local
+                self._wanted = min(each.own_rate(now) for each in busy)
 
     def lead(self, place: float, local: float) -> float:
         """s by which a stream is ahead of the one that is furthest behind.
@@ -190,16 +193,17 @@ class MemberPace:
     Attributes:
         is_paused: returns whether its program is paused.
         is_idle: it has no points left, so it holds up nobody.
+        is_led: it goes through points.
     """
 
     def __init__(self, common: CommonPace, to_local: Callable[[float], float], cycle: float) -> None:
         self.is_paused: Callable[[], bool] = bool
-        self.is_idle = True
+        self.is_idle, self.is_led = True, False
         self._common = common
         self._to_local = to_local
         self._cycle = cycle
-        #: by the newest state: seconds of its program per second of its controller, 0 where it does not go through
-        #: points; s on its clock; monotonic s of this computer at its time and at its arrival
+        #: by the newest state: seconds of its program per second of its controller; s on its clock; monotonic s of this
+        #: computer at its time and at its arrival
         self._rate, self._place, self._local, self._seen = 0.0, 0.0, -math.inf, -math.inf
 
     def leave(self) -> None:
@@ -209,29 +213,32 @@ class MemberPace:
 
     def own_rate(self, now: float) -> float:
         """Seconds of the stream that pass per second of its controller at most, as far as is known `now`."""
-        return 0.0 if self.is_paused() or now - self._seen > _SILENT else self._rate
+        is_halted = not self.is_led or self.is_paused() or now - self._seen > _SILENT
+        return 0.0 if is_halted else self._rate
 
     def place_at(self, local: float, rate: float) -> float:
         """s on its clock at monotonic s of this computer, if it passes with `rate`."""
         since = min(max(local - self._local, -_SILENT), _SILENT)
-        return self._place + (rate * since if self._rate else 0.0)
+        return self._place + (rate * since if self.is_led else 0.0)
 
-    def look(self, time: float, now: float, place: float, rate: float, *, is_idle: bool) -> float:
+    def look(self, time: float, now: float, place: float, rate: float, *, is_led: bool, is_idle: bool) -> float:
         """What its program is to be told: seconds of the stream per second of the program.
 
         Args:
             time: of a state, s of the controller.
             now: its arrival, monotonic s of this computer.
             place: s on the clock of the stream at that time.
-            rate: seconds of the program per second of the controller; 0 where it does not go through points.
-            is_idle: see the attribute.
+            rate: seconds of the program per second of the controller.
+            is_led, is_idle: see the attributes.
         """
         local, ahead = self._to_local(time) if math.isfinite(time) else now, AHEAD * self._cycle
         # What a report says, and a state shows, is so much older: of two cycles that differ, arms would be apart.
-        self._place = place + self._common.at(local) * ahead if rate else place
-        self._rate, self._local, self._seen, self.is_idle = rate, local, now, is_idle
+        self._place = place + self._common.at(local) * ahead if is_led else place
+        self._rate, self._local, self._seen, self.is_led, self.is_idle = rate, local, now, is_led, is_idle
         self._common.look(local, now)
+        if not is_led:
+            return 0.0
         wanted = self._common.at(local + ahead)
         lead = self._common.lead(self._place, local) / _SETTLING
         # An arm that is slower than the others passes as fast as it can.
-        return (1.0 if 0.0 < rate <= wanted else wanted / rate if rate else 0.0) * (1.0 - min(max(lead, 0.0), 1.0))
+        return (1.0 if rate <= wanted else wanted / rate) * (1.0 - min(max(lead, 0.0), 1.0))

@@ -135,7 +135,7 @@ class GroupStream(GroupMotion):
             ends = [aims[-1].time for _, aims in checked]
             if max(ends) - min(ends) > _SAME_TIME:
                 raise BadValue(
-                    f"the points end at {', '.join(f'{end:g}' for end in ends)} s; expected the same for all"
+                    f"the points end at {', '.join(f'{end:g}' for end in ends)} s; expected the same time for all"
                 )
             handed = [stream._add(*each) for stream, each in zip(self.motions, checked, strict=True)]
             until = time.monotonic() + seconds

@@ -48,6 +48,8 @@ __all__ = ["StreamFeed"]
 
 _WORD, _REPORT = struct.Struct(f">{WORD}i"), struct.Struct(f">{REPORTED}i")
 _STOP_WORD = _WORD.pack(STOP, *[0] * (WORD - 1))
+#: s without a report after which a program counts as one that goes through no points, for others. Chosen: five reports.
+_UNHEARD = 0.1
 #: Difference of two paces that is not told while points are waiting to be sent.
 _SAME_PACE = 1e-3
 #: Cycles, and s, that a cut takes to the program at first, and s at most: each that comes too late doubles the time.
@@ -158,14 +160,13 @@ class StreamFeed:
         self.mark: Mark | None = None
         self.pace: MemberPace | None = None
         self._clock = ProgramClock(cycle)
-        #: the pace of the program; those that it is to have, up to the newest; and, of those, what it was told last, and
-        #: whether by the last word
+        #: the pace of the program; those that it is to have, up to the newest; that which it was told, by the last word
         self._pace, self._paces = 1.0, deque([1.0] * (AHEAD + 1), AHEAD + 1)
         self._told, self._has_told = 1.0, True
         self._begin = Rest("the stream")
         self._is_lossy = False
         self._received = b""
-        self._words = self._epoch = self._head = 0
+        self._words = self._heard = self._epoch = self._head = 0
         #: s on the steps since the first state, as far as states show it, and at the last report
         self._passed = self._reported = 0.0
         self._report = _Report(0, 0, 0, 0, 0.0, RESTING)
@@ -291,8 +292,10 @@ class StreamFeed:
                 self._take(_Report(words, epoch, head, base, passed / SCALE, phase))
             if self.pace is not None:
                 is_idle = not (self._steps or self._queue or self._cut)
-                rate = self._clock.rate if self._report.phase == MOVING else 0.0
-                self._paces.append(self.pace.look(state.time, now, self.time, rate, is_idle=is_idle))
+                is_heard = (self._words - self._heard) * self._cycle < _UNHEARD
+                is_led = self._report.phase == MOVING and is_heard
+                rate = self._clock.rate
+                self._paces.append(self.pace.look(state.time, now, self.time, rate, is_led=is_led, is_idle=is_idle))
             if self.mark is None:
                 if self._begin.is_reached(state, now):
                     self._rest_at(0.0, JointMoment.at_rest(state.q_target))
@@ -373,7 +376,7 @@ class StreamFeed:
                 found = self._found[1]
             if found is not None or report.words > self._found[0] + _RESUMING:
                 self._found = None
-        self._report, self._reported = report, self._passed
+        self._report, self._reported, self._heard = report, self._passed, self._words
         cut = self._cut
         if cut is not None and 0 < cut.word <= report.words:
             self._cut = None

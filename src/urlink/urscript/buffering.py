@@ -87,9 +87,9 @@ BRAKING_FACTOR = 1.5 * 2.0**0.5
 #: rad that an acceleration may lead a joint beyond the last point: where the jerk of the stream would let it be more,
 #: the joint brakes with more jerk.
 STRAY = 0.05
-#: 1/s with which the pace changes. Chosen: more than it is told to (`urlink.motion.controller_clock.RAMP`), so that
-#: what a late word has held back is made up for.
-PACING = 10.0
+#: 1/s, of the program, with which the pace changes at most. Chosen: four times as fast as it is told to
+#: (`urlink.motion.controller_clock.RAMP`) while nothing is scaled, because at a slider of 50 % it has to be.
+PACING = 25.0
 #: Seconds between two reports.
 _REPORTING = 0.02
 #: Seconds that the controller's own watchdog leaves to braking, beside the second that it has for that anyway.
