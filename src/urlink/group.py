@@ -32,14 +32,14 @@ from .motion.trajectory import Trajectory
 from .robot import Robot
 from .vectors import Numbers, six
 
-__all__ = ["Group", "GroupMotion", "GroupStream"]
+__all__ = ["WAITING", "Group", "GroupMotion", "GroupStream", "Nearest"]
 
 #: Peak of speed and of acceleration of the quintic from 0 to 1 in one second, at rest at both ends.
 _PEAK_SPEED, _PEAK_ACCELERATION = 1.875, 10.0 / math.sqrt(3.0)
 #: s of a movement at least: of arms that are at their goal already.
 _SHORTEST = 0.1
 #: States of one arm that wait for those of the others.
-_WAITING = 64
+WAITING = 64
 
 
 class Group:
@@ -295,49 +295,61 @@ class Group:
             LinkTimeout: none came from an arm in time.
             RemoteError, LocalError: as `Stream.iterate`.
         """
-        rates = [robot.firmware.rate for robot in self.robots]
-        first = rates.index(min(rates))
-        aligned = [
-            _Aligned(robot, timeout, 0.75 / rate)
-            for number, (robot, rate) in enumerate(zip(self.robots, rates, strict=True))
-            if number != first
-        ]
+        first, nearest = self._nearest()
+        others = {each: self.robots[each].realtime.iterate(drop_oldest(WAITING), timeout) for each in nearest}
         to_local = self.robots[first].clock.to_local
         for state in self.robots[first].realtime.iterate(latest, timeout):
-            found = [each.at(to_local(state.time)) for each in aligned]
-            others = [other for other in found if other is not None]
-            if any(each.is_over for each in aligned):
-                break
-            if len(others) == len(found):
-                yield (*others[:first], state, *others[first:])
+            local, found = to_local(state.time), {first: state}
+            for number, near in nearest.items():
+                while near.is_before(local):
+                    newer = next(others[number], None)
+                    if newer is None:
+                        return
+                    near.take(newer)
+                near.add_to(found, number, local)
+            if len(found) == len(self.robots):
+                yield tuple(found[number] for number in range(len(found)))
+
+    def _nearest(self) -> tuple[int, dict[int, Nearest]]:
+        """Number of the arm whose states set the moments, and, by number, what finds those of each other one."""
+        rates = [robot.firmware.rate for robot in self.robots]
+        first = rates.index(min(rates))
+        found = {
+            number: Nearest(robot.clock.to_local, 0.75 / rate)
+            for number, (robot, rate) in enumerate(zip(self.robots, rates, strict=True))
+            if number != first
+        }
+        return first, found
 
     def __repr__(self) -> str:
         return f"<Group of {', '.join(robot.address for robot in self.robots)}>"
 
 
-class _Aligned:
+class Nearest:
     """The states of one arm, looked up by the time of this computer; times only go on.
 
-    Attributes:
-        is_over: there are no more.
+    Args:
+        to_local: converts s of its controller to monotonic s of this computer.
+        furthest: s between a state and the time that it is looked up by, at most.
     """
 
-    def __init__(self, robot: Robot, timeout: float | None, furthest: float) -> None:
-        self._states = robot.realtime.iterate(drop_oldest(_WAITING), timeout)
-        self._to_local: Callable[[float], float] = robot.clock.to_local
+    def __init__(self, to_local: Callable[[float], float], furthest: float) -> None:
+        self._to_local = to_local
         self._furthest = furthest
-        self.is_over = False
         self._before: RealtimeState | None = None
         self._after: RealtimeState | None = None
 
-    def at(self, local: float) -> RealtimeState | None:
-        """The state nearest to monotonic s; None if there is none near it."""
-        while self._after is None or self._to_local(self._after.time) < local:
-            state = next(self._states, None)
-            if state is None:
-                self.is_over = True
-                return None
-            self._before, self._after = self._after, state
+    def is_before(self, local: float) -> bool:
+        """Whether a later state has to be taken to know which is the nearest."""
+        return self._after is None or self._to_local(self._after.time) < local
+
+    def take(self, state: RealtimeState) -> None:
+        """The next state of the arm."""
+        self._before, self._after = self._after, state
+
+    def add_to(self, found: dict[int, RealtimeState], number: int, local: float) -> None:
+        """Add the state nearest to monotonic s, if there is one near it."""
         candidates = [each for each in (self._before, self._after) if each is not None]
         nearest = min(candidates, key=lambda each: abs(self._to_local(each.time) - local))
-        return nearest if abs(self._to_local(nearest.time) - local) <= self._furthest else None
+        if abs(self._to_local(nearest.time) - local) <= self._furthest:
+            found[number] = nearest

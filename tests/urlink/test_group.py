@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,6 +13,7 @@ import pytest
 import urlink
 from linkcore.errors import BadValue, Cancelled, LinkTimeout, LocalError
 from linkcore.handle import Phase
+from urlink.aio.async_group import AsyncGroup
 from urlink.errors import SafetyStop, ToleranceExceeded
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.motion.trajectory import Trajectory
@@ -444,6 +446,43 @@ def test_states_of_the_same_moment(firmwares: tuple[str, str]) -> None:
         both.right.controller.call(lambda: both.right.controller.faults.stall(3600.0, "realtime"))
         with pytest.raises(LinkTimeout):
             list(both.group.states(timeout=0.5))
+
+
+@pytest.mark.simulated_time
+def test_awaited() -> None:
+    async def use() -> None:
+        async with urlink.connect_async("sim://ur5e") as one, urlink.connect_async("sim://ur5e") as two:
+            here = [(await robot.realtime.wait()).q_target for robot in (one, two)]
+            both = AsyncGroup(one, two)
+            assert both.robots == (one, two)
+            there = [q + 0.1 for q in here]
+            with pytest.raises(BadValue, match="without `wait`"):
+                await both.move_joints(there)
+            moved = await both.move_joints(there, time=0.5, wait=True)
+            assert moved.phase is Phase.DONE
+            following = await both.follow([Trajectory.from_arrays([0, 5], [q, q - 0.1]) for q in there], wait=False)
+            await asyncio.sleep(1.0)
+            await both.stop(wait=True)
+            with pytest.raises(Cancelled):
+                await following
+            async with both.stream(buffer=0.3) as stream:
+                begins = [(await robot.realtime.wait()).q_target for robot in (one, two)]
+                path = [Trajectory.from_arrays([0, 1], [begin, q]) for begin, q in zip(begins, here, strict=True)]
+                assert await stream.append(path) <= 0.3
+                await stream.wait_until_dry()
+                assert (stream.time, stream.end, stream.starved, stream.is_dry) == (pytest.approx(1.0), 1.0, 0, True)
+                assert [each.phase for each in stream.motions] == [Phase.RUNNING] * 2
+            assert (stream.phase, stream.error) == (Phase.DONE, None)
+            seen = 0
+            async for states in both.states():
+                assert all(abs(state.q_target - q).max() < 1e-3 for state, q in zip(states, here, strict=True))
+                seen += 1
+                if seen == 5:
+                    break
+            with pytest.raises(BadValue, match="no AsyncRobot"):
+                AsyncGroup(one, "sim://ur5e")  # type: ignore[arg-type]
+
+    asyncio.run(use())
 
 
 @pytest.mark.simulated_time

@@ -16,7 +16,9 @@ import pytest
 import urlink
 from linkcore.aio.async_stream import AsyncFeed
 from urlink.aio import parts
+from urlink.aio.async_group import AsyncGroup, AsyncGroupStream
 from urlink.aio.awaited import AwaitedPart
+from urlink.group import GroupStream
 from urlink.interfaces.gripper.client import Gripper
 from urlink.interfaces.tool_serial import ToolSerial
 
@@ -38,6 +40,8 @@ PAIRS: dict[str, tuple[type, type]] = {
     "robot.registers": (urlink.rtde.Registers, parts.AsyncRegisters),
     "interpreter": (urlink.Interpreter, parts.AsyncInterpreter),
     "points": (urlink.motion.PointStream, parts.AsyncPointStream),
+    "group": (urlink.Group, AsyncGroup),
+    "points_of_all": (GroupStream, AsyncGroupStream),
     "teaching": (urlink.motion.Teaching, parts.AsyncTeaching),
     "inputs": (urlink.rtde.Inputs, parts.AsyncInputs),
     "outputs": (urlink.rtde.OutputStream, parts.AsyncOutputStream),
@@ -64,12 +68,13 @@ ASKED = {"interpreter.state"}
 BLOCKS = {
     *("robot.motion.servo", "robot.motion.jog", "robot.motion.force_mode", "robot.motion.torque"),
     "robot.motion.stream",
+    "group.stream",
     "robot.motion.impedance",
     *("robot.freedrive", "robot.teach", "robot.interpreter", "robot.record", "robot.rtde.inputs", "robot.rtde.outputs"),
     "robot.view",
 }
 #: What returns at once in both.
-AT_ONCE = {"of", "iterate", "position_of", "cancel", "add_done_callback"}
+AT_ONCE = {"of", "iterate", "states", "position_of", "cancel", "add_done_callback"}
 
 
 def surface(kind: type, attributes: tuple[str, ...] = ()) -> set[str]:
@@ -81,6 +86,8 @@ ATTRIBUTES = {
     "robot": ("address",),
     "teaching": ("taught",),
     "points": ("buffer",),
+    "group": ("robots",),
+    "points_of_all": ("motions",),
     "inputs": ("names",),
     "outputs": ("names", "frequency"),
 }
@@ -132,6 +139,9 @@ def test_every_method_is_awaited_and_what_is_unknown_is_an_error(path: str) -> N
 GIVEN = {
     "urlink.commanding.interpreter.Interpreter": "urlink.aio.parts.AsyncInterpreter",
     "urlink.motion.point_stream.PointStream": "urlink.aio.parts.AsyncPointStream",
+    "urlink.motion.group_motion.GroupStream": "urlink.aio.async_group.AsyncGroupStream",
+    "urlink.robot.Robot": "urlink.aio.async_robot.AsyncRobot",
+    "typing.Iterator[tuple": "typing.AsyncIterator[tuple",
     "urlink.motion.teaching.Teaching": "urlink.aio.parts.AsyncTeaching",
     "urlink.rtde.inputs.Inputs": "urlink.aio.parts.AsyncInputs",
     "urlink.rtde.shared_registers.Registers": "urlink.aio.parts.AsyncRegisters",
@@ -145,6 +155,8 @@ from typing import Any, TypeVar
 
 import urlink
 from urlink.aio import parts
+from urlink.aio.async_group import AsyncGroup, AsyncGroupStream
+from urlink.group import GroupStream
 
 T = TypeVar("T")
 
@@ -214,14 +226,14 @@ def revealed(lines: list[str]) -> list[str]:
 @pytest.mark.timeout(300)
 @pytest.mark.real_time
 def test_the_types_of_all_results_are_those_of_the_blocking_face(tmp_path: Path) -> None:
-    names = ["robot", "interpreter", "points", "teaching", "inputs", "outputs"]
+    names = ["robot", "interpreter", "points", "group", "points_of_all", "teaching", "inputs", "outputs"]
     blocking_types = (
-        "urlink.Robot, urlink.Interpreter, urlink.motion.PointStream, urlink.motion.Teaching, urlink.rtde.Inputs, "
-        "urlink.rtde.OutputStream[Cell]"
+        "urlink.Robot, urlink.Interpreter, urlink.motion.PointStream, urlink.Group, GroupStream, "
+        "urlink.motion.Teaching, urlink.rtde.Inputs, urlink.rtde.OutputStream[Cell]"
     )
     awaited_types = (
-        "urlink.AsyncRobot, parts.AsyncInterpreter, parts.AsyncPointStream, parts.AsyncTeaching, parts.AsyncInputs, "
-        "parts.AsyncOutputStream[Cell]"
+        "urlink.AsyncRobot, parts.AsyncInterpreter, parts.AsyncPointStream, AsyncGroup, AsyncGroupStream, "
+        "parts.AsyncTeaching, parts.AsyncInputs, parts.AsyncOutputStream[Cell]"
     )
     lines = {True: [], False: []}  # type: dict[bool, list[str]]
     whats = []
