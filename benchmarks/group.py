@@ -9,16 +9,19 @@ one arm are reset before every tenth start.
     python benchmarks/group.py --quick                       # 6 starts
     python benchmarks/group.py --firmware 3.15               # of the second arm
     python benchmarks/group.py --starts 1000 --load 20 --reconnects
+    python benchmarks/group.py --streams                     # points that the robots hold, and not set-points
 """
 
 from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 import urlink
+from urlink import Trajectory
 from urlink.simulator import Controller
 from urlink.vectors import FloatArray
 
@@ -82,20 +85,49 @@ def apart(one: tuple[FloatArray, FloatArray], other: tuple[FloatArray, FloatArra
     return np.interp(part[inside], other_part[other_inside], other_when[other_inside]) - when[inside]
 
 
+def turn(group: urlink.Group, goals: Sequence[FloatArray], *, streams: bool, under_way: Callable[[], object]) -> None:
+    """Turn there, by set-points or by points that the robots hold; `under_way` is called once that was begun."""
+    if not streams:
+        motion = group.move_joints(goals, time=SECONDS)
+        under_way()
+        motion.wait()
+        return
+    rest = np.zeros((2, 6))
+    here = [robot.realtime.wait().q_target for robot in group.robots]
+    with group.stream() as stream:
+        paths = [Trajectory.from_arrays([0.0, SECONDS], each, rest, rest) for each in zip(here, goals, strict=True)]
+        stream.append(paths, wait=False)
+        under_way()
+        stream.wait_until_dry()
+
+
 def measure(
-    seed: int, starts: int, firmware: str, load: float = 0.0, *, reconnects: bool = False
+    seed: int,
+    starts: int,
+    firmware: str,
+    load: float = 0.0,
+    *,
+    reconnects: bool = False,
+    streams: bool = False,
 ) -> tuple[list[float], list[float]]:
     """Of each start, s between both in the median of the way, and at most.
 
     Args:
         load: s for which this computer stands still on each way, at most.
         reconnects: connections are reset before every tenth.
+        streams: they are streams, and not followed trajectories.
     """
     medians, most = [], []
     with urlink.simulated_time(seed, latency=3e-4, jitter=5e-4) as sim:
         sides = [Side(sim, "192.168.0.100", "5.11"), Side(sim, "192.168.0.101", firmware)]
         group = urlink.Group(*(side.robot for side in sides))
         time.sleep(1.0)
+
+        def hold() -> None:
+            began = sim.now + sim.random.uniform(0.05, 0.35)
+            sim.at(began, sim.here.hold)
+            sim.at(began + sim.random.uniform(0.0, load), sim.here.release)
+
         for number in range(starts):
             if reconnects and number % 10 == 9:
                 sides[number // 10 % 2].reset()
@@ -104,12 +136,7 @@ def measure(
             for side in sides:
                 side.rows.clear()
             began = [side.true() for side in sides]
-            motion = group.move_joints(goals, time=SECONDS)
-            if load:
-                held = sim.now + sim.random.uniform(0.05, 0.35)
-                sim.at(held, sim.here.hold)
-                sim.at(held + sim.random.uniform(0.0, load), sim.here.release)
-            motion.wait()
+            turn(group, goals, streams=streams, under_way=hold)
             one, other = (side.way(marked, float(q[5])) for side, marked, q in zip(sides, began, here, strict=True))
             seconds = np.abs(apart(one, other))
             medians.append(float(np.median(seconds)))
@@ -128,9 +155,17 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--load", type=float, default=0.0, help="ms for which this computer stands, at most")
     parser.add_argument("--reconnects", action="store_true", help="reset the connections before every tenth start")
+    parser.add_argument("--streams", action="store_true", help="streams, and not followed trajectories")
     options = parser.parse_args()
     starts = 6 if options.quick else options.starts
-    medians, most = measure(options.seed, starts, options.firmware, 1e-3 * options.load, reconnects=options.reconnects)
+    medians, most = measure(
+        options.seed,
+        starts,
+        options.firmware,
+        1e-3 * options.load,
+        reconnects=options.reconnects,
+        streams=options.streams,
+    )
     print(f"two arms, {len(medians)} starts: in the median of the way {1e3 * max(medians):.2f} ms apart at most")
     print(
         f"at the worst moment {1e3 * max(most):.2f} ms, in half of the starts no more than {1e3 * np.median(most):.2f}"
