@@ -176,7 +176,7 @@ def test_of_states_that_come_together_after_the_end_the_newest_counts(
     """They were held up, and the first of them show the arm as it was before."""
     robot = connect("ur5e", "5.11")
     before = robot.realtime.wait(TIMEOUT)
-    robot.motion.move_joints(READY + [0, 0, 0, 0, 0, 0.2], speed=2.0, acceleration=10.0).wait(TIMEOUT)
+    robot.motion.move_joints([*READY[:5], READY[5] + 0.2], speed=2.0, acceleration=10.0).wait(TIMEOUT)
     context = robot.motion._context
     context.programs.ended = float("inf")  # no state that is there already is newer
     monkeypatch.setattr(robot.realtime, "wait_until", lambda condition: before)
