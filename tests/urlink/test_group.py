@@ -321,6 +321,7 @@ def test_the_stream_of_the_slower_sets_the_pace() -> None:
         stream.wait_until_dry()
         assert both.sim.now - began > 3.8
         assert both.radians_apart() < 0.02
+        assert both.radians_apart(0.95) < 0.003  # none is ahead any more
         assert stream.starved == 0
 
 
@@ -336,6 +337,7 @@ def test_a_pause_of_one_holds_the_stream_of_the_other() -> None:
         controller.call(controller.pendant.play)
         stream.wait_until_dry()
         assert both.radians_apart() < 0.1
+        assert both.radians_apart(0.95) < 0.003
         for side, path in zip(both.sides, both.steady(2.4), strict=True):
             assert side.robot.realtime.wait().q_target == pytest.approx(path.q[-1], abs=1e-3)
 
@@ -467,6 +469,7 @@ def test_awaited() -> None:
                 await following
             async with both.stream(buffer=0.3) as stream:
                 begins = [(await robot.realtime.wait()).q_target for robot in (one, two)]
+                here[1] = here[1] + 0.05
                 path = [Trajectory.from_arrays([0, 1], [begin, q]) for begin, q in zip(begins, here, strict=True)]
                 assert await stream.append(path) <= 0.3
                 await stream.wait_until_dry()
