@@ -169,9 +169,11 @@ class Follower(Following):
             here = self._check_start(state)
             self._start = _Fade(_difference(here, self._trajectory.q[0].tolist()), 0.0)
             self._stream.begin(here)
-            # One that begins later than by a cycle catches up.
-            self._t, self._s, self._pace = beginning, min(beginning, cycle) + (AHEAD - 1) * cycle, 1.0
-            self._gap = _Gap([0.0] * 6, self._s)
+            # One that begins late is where one would be that had begun in time, and missed the set-points since then.
+            late = max(round(beginning / self._cycle) - 1, 0)
+            begun = min(beginning, cycle + self._stream.coasted_time(late))
+            self._t, self._s, self._pace = beginning, begun + (AHEAD - 1) * cycle, 1.0
+            self._gap = _Gap(_difference(here, self.desired(self._s)[0]) if late else [0.0] * 6, self._s)
         else:
             self._t = self._clock.after(self._t, scaled)
             self._passed += passed

@@ -19,7 +19,7 @@ from urlink.errors import ToleranceExceeded
 from urlink.firmware import Firmware
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.models import Model, model
-from urlink.motion.controller_clock import ControllerClock
+from urlink.motion.controller_clock import ControllerClock, ProgramClock
 from urlink.motion.follower import Follower
 from urlink.motion.following import Tolerances, stands
 from urlink.motion.setpoints import WORD_SIZE, Servoing, setpoint
@@ -91,6 +91,25 @@ class Feeding:
             self.sent.append(self.q)
             self.speeds.append(speeds(data)[5])
         return data
+
+
+class LateClock(ProgramClock):
+    """Of a trajectory that began 0.02 s before its first state was answered."""
+
+    def beginning(self) -> float:
+        return 0.02
+
+
+def test_one_that_begins_late_is_where_one_is_that_missed_as_much() -> None:
+    """Of two arms that are to move as one, this computer may stand between the first set-points of both."""
+    late = Feeding(Follower(WAVE, LOOSE, servoing(NEWEST), arm(NEWEST), clock=LateClock(0.002)))
+    missed = Feeding(follower())
+    for feeding, cycles in ((late, 1), (missed, 10)):
+        feeding.state(0)
+        feeding.state(cycles)
+        for _ in range(20):
+            feeding.state()
+    assert late.q == pytest.approx(missed.q, abs=5e-4)
 
 
 # -- the controller's clock ------------------------------------------------------------------------------
