@@ -379,7 +379,9 @@ def test_a_stop_of_one_ends_the_stream_of_all() -> None:
             side.mark()
         when, _, speed = both.right.path()
         slower = when[(when > stopped) & (speed < 0.498)][0]
-        assert slower - stopped <= 2 * CYCLE + 2 * latency + 0.01  # the braking begins smoothly
+        assert (
+            slower - stopped <= 2 * CYCLE + 2 * latency + 0.02
+        )  # its braking begins smoothly, and shows after the lag of servoj
         assert speed[-1] == 0.0
         assert np.abs(np.diff(speed)).max() / CYCLE < 12.0
 
