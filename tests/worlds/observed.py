@@ -341,6 +341,8 @@ class Observed:
                 known.stopped = known.next_stopped
                 known.at = self._sim.now
                 for state in states:
+                    if state.robot_mode is None:
+                        continue  # 1.5 shows stops on the primary interface alone, ten times a second
                     holds = self.stops.get(round(state.time * self._controller.firmware.rate), False)
                     known.next_stopped = known.next_stopped + 1 if holds else 0
                 if not known.next_stopped:
