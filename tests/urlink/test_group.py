@@ -283,6 +283,7 @@ def test_one_that_is_led_away_stops_both() -> None:
 # -- streams -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("firmwares", [("5.11", "5.11"), ("3.15", "5.11"), ("3.15", "3.4")])
 def test_a_stream_leads_both_at_once(firmwares: tuple[str, str]) -> None:
     with pair(11, *firmwares) as both:
@@ -310,6 +311,7 @@ def test_streams_go_on_while_this_computer_stands() -> None:
         assert both.seconds_apart() < CYCLE
 
 
+@pytest.mark.slow
 def test_the_stream_of_the_slower_sets_the_pace() -> None:
     """Each slider in turn, to a half, to 0 for half a second, and back."""
     with pair(13) as both, both.group.stream() as stream:
@@ -325,6 +327,7 @@ def test_the_stream_of_the_slower_sets_the_pace() -> None:
         assert stream.starved == 0
 
 
+@pytest.mark.slow
 def test_a_pause_of_one_holds_the_stream_of_the_other() -> None:
     with pair(14) as both, both.group.stream() as stream:
         stream.append(both.dense(), wait=False)
@@ -342,6 +345,7 @@ def test_a_pause_of_one_holds_the_stream_of_the_other() -> None:
             assert side.robot.realtime.wait().q_target == pytest.approx(path.q[-1], abs=1e-3)
 
 
+@pytest.mark.slow
 def test_where_the_stream_of_one_runs_dry_all_stand() -> None:
     """Words to the right arm take so long that it has no points; the other one waits for it on its way."""
     with pair(15) as both, both.group.stream(buffer=0.1) as stream:
@@ -452,6 +456,7 @@ def test_states_of_the_same_moment(firmwares: tuple[str, str]) -> None:
             list(both.group.states(timeout=0.5))
 
 
+@pytest.mark.slow
 @pytest.mark.simulated_time
 def test_awaited() -> None:
     async def use() -> None:
