@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Callable, Generator
-from typing import Any
+from collections.abc import AsyncIterator
 
 from linkcore.errors import BadValue
-from linkcore.handle import Phase
 from linkcore.streaming.packet_queue import drop_oldest, latest
 
 from ..group import WAITING, Group, GroupStream
 from ..interfaces.realtime.packets import RealtimeState
-from ..motion import PointStream
 from .async_robot import AsyncRobot
-from .awaited import AwaitedPart, awaited, block, motion
+from .awaited import AwaitedHandle, AwaitedPart, attribute, awaited, block, motion
 
 __all__ = ["AsyncGroup", "AsyncGroupStream"]
 
 
-class AsyncGroupStream(AwaitedPart[GroupStream]):
+class AsyncGroupStream(AwaitedHandle[GroupStream]):
     """As `GroupStream`, awaited; ``await stream`` is its end, as of any handle.
 
     A task that is cancelled while it awaits `append` gives its points up: those that were not sent are dropped.
@@ -30,64 +27,14 @@ class AsyncGroupStream(AwaitedPart[GroupStream]):
     wait = awaited(GroupStream.wait)
     wait_until_dry = awaited(GroupStream.wait_until_dry)
 
-    @property
-    def motions(self) -> tuple[PointStream, ...]:
-        return self._part.motions
-
-    @property
-    def time(self) -> float:
-        return self._part.time
-
-    @property
-    def end(self) -> float:
-        return self._part.end
-
-    @property
-    def buffered(self) -> float:
-        return self._part.buffered
-
-    @property
-    def room(self) -> float:
-        return self._part.room
-
-    @property
-    def is_dry(self) -> bool:
-        return self._part.is_dry
-
-    @property
-    def starved(self) -> int:
-        return self._part.starved
-
-    @property
-    def name(self) -> str:
-        return self._part.name
-
-    @property
-    def phase(self) -> Phase:
-        return self._part.phase
-
-    @property
-    def done(self) -> bool:
-        return self._part.done
-
-    @property
-    def error(self) -> Exception | None:
-        return self._part.error
-
-    @property
-    def progress(self) -> float:
-        return self._part.progress
-
-    def cancel(self) -> None:
-        """As `Handle.cancel`, which returns at once."""
-        self._part.cancel()
-
-    def add_done_callback(self, callback: Callable[[AsyncGroupStream], object]) -> None:
-        """As `Handle.add_done_callback`: in the group's thread for callbacks."""
-        self._part.add_done_callback(lambda handle: callback(self))
-
-    def __await__(self) -> Generator[Any, None, None]:
-        return self._part.__await__()
+    motions = attribute(GroupStream, lambda part: part.motions)
+    time = attribute(GroupStream, lambda part: part.time)
+    end = attribute(GroupStream, lambda part: part.end)
+    buffered = attribute(GroupStream, lambda part: part.buffered)
+    room = attribute(GroupStream, lambda part: part.room)
+    is_dry = attribute(GroupStream, lambda part: part.is_dry)
+    starved = attribute(GroupStream, lambda part: part.starved)
+    progress = attribute(GroupStream, lambda part: part.progress)
 
 
 class AsyncGroup(AwaitedPart[Group]):
