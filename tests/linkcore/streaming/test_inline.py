@@ -37,6 +37,16 @@ def test_is_called_by_the_reader_and_in_order(stream: Stream[Count], transport: 
     assert (stats.offered, stats.delivered, stats.dropped, stats.raised, stats.waiting) == (3, 3, 0, 0, 0)
 
 
+def test_each_packet_goes_to_all_callbacks_before_the_next(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    """In the order in which they have subscribed, also where several packets come at once."""
+    got: list[tuple[str, int]] = []
+    stream.subscribe(lambda count: got.append(("first", count.number)), inline=True)
+    stream.subscribe(lambda count: got.append(("second", count.number)), inline=True)
+    transport.put(counts(1, 2), Finished())
+    assert stream.join(10)
+    assert got == [("first", 1), ("second", 1), ("first", 2), ("second", 2)]
+
+
 def test_by_default_the_reader_calls_nobody(stream: Stream[Count], transport: ScriptedTransport) -> None:
     """However quick a callback is, and however often it has been."""
     threads: set[threading.Thread] = set()
