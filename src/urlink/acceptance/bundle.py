@@ -28,7 +28,7 @@ from .evidence import Evidence
 from .logbook import NOTES
 from .requirements import Requirement, read, written
 
-__all__ = ["Bundle", "opened", "pack"]
+__all__ = ["Bundle", "opened", "pack", "recording_in"]
 
 _BYTES, _REQUIREMENTS, _MANIFEST = "bytes.urlog", "requirements.toml", "MANIFEST.json"
 _FORMAT = 1
@@ -54,12 +54,14 @@ class Bundle(NamedTuple):
         requirements: with the limits of the run.
         site: whose cell it is, as its own requirement file said.
         digest: SHA-256 of the manifest, in hexadecimal digits.
+        recording: the bytes of all connections, a recording as `urlink.load` takes it.
     """
 
     evidence: Evidence
     requirements: Mapping[str, Requirement]
     site: Mapping[str, Any]
     digest: str
+    recording: Path
 
 
 def pack(
@@ -119,7 +121,21 @@ def opened(path: Path) -> Iterator[Bundle]:
             requirements, site = read(parts[_REQUIREMENTS].decode(), str(path))
         except (UnicodeDecodeError, BadValue) as error:
             raise BadRecording(f"{path} holds no requirements: {error}") from None
-        yield Bundle(Evidence(logbook), requirements, site, hashlib.sha256(parts[_MANIFEST]).hexdigest())
+        yield Bundle(Evidence(logbook), requirements, site, hashlib.sha256(parts[_MANIFEST]).hexdigest(), logbook)
+
+
+@contextmanager
+def recording_in(path: Path) -> Iterator[Path]:
+    """The recording of a bundle (`.zip`), for as long as the block; any other file is returned as it is.
+
+    Raises:
+        BadRecording: as `opened`.
+    """
+    if path.suffix.lower() != ".zip":
+        yield path
+        return
+    with opened(path) as bundle:
+        yield bundle.recording
 
 
 def _names(evidence: Evidence) -> Iterator[str]:

@@ -8,6 +8,7 @@ import json
 import math
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..robot import connect
@@ -87,7 +88,7 @@ def _box_text(model: str, planned: Exercise, slider: float) -> str:
 @command(
     "compare",
     "a recording beside the simulator",
-    argument("recording", metavar="RECORDING", help="a .urlog or a .csv"),
+    argument("recording", type=Path, metavar="RECORDING", help="a .urlog, a .csv or a bundle"),
     argument("--like", metavar="FILE", help="the arm, as urlink identify wrote it"),
     argument("--model", metavar="NAME", help="arm, if neither --like nor the recording says it"),
     argument("--tolerance", type=seconds, default=0.01, metavar="S", help="by which a movement may take longer (0.01)"),
@@ -104,13 +105,15 @@ def compare(args: argparse.Namespace) -> int:
       urlink compare run.csv --model UR3e
       urlink compare run.urlog --like arm.json --tolerance 0.005
     """
+    from ..acceptance.bundle import recording_in
     from ..arm_file import ArmFile, read_arm_file
     from ..identification.comparison import QUANTITIES
     from ..identification.comparison import compare as compared
     from ..identification.identified import identify
     from ..identification.samples import read_samples
 
-    samples = read_samples(args.recording)
+    with recording_in(args.recording) as path:
+        samples = read_samples(path)
     if args.like is not None:
         like = read_arm_file(args.like)
     else:
@@ -134,7 +137,7 @@ def compare(args: argparse.Namespace) -> int:
 @command(
     "identify",
     "what a recording tells of its arm",
-    argument("recording", metavar="RECORDING", help="a .urlog or a .csv"),
+    argument("recording", type=Path, metavar="RECORDING", help="a .urlog, a .csv or a bundle"),
     argument("--model", metavar="NAME", help="arm, if the recording does not say it"),
     argument("--out", metavar="FILE", help="write what was found, for sim://...?like=FILE"),
     argument("--json", action="store_true", help="one object a line: name, joint, value, low, high, needs"),
@@ -145,18 +148,20 @@ def run(args: argparse.Namespace) -> int:
     recording does not tell says which motion would. The file that --out writes makes the simulator that arm:
     sim://ur5e?like=arm.json.
 
-    RECORDING is a file of `urlink record` (the real-time interface, or RTDE with the targets of the joints), or a
-    table of RTDE variables as `urlink rtde --csv` prints it.
+    RECORDING is a file of `urlink record` (the real-time interface, or RTDE with the targets of the joints), a table
+    of RTDE variables as `urlink rtde --csv` prints it, or a bundle of `urlink accept` (.zip) with its stage 3.
 
     examples:
       urlink identify run.urlog --out arm.json
       urlink identify run.csv --model UR3e
       urlink identify run.urlog --json
     """
+    from ..acceptance.bundle import recording_in
     from ..identification.identified import identify
     from ..identification.samples import read_samples
 
-    found = identify(read_samples(args.recording), args.model)
+    with recording_in(args.recording) as path:
+        found = identify(read_samples(path), args.model)
     if args.out is not None:
         found.write(args.out)
         tell(f"sim://{found.model.lower().replace(' ', '')}?like={args.out} is this arm")

@@ -19,6 +19,7 @@ from urlink.acceptance.requirements import requirements
 from urlink.acceptance.stages import run
 from urlink.acceptance.swinging import swing
 from urlink.arm_file import ArmFile, Estimate
+from urlink.cli import main
 from urlink.models import MODELS
 from urlink.simulator import Controller
 
@@ -78,6 +79,19 @@ def test_a_replay_gives_the_same_page_byte_for_byte(logbook: Path, tmp_path: Pat
             pages.append(as_text(bundle.evidence, judge(bundle.evidence, bundle.requirements), {}, bundle.digest))
     assert pages[0] == pages[1]
     assert "explained by masses and rotors" in pages[0]
+
+
+@pytest.mark.slow
+def test_a_bundle_is_identified_as_its_recording_is(
+    logbook: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pack(logbook, tmp_path / "run.zip", requirements(), {})
+    printed = []
+    for path in (logbook, tmp_path / "run.zip"):
+        assert main(["identify", str(path), "--model", "UR5"]) == 0
+        printed.append(capsys.readouterr().out)
+    assert printed[0] == printed[1]
+    assert "rotor_inertia 3" in printed[0]
 
 
 @pytest.mark.slow
