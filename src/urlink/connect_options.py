@@ -10,7 +10,7 @@ from dataclasses import KW_ONLY, dataclass, field
 from typing import Literal, ParamSpec, TypeVar, get_args
 
 from linkcore.arguments import check_choice, check_number
-from linkcore.errors import BadValue, ConnectFailed
+from linkcore.errors import BadValue, RemoteError
 from linkcore.streaming.connection_life import Backoff
 
 from .address import Address, RecordingAddress, parse_address
@@ -109,7 +109,7 @@ def _taking(
             signature.bind(*arguments, **named)  # whose TypeError does not name the class
             try:
                 return function(options(*arguments, **named))
-            except ConnectFailed as error:
+            except RemoteError as error:
                 # Without the frames and the error of the operating system below: the message has what they have.
                 raise error.with_traceback(None) from None
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 import threading
 import time
 import traceback
@@ -194,6 +195,12 @@ def test_close_is_idempotent_and_quick(controller: Controller) -> None:
         robot.realtime.wait(1)
 
 
+def frames(caught: pytest.ExceptionInfo[BaseException]) -> int:
+    """How many frames a traceback shows, those of causes included."""
+    shown = traceback.format_exception(caught.type, caught.value, caught.tb)
+    return sum(line.startswith("  File ") for line in shown)
+
+
 def test_nobody_there() -> None:
     with Controller() as controller:
         ports = dict(controller.ports)
@@ -202,14 +209,21 @@ def test_nobody_there() -> None:
     first = f"^cannot connect to 127.0.0.1:{ports['primary']}: connection refused"
     with pytest.raises(urlink.ConnectFailed, match=first) as caught:
         urlink.connect(f"ur://127.0.0.1?{query}", timeout=2)
-    shown = traceback.format_exception(caught.type, caught.value, caught.tb)
-    assert sum(line.startswith("  File ") for line in shown) == 2  # here, and in `connect`
+    assert frames(caught) == 2  # here, and in `connect`
 
     async def connected() -> None:
         await urlink.connect_async(f"ur://127.0.0.1?{query}", timeout=2)
 
     with pytest.raises(urlink.ConnectFailed, match=first):
         asyncio.run(connected())
+
+
+def test_nobody_answers() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        where = f"127.0.0.1?primary={server.getsockname()[1]}"
+        with pytest.raises(urlink.LinkTimeout, match="sent nothing within 1 s") as caught:
+            urlink.connect(f"ur://{where}", timeout=1)
+    assert frames(caught) == 2  # here, and in `connect`
 
 
 def test_bad_arguments() -> None:
