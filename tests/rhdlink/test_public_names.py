@@ -6,6 +6,7 @@ import inspect
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -86,10 +87,15 @@ def test_a_name_is_in_one_place() -> None:
     assert sorted(names) == sorted(set(names))
 
 
-def test_every_error_is_in_rhdlink() -> None:
-    places = [getattr(rhdlink, module) for module in MODULES]
-    held = [getattr(place, name) for place in places for name in vars(place)["__all__"]]
-    assert [each for each in held if inspect.isclass(each) and issubclass(each, BaseException)] == []
+def errors(*places: object) -> list[str]:
+    held = {name: getattr(place, name) for place in places for name in vars(place)["__all__"]}
+    return [name for name, each in held.items() if inspect.isclass(each) and issubclass(each, BaseException)]
+
+
+def test_every_error_is_in_rhdlink_and_on_the_page() -> None:
+    assert errors(*(getattr(rhdlink, module) for module in MODULES)) == []
+    page = (Path(__file__).parents[2] / "docs" / "errors.md").read_text(encoding="utf-8")
+    assert [name for name in errors(rhdlink) if name not in page] == []
 
 
 def test_each_is_there_and_says_what_it_is() -> None:
