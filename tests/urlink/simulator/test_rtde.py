@@ -258,6 +258,21 @@ def test_any_frequency_is_taken_or_refused(frequency: float) -> None:
     assert (recipe, types) == (int(0.0 < frequency < math.inf), ["DOUBLE"])
 
 
+def test_what_was_due_in_a_cycle_that_was_left_out_comes_with_the_next_one() -> None:
+    """A server that is far too late sends few cycles, and a client that is seldom due would never be in one of them."""
+    here = controller()
+    peer = Peer(here)
+    peer.outputs("timestamp", frequency=10)
+    peer.start()
+    came = []
+    for cycles in (49, 2, 1, 47, 1, 120, 29, 1):
+        here.step(cycles)
+        here.rtde.packets(here.cycle)
+        came.append(len(peer.data()))
+    #       49 51 52 99 100 220 249 250
+    assert came == [0, 1, 0, 0, 1, 1, 0, 1]
+
+
 def test_many_clients_each_with_their_own_frequency() -> None:
     sim = controller()
     peers = [Peer(sim, protocol) for protocol in (1, 2, 2, 2)]

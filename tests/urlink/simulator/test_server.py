@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import pytest
@@ -20,7 +20,7 @@ from tests.waiting import until
 from urlink.interfaces.enums import SafetyMode
 from urlink.interfaces.primary.robot_message import RobotCommMessage, SafetyModeMessage, VersionMessage
 from urlink.interfaces.realtime.packets import RealtimeState
-from urlink.simulator import PORTS, Controller, Still
+from urlink.simulator import PORTS, Controller, Reaction, Setpoint, Still
 from urlink.simulator.ports.port import LONGEST_LINE
 from urlink.simulator.robot.signals import ToolCommunication
 
@@ -438,6 +438,28 @@ def test_after_long_ones_old_packets_are_not_sent(starved: tuple[Controller, Clo
     clock.now += 1.5001
     assert times(link, 501) == pytest.approx([0.5 + 0.002 * n for n in range(501)], abs=1e-9)
     assert (controller.cycle, controller.counters.skipped) == (750, 249)
+
+
+class Slow:
+    """A scene that needs 5 ms for a cycle of 2 ms."""
+
+    def advance(self, setpoint: Setpoint, pose: Sequence[float], seconds: float) -> Reaction:
+        time.sleep(0.005)
+        return Reaction((0.0,) * 6)
+
+
+@pytest.mark.parametrize("port", ["primary", "secondary"])
+def test_a_controller_slower_than_real_time_goes_silent_on_no_port(port: str, connect: Connect) -> None:
+    with Controller("UR5e", "5.11") as controller:
+        link = connect(controller, port)
+        controller.world.scene = Slow()
+        came = []
+        while len(came) < 40:
+            if link.packet()[4] == 16:
+                came.append(time.monotonic())
+        assert controller.counters.skipped > 100
+    # 50 cycles lie between two states; which is sent is looked at every 20 ms.
+    assert max(after - before for before, after in itertools.pairwise(came[1:])) < 50 * 0.005 + 0.05
 
 
 def test_after_sleeping_the_clock_is_set_anew(starved: tuple[Controller, Clock], connect: Connect) -> None:

@@ -110,9 +110,10 @@ class Port(Protocol):
         """The first cycle after this one with packets for all clients; None if that is not known."""
 
     def packets(self, cycle: int) -> list[bytes]:
-        """The packets for all clients in this cycle. Called once in each cycle, while a client is connected.
+        """The packets for all clients that have become due since the last call, as of this cycle.
 
-        If clients are sent different packets, the port sends them itself, and returns none.
+        Called in each cycle while a client is connected, but for those that are far too late. If clients are sent
+        different packets, the port sends them itself, and returns none.
         """
 
     def skip(self) -> None:

@@ -50,12 +50,6 @@ class StatePackages:
         rate = self._state.firmware.rate
         return -(-(cycle * STATE_RATE // rate + 1) * rate // STATE_RATE)
 
-    def packets(self, cycle: int) -> list[bytes]:
-        """The state, if one is sent in this cycle."""
-        if self.next_cycle(cycle - 1) != cycle:
-            return []
-        return [self.of_cycle(cycle)]
-
     def of_cycle(self, cycle: int) -> bytes:
         """The state of this cycle, the same bytes for both interfaces."""
         if self._made[0] != cycle:
@@ -113,6 +107,8 @@ class SecondaryPort:
         self.receiver = receiver
         self._state = state
         self._states = states
+        # The latest cycle in which a client was sent what was due.
+        self._served: int | None = None
 
     def is_offered(self) -> bool:
         return True
@@ -124,10 +120,11 @@ class SecondaryPort:
         return self._states.next_cycle(cycle)
 
     def packets(self, cycle: int) -> list[bytes]:
-        return self._states.packets(cycle)
+        since, self._served = cycle - 1 if self._served is None else self._served, cycle
+        return [self._states.of_cycle(cycle)] if self._states.next_cycle(since) <= cycle else []
 
     def skip(self) -> None:
-        return None
+        self._served = None
 
 
 class PrimaryPort(SecondaryPort):
@@ -145,6 +142,7 @@ class PrimaryPort(SecondaryPort):
         return [*states, *messages]
 
     def skip(self) -> None:
+        super().skip()
         self._state.outbox.take()
 
 

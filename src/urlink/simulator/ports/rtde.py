@@ -191,7 +191,7 @@ class RtdeSession:
         self._outputs: _Outputs | None = None
         self._inputs: dict[int, Recipe] = {}
         self._requests = 0
-        self._started = 0
+        self._started = self._due = 0  # cycles
         self._unread_since: int | None = None
         self._late: deque[tuple[int, bytes]] = deque()
         self._answers: dict[type[State], Callable[[Any], bytes | None]] = {
@@ -321,6 +321,7 @@ class RtdeSession:
     def _start(self, request: StartRequest) -> bytes:
         is_accepted = self._outputs is not None and not self._port.disturbance.refuses_start
         self.is_started, self._started = is_accepted, self._state.cycle
+        self._due = self._next_data(self._started)
         if is_accepted and self._port.disturbance.data_before_start:
             self._send_data()
         return self._reply(StartReply, accepted=is_accepted)
@@ -363,16 +364,20 @@ class RtdeSession:
         """The first cycle after this one in which something is due."""
         if self._late:
             return cycle + 1
+        return self._next_data(cycle)
+
+    def _next_data(self, cycle: int) -> int:
         step = self._outputs.step if self._outputs is not None else 1
         return cycle + step - (cycle - self._started) % step
 
     def advance(self, cycle: int) -> None:
-        """Send what is due in this cycle."""
+        """Send what has become due by this cycle."""
         while self._late and self._late[0][0] <= cycle:
             self._client.send(self._late.popleft()[1])
         outputs = self._outputs
-        if not self.is_started or outputs is None or (cycle - self._started) % outputs.step:
+        if not self.is_started or outputs is None or cycle < self._due:
             return
+        self._due = self._next_data(cycle)
         if self._port.disturbance.sends_no_data:
             return
         if self._client.pending:
