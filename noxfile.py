@@ -159,7 +159,7 @@ ADAPTERS: dict[str, tuple[str, tuple[str, ...]]] = {
     "mqtt": ("", ()),
     "prometheus": ("", ()),
     "rr": ("", ()),
-    "ros2": ("[pypi]", ROS_GENERATORS),
+    "ros2": ("[pypi]", ("-e", "./adapters/mujoco", *ROS_GENERATORS)),
     "zenoh": ("", ("jsonschema",)),
 }
 

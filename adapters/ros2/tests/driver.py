@@ -24,7 +24,7 @@ from rclpy.action import ActionClient
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool, Float64, Float64MultiArray, String
+from std_msgs.msg import Bool, Float64, Float64MultiArray, String, UInt32
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectoryPoint
 
@@ -69,6 +69,7 @@ def listen(node: Any, duration: str, namespace: str = "") -> None:
         (String, "io_and_status_controller/safety_mode", lambda m: m.data, latched),
         (String, "io_and_status_controller/refusal", lambda m: m.data, latched),
         (Bool, "io_and_status_controller/robot_program_running", lambda m: m.data, latched),
+        (UInt32, "io_and_status_controller/digital_outputs", lambda m: m.data, latched),
     ):
         if only_joints:
             break
@@ -186,6 +187,7 @@ def follow(node: Any, goal: str, when: str = "", namespace: str = "") -> None:
         code=found.result.error_code,
         text=found.result.error_string,
         feedback=len(told),
+        early=sum(seconds(each.desired.time_from_start) == 0.0 for each in told),
         stamp=seconds(message.trajectory.header.stamp),
         names=list(told[-1].joint_names) if told else None,
         actual=list(told[-1].actual.positions) if told else None,

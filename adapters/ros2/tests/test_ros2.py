@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import signal
 import subprocess
@@ -10,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -19,6 +21,7 @@ import pytest
 
 import urlink
 from tests.waiting import until
+from urlink.kinematics import Arm
 from urlink.simulator import Controller
 from urlink_ros2 import JOINT_NAMES
 from urlink_ros2 import serve as serve_nodes
@@ -82,8 +85,9 @@ def test_a_node_reads_a_robot(robot: urlink.Robot, drive: Drive) -> None:
     assert names == list(JOINT_NAMES)
     assert position == pytest.approx(START, abs=1e-2)
     assert len(effort) == 6
-    # In Python, seven topics at 500 Hz are more than a busy machine has time for; `benchmark.py` has figures.
-    assert heard["rate"] > 100.0
+    # In Python, seven topics at 500 Hz are more than a busy machine has time for; `benchmark.py` has figures. Of 50 Hz,
+    # as below, there would be fewer.
+    assert heard["rate"] > 60.0
     state = robot.realtime.wait()
     assert heard["last"]["pose"] == pytest.approx(state.tool_vector_actual[[0, 2]], abs=1e-2)
     assert 0.0 <= heard["last"]["speed_scaling"] <= 100.0
@@ -162,7 +166,7 @@ def test_a_goal_begins_at_its_stamp(robot: urlink.Robot, drive: Drive) -> None:
         assert (done["status"], done["code"]) == (4, 0)
         # In the simulator the arm needs a while for its first thousandth of a rad/s, so this is no luck.
         assert done["stamp"] < min(moved) < done["stamp"] + 20.0
-        assert done["feedback"] > 20 + 20  # also before
+        assert done["early"] > 5  # feedback also before; 20 a second where the machine has time
         moved.clear()
         # Over before now: rejected. In the midst of it, and the arm is elsewhere: refused. And where it is: followed.
         assert drive("follow", goal((0.0, FAR), (1.0, START), stamp=-2.0)) == {"accepted": False}
@@ -476,3 +480,75 @@ def test_the_arm_is_described(robot: urlink.Robot, drive: Drive) -> None:
     assert said["robot"]
     assert said["joints"] >= 6
     assert zeroed["success"], zeroed["message"]
+
+
+#: A box of 5 cm on a table, by the adapter for MuJoCo, whose gripper is the one of the controller.
+TABLE = Path(__file__).parents[2] / "mujoco" / "tests" / "table.xml"
+TCP = (0.0, 0.0, 0.145, 0.0, 0.0, 0.0)
+
+#: What moves the gripper of a UR over ROS 2 without a node of its own: a script that speaks with its URCap. When its
+#: fingers rest, it says so by an output; by the first one, whether something is between them.
+GRIP = """def grip():
+  def set(name, value):
+    socket_set_var(name, value, "gripper")
+    socket_read_byte_list(3, "gripper")    # its "ack"
+  end
+  socket_open("127.0.0.1", 63352, "gripper")
+  set("ACT", 1)
+  while socket_get_var("STA", "gripper") != 3:
+    sleep(0.1)
+  end
+  set("GTO", 1)
+  set("POS", {position})
+  sleep(0.1)
+  while socket_get_var("OBJ", "gripper") == 0:
+    sleep(0.1)
+  end
+  set_standard_digital_out(0, socket_get_var("OBJ", "gripper") == 2)
+  set_standard_digital_out({done}, True)
+end
+"""
+
+
+@pytest.mark.skipif(find_spec("urlink_mujoco") is None, reason="the adapter for MuJoCo is not installed")
+@pytest.mark.urlink(scene=TABLE)
+def test_a_box_is_grasped_and_put_elsewhere(
+    urlink_robot: urlink.Robot, urlink_controller: Controller, drive: Drive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # MuJoCo, the arm, the node and its client share a machine here: a client that is late is not lost.
+    monkeypatch.setattr("urlink_ros2.following._SILENT", 20.0)
+    q = urlink_robot.realtime.wait().q_target
+    scene: Any = urlink_controller.world.scene
+
+    def go(*places: tuple[float, float, float]) -> None:
+        nonlocal q
+        points: list[tuple[float, list[float]]] = []
+        for place in places:
+            q = Arm("UR5e").inverse([*place, math.pi, 0.0, 0.0], tcp=TCP, near=q)
+            points.append((2.0 + 0.5 * len(points), q.tolist()))
+        done = drive("follow", goal(*points))
+        assert (done["status"], done["code"]) == (4, 0), done["text"]
+
+    def grip(position: int, done: int) -> bool:
+        """Whether something is held once the fingers rest."""
+        drive("send", "urscript_interface/script_command", json.dumps(GRIP.format(position=position, done=done)), "0")
+        outputs = 0
+
+        def rests() -> bool:
+            nonlocal outputs
+            outputs = drive("listen", "0.5")["last"]["digital_outputs"]
+            return bool(outputs & 1 << done)
+
+        until(rests)
+        return bool(outputs & 1)
+
+    with serve({"arm": urlink_robot}, rate=50.0):
+        assert not grip(0, 1)
+        go((-0.45, 0.2, 0.15), (-0.45, 0.2, 0.085), (-0.45, 0.2, 0.025))
+        assert grip(255, 2)
+        go((-0.45, 0.2, 0.15), (-0.5, 0.0, 0.15), (-0.55, -0.2, 0.15))
+        assert scene.world.pose("box")[:3] == pytest.approx((-0.55, -0.2, 0.15), abs=0.01)
+        go((-0.55, -0.2, 0.085), (-0.55, -0.2, 0.026))
+        assert not grip(0, 3)
+        go((-0.55, -0.2, 0.15))
+    assert scene.world.pose("box")[:3] == pytest.approx((-0.55, -0.2, 0.025), abs=0.005)

@@ -3,8 +3,8 @@
 Deadlines are absolute: cycle k is due k periods after the start, however late the one before was. A thread without
 processor time catches up cycle by cycle, and the packets of these cycles are still sent, as by a network with a delay;
 packets that are more than `LATEST` late are counted instead, and with the next cycle that is sent come those that have
-become due meanwhile. After `ASLEEP` the clock is set again. So clients of a slow simulator see late and missing packets,
-but only one clock, and no port that is silent.
+become due meanwhile. After `ASLEEP` the clock is set again. So clients of a slow simulator see late and missing
+packets, but only one clock, and no port that is silent.
 """
 
 from __future__ import annotations

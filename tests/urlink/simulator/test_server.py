@@ -453,7 +453,7 @@ def test_a_controller_slower_than_real_time_goes_silent_on_no_port(port: str, co
     with Controller("UR5e", "5.11") as controller:
         link = connect(controller, port)
         controller.world.scene = Slow()
-        came = []
+        came: list[float] = []
         while len(came) < 40:
             if link.packet()[4] == 16:
                 came.append(time.monotonic())
