@@ -501,11 +501,17 @@ def test_serve_from_the_command_line(router: zenoh.Session, endpoint: str, sessi
         assert robots(session) == ["left", "right"]
         with RemoteRobot(session, "right") as remote:
             assert remote.info["model"] == "UR10"
-        gone = threading.Event()
-        session.liveliness().declare_subscriber("urlink/v1/left/alive", lambda _: gone.set())
+        there, gone = threading.Event(), threading.Event()
+
+        def note(sample: zenoh.Sample) -> None:
+            (there if sample.kind == zenoh.SampleKind.PUT else gone).set()
+
+        session.liveliness().declare_subscriber("urlink/v1/left/alive", note, history=True)
+        # The router knows of the subscriber, and will tell it.
+        assert there.wait(20.0)
         process.send_signal(signal.SIGTERM)
         assert process.wait(10.0) == 128 + signal.SIGTERM
-        assert gone.wait(5.0)
+        assert gone.wait(20.0)
     finally:
         process.kill()
         process.communicate()
