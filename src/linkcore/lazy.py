@@ -41,9 +41,16 @@ def lazy_names(
     of_package = modules.split()
     elsewhere = {name: module for module, names in (moved or {}).items() for name in names.split()}
 
+    def imported(module: str) -> Any:
+        try:
+            return import_module(module, package)
+        except AttributeError as error:
+            # Python takes that for a name which is not there, and `from package import name` does not show why.
+            raise ImportError(f"{module} of {package} cannot be imported: {error}") from error
+
     def get(name: str) -> Any:
         if name in of_package:
-            return import_module(f".{name}", package)  # which makes it an attribute of the package
+            return imported(f".{name}")  # which makes it an attribute of the package
         if name in elsewhere:
             raise AttributeError(f"{package}.{name} is {elsewhere[name]}.{name}")
         if name not in home:
@@ -51,7 +58,7 @@ def lazy_names(
 
             hint = "" if name.startswith("_") else similar(name, [*public, *of_package])
             raise AttributeError(f"module {package!r} has no attribute {name!r}{hint}")
-        value = getattr(import_module(home[name], package), name)
+        value = getattr(imported(home[name]), name)
         setattr(sys.modules[package], name, value)  # from now on it is found without asking here
         return value
 

@@ -80,6 +80,21 @@ def test_no_public_name_is_that_of_a_module(package: ModuleType) -> None:
     assert modules & set(package.__all__) == set()
 
 
+def test_an_attribute_error_inside_of_a_module_is_shown(
+    package: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It would otherwise be taken for a name that is not there."""
+    (tmp_path / "broken_module.py").write_text("import math\nmath.sine(1.0)\nName = 1\n", encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    get, _, _ = lazy_names("made", {"broken_module": "Name"})
+    monkeypatch.setattr(package, "__getattr__", get)
+    message = "^broken_module of made cannot be imported: module 'math' has no attribute 'sine'$"
+    with pytest.raises(ImportError, match=message):
+        exec("from made import Name", {})
+    with pytest.raises(ImportError, match=message):
+        hasattr(package, "Name")
+
+
 def test_a_name_that_has_moved_names_its_place() -> None:
     get, names, public = lazy_names("made", {"json": "loads"}, moved={"made.others": "Other Third"})
     with pytest.raises(AttributeError, match=r"^made\.Other is made\.others\.Other$"):

@@ -91,7 +91,8 @@ class Subcommand(NamedTuple):
 
     def declare(self, subparsers: Any) -> None:
         """Add its parser to those of the program; `subparsers` is of a class that is argparse's own."""
-        text = (inspect.getdoc(self.run) or "").replace("{program}", subparsers._prog_prefix)
+        text = inspect.getdoc(self.run) or "No more help: this Python runs without docstrings (option -OO)."
+        text = text.replace("{program}", subparsers._prog_prefix)
         description, heading, examples = text.partition("\n\nexamples:\n")
         if self.listing is not None:
             description += f"\n{self.listing()}"

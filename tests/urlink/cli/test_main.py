@@ -8,6 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from linkcore.cli.options import Subcommand
+from urlink.cli import info
+
 from .conftest import Run, write
 
 COMMANDS = (
@@ -50,6 +53,16 @@ def test_help_of_each_command_ends_in_examples(run: Run, command: str) -> None:
     assert all(example.startswith((f"  urlink {command}", "  echo ")) for example in examples)
     assert all(f" urlink {command}" in example for example in examples)
     assert max(map(len, out.splitlines())) <= 115
+
+
+def test_help_where_python_runs_without_docstrings(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`python -OO` drops the docstrings, which are the help of the commands."""
+    (row,) = (each for each in vars(info).values() if isinstance(each, Subcommand))
+    monkeypatch.setattr(row.run, "__doc__", None)
+    status, out, _ = run("info", "--help")
+    assert status == 0
+    assert "\nNo more help: this Python runs without docstrings (option -OO).\n" in out
+    assert "--json" in out
 
 
 def test_the_module_of_one_command_is_imported(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
