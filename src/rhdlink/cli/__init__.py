@@ -16,7 +16,7 @@ _COMMANDS = {
     "vars": "values",
     "get": "values",
     "set": "values",
-    "watch": "watch",
+    "watch": "values",
     "record": "recordings",
     "replay": "recordings",
     "export": "recordings",

@@ -1,24 +1,29 @@
-"""`rhdlink vars`, `get` and `set`: read or write the variables of a robot once."""
+"""`rhdlink vars`, `get`, `set` and `watch`: the variables of a robot, once or live."""
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import re
+import time
 from collections.abc import Collection, Iterable
 
-from linkcore.cli.options import argument, command, seconds
-from linkcore.cli.terminal import Interruption
+from linkcore.cli.options import DURATION, argument, command, positive_int, seconds
+from linkcore.cli.terminal import Interruption, drawing
+from linkcore.clock import Stamp
+from linkcore.streaming.packet_queue import PacketQueue, drop_oldest
 from linkcore.text import printable, strict_json
 
 from ..client import Variables, connect
 from ..errors import NotThere
+from ..sync_thread import SyncThread
+from ..variables.snapshot import Update
 from .options import ADDRESS, tell
-from .units import TYPES, as_columns, as_json, in_units, typed, words_of, words_text
+from .units import TYPES, as_columns, as_json, in_units, typed, update_as_json, words_of, words_text
+from .view import RateCounter, View, ViewPanel
 
-__all__ = ["check_names"]
 
-
-def check_names(names: Iterable[str], robot: Variables | Collection[str], where: str) -> None:
+def _check_names(names: Iterable[str], robot: Variables | Collection[str], where: str) -> None:
     """Raise `NotThere` for names that are no variables."""
     missing = [name for name in names if name not in robot]
     if missing:
@@ -91,7 +96,7 @@ def _get(args: argparse.Namespace) -> int:
     """
     with connect(args.address, timeout=args.timeout) as robot:
         by_name = {variable.name: variable for variable in reversed(robot.variables)}
-        check_names(args.names, by_name, robot.address)
+        _check_names(args.names, by_name, robot.address)
         for name in args.names:
             variable = by_name[name]
             words = words_of(variable.value)
@@ -140,3 +145,94 @@ def _set(args: argparse.Namespace) -> int:
             while not interruption.is_over:
                 robot.sync()
     return interruption.status
+
+
+@command(
+    "watch",
+    "watch variables live",
+    *ADDRESS,
+    argument("names", metavar="NAME", nargs="*", help="watch only these variables", trailing=True),
+    argument("--period", type=seconds, metavar="S", help="seconds between syncs (every tick of the robot)"),
+    argument("--plain", action="store_true", help="plain lines, one a second, also on a terminal"),
+    argument("--json", action="store_true", help="one JSON object a line, for each sync that set a variable"),
+    argument("--count", type=positive_int, metavar="N", help="end after N lines (never)"),
+    DURATION,
+)
+def _watch(args: argparse.Namespace) -> int:
+    """Watch variables live: their words, their meaning if their names are conventional ones, and how often per
+    second each is set. It connects as a reader, so the robot's master is not disturbed.
+
+    On a terminal the view is drawn ten times a second; elsewhere it is one line a second, as with --plain.
+    When the connection is lost the view says LOST, and goes on as soon as the robot is back. With --json each
+    sync that set a variable is one object: what was set, by name, and when it came.
+
+    examples:
+      rhdlink watch localhost
+      rhdlink watch smr12 encl encr linesensor --plain
+      rhdlink watch localhost transpos rotpos --json --count 100
+    """
+    with connect(args.address, timeout=args.timeout) as robot:
+        _check_names(args.names, robot, robot.address)
+        with Interruption(args.duration) as interruption:
+            (_lines if args.json else _views)(robot, args, interruption)
+        return interruption.status
+
+
+def _check(sync_thread: SyncThread) -> None:
+    if sync_thread.failure is not None:
+        raise sync_thread.failure
+
+
+def _lines(robot: Variables, args: argparse.Namespace, interruption: Interruption) -> None:
+    """One JSON object for each update."""
+    queue = PacketQueue(drop_oldest(16384))
+    robot.subscribe(lambda update: queue.offer([update]), *args.names, policy=drop_oldest(16384))
+    sync_thread = robot.background(args.period)
+    shown = 0
+    while not interruption.is_over:
+        update: Update | None = queue.next(0.05)
+        if update is None:
+            _check(sync_thread)
+            continue
+        print(strict_json(update_as_json(update)), flush=True)
+        shown += 1
+        if shown == args.count:
+            break
+    if queue.dropped:
+        tell(f"{queue.dropped} updates were dropped: the output was too slow for them")
+
+
+def _views(robot: Variables, args: argparse.Namespace, interruption: Interruption) -> None:
+    counter = RateCounter(time.monotonic())
+    robot.subscribe(counter.on_update, *args.names)
+    robot.subscribe_connection(counter.on_connection)
+    sync_thread = robot.background(args.period)
+    with drawing(args.plain, tell, _line, ViewPanel) as (draw, pause):
+        # The first view comes after the first syncs; before them there are only the values of the handshake.
+        interruption.wait(min(0.2, pause))
+        for shown in itertools.count(1):
+            is_over = interruption.is_over
+            _check(sync_thread)
+            draw(_view(robot, counter, frozenset(args.names)))
+            if is_over or shown == args.count:
+                break
+            interruption.wait(pause)
+
+
+def _view(robot: Variables, counter: RateCounter, names: frozenset[str]) -> View:
+    now = Stamp.now().monotonic
+    rate, rates = counter.rates(now)
+    return View(
+        robot=robot.address,
+        connection=robot.connection,
+        age=max(now - robot.received.monotonic, 0.0),
+        rate=rate,
+        rates=rates,
+        variables=[each for each in robot.variables if not names or each.name in names],
+        reconnects=robot.reconnects,
+        trouble=counter.trouble,
+    )
+
+
+def _line(view: View) -> str:
+    return view.as_line(time.strftime("%H:%M:%S"))
