@@ -22,7 +22,7 @@ from .logbook import Logbook
 from .moving import move
 from .person import Nobody, OfTheSimulator, Person, is_held_by
 from .standing import stand
-from .swinging import swing
+from .swings import swing
 
 __all__ = ["STAGES", "run"]
 

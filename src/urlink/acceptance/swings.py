@@ -1,4 +1,8 @@
-"""Checks of how the joints have swung in stage 3, and what that contradicts of the table of parameters."""
+"""Stage 3: one joint at a time swings about where it stands, and what that contradicts of the table of parameters.
+
+They swing as `urlink exercise` has them, for identification. Each joint is asked for by itself, with the box that the
+arm sweeps meanwhile. A guard stops whatever else moves.
+"""
 
 from __future__ import annotations
 
@@ -11,21 +15,25 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from linkcore.errors import BadRecording, BadValue
+from linkcore.errors import BadRecording, BadValue, Cancelled, LinkError
 
 from ..arm_file import MOTORS, ArmFile, Estimate
-from ..identification.identified import identify
+from ..firmware import Firmware
+from ..identification import identify
+from ..identification.exercise import BESIDE, SWING, Exercise, Guard, exercise, plan_from_here, slider_of
 from ..identification.samples import COLUMNS, Samples
+from ..interfaces.realtime.packets import RealtimeState
 from ..motors import joint_sizes
 from ..parameters import Parameter, numbers, parameters
+from ..robot import Robot
 from ..simulator.robot.robot_parameters import force_size
 from ..vectors import JOINTS, FloatArray
 from .arrivals import moments
 from .evidence import Evidence
+from .logbook import Logbook
 from .requirements import Check, Measured, NotTried
-from .swinging import step_of
 
-__all__ = ["SWINGS", "contradictions", "rows_of"]
+__all__ = ["SWINGS", "contradictions", "rows_of", "swing"]
 
 #: A row of one arm that gives no interval, and is not of joints that were measured, is taken within this factor: the
 #: widest that such a row names in its source.
@@ -37,7 +45,61 @@ _ROUNDING = 1e-6
 #: What is left of a fit is rounded to this many digits, below which it differs from one computer to another.
 _DIGITS = 9
 
+_SHOWS_ARM = Firmware(3, 0)
+
 Span = tuple[float, float]
+
+
+def _step_of(joint: int) -> str:
+    """The name of the step in which a joint swings: "swing-wrist-1"."""
+    return f"swing-{JOINTS[joint].replace(' ', '-')}"
+
+
+def swing(robot: Robot, book: Logbook, is_held: Callable[[RealtimeState], bool], consent: Callable[[str], str]) -> None:
+    """Let each joint swing that may; none swings after one that was stopped.
+
+    Args:
+        robot: connected within the logbook, running, in remote control where there is such a thing.
+        book: in which it is written down.
+        is_held: whether the arm may move, by a state.
+        consent: asked before each joint with what it does; returns why it may not, or "".
+
+    Raises:
+        Cancelled: the guard has stopped the arm, the dead man's input is not held at the beginning, or a motion failed.
+        LinkError: the arm is not known, or a joint would leave its limits.
+    """
+    if robot.firmware < _SHOWS_ARM:
+        book.note("swinging", skipped="this firmware does not say which arm it has")
+        return
+    slider = slider_of(robot)
+    start = robot.realtime.wait(5.0).q_target
+    book.note("swinging", start=start.tolist(), slider=slider)
+    for joint in range(6):
+        step = _step_of(joint)
+        planned = plan_from_here(robot, SWING, joint)
+        if refused := consent(_does(joint, planned, slider)):
+            book.note(step, event="end", skipped=refused)
+            continue
+        box = np.full(6, BESIDE)
+        box[joint] += SWING
+        guard = Guard(robot, box, is_held, lambda why: book.note("guard", why=why))
+        book.note(step, event="begin")
+        try:
+            exercise(robot, planned, guard)
+        except LinkError as error:
+            book.note(step, event="end", error=f"{type(error).__name__}: {error}")
+            raise Cancelled(f"the {JOINTS[joint]} did not swing: {guard.tripped or error}") from error
+        book.note(step, event="end", error=None)
+
+
+def _does(joint: int, planned: Exercise, slider: float) -> str:
+    pairs = zip("xyz", planned.low.tolist(), planned.high.tolist(), strict=True)
+    box = ", ".join(f"{axis} {low:.2f} to {high:.2f} m" for axis, low, high in pairs)
+    return (
+        f"moves the {JOINTS[joint]} alone, by {math.degrees(planned.swing):.0f} degrees to either side, in "
+        f"{planned.seconds / max(slider, 0.01):.0f} s; joints, the lines between them and the TCP stay within {box} of "
+        "the base frame, and the arm is thicker than these lines"
+    )
 
 
 def contradictions(found: Iterable[tuple[Parameter, Estimate]]) -> tuple[str, ...]:
@@ -85,7 +147,7 @@ class _Swings:
         began = evidence.last("swinging")
         if began is None or began.get("skipped"):
             raise NotTried("it did not begin" if began is None else began["skipped"])
-        said = {joint: evidence.said(step_of(joint)) for joint in range(6)}
+        said = {joint: evidence.said(_step_of(joint)) for joint in range(6)}
         self.spans: dict[int, Span] = {}
         for joint, notes in said.items():
             if len(notes) == 2 and notes[1].said["error"] is None:

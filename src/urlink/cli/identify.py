@@ -107,9 +107,9 @@ def compare(args: argparse.Namespace) -> int:
     """
     from ..acceptance.bundle import recording_in
     from ..arm_file import ArmFile, read_arm_file
+    from ..identification import identify
     from ..identification.comparison import QUANTITIES
     from ..identification.comparison import compare as compared
-    from ..identification.identified import identify
     from ..identification.samples import read_samples
 
     with recording_in(args.recording) as path:
@@ -157,7 +157,7 @@ def run(args: argparse.Namespace) -> int:
       urlink identify run.urlog --json
     """
     from ..acceptance.bundle import recording_in
-    from ..identification.identified import identify
+    from ..identification import identify
     from ..identification.samples import read_samples
 
     with recording_in(args.recording) as path:

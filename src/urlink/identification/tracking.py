@@ -10,7 +10,7 @@ from ..arm_file import Estimate
 from ..motors import FULL_SPEED
 from ..parameters import number
 from ..vectors import FloatArray
-from .estimates import fit
+from .joints import fit
 from .samples import Samples
 
 __all__ = ["clock_drift", "noise", "start_rate", "tracking_lag"]

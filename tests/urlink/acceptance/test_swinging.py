@@ -17,7 +17,7 @@ from urlink.acceptance.logbook import Logbook
 from urlink.acceptance.report import Verdict, as_text, judge
 from urlink.acceptance.requirements import requirements
 from urlink.acceptance.stages import run
-from urlink.acceptance.swinging import swing
+from urlink.acceptance.swings import swing
 from urlink.arm_file import ArmFile, Estimate
 from urlink.cli import main
 from urlink.models import MODELS

@@ -16,8 +16,8 @@ from tests.urlink.arms import calibrated
 from tests.urlink.identification.planted import COG, MODEL, MOTORS, PAYLOAD
 from urlink.arm_file import ArmFile, Estimate, read_arm_file
 from urlink.cli import main
+from urlink.identification import identify
 from urlink.identification.comparison import compare
-from urlink.identification.identified import identify
 from urlink.identification.samples import Samples, read_samples
 from urlink.kinematics import DhTable
 from urlink.simulator import Controller, Still

@@ -9,8 +9,7 @@ import pytest
 
 from tests.urlink.identification.planted import COG, MODEL, MOTORS, PAYLOAD, columns
 from urlink.arm_file import Estimate
-from urlink.identification.estimates import fit, of_ratio
-from urlink.identification.joints import JointFit, fit_joints
+from urlink.identification.joints import JointFit, fit, fit_joints, of_ratio
 
 TRIALS = 200
 
