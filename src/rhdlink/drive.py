@@ -14,7 +14,6 @@ from linkcore.threads import CallbackThread, started
 
 from .smrcl.controller import MissionController
 from .smrcl.execution import Callbacks, MissionExecution, error_of, leaving_at_exit
-from .smrcl.interpreter import Run
 from .smrcl.mission import Robot, suitable_conf
 from .smrcl.motion.basic import FollowDirection, Forward, Stop, Wheels
 from .smrcl.motion.control import ControlledMotion, MotionControl
@@ -22,6 +21,7 @@ from .smrcl.motion.following import FollowLine, FollowWall
 from .smrcl.motion.topoint import DriveToPoint
 from .smrcl.motion.turning import ArcTurn, Turn
 from .smrcl.odometry import Pose as Place
+from .smrcl.plan import Run
 from .smrcl.profile import Profile, find_profile
 from .smrcl.robot_conf import RobotConf
 from .smrcl.robot_link import open_link
@@ -354,7 +354,7 @@ class Drive:
     @property
     def _stands(self) -> bool:
         """It has no speed, and the robot has received that."""
-        return not self._vehicle.has_speed and self._execution.is_told
+        return not self._vehicle.outputs.has_speed and self._execution.is_told
 
     def close(self) -> None:
         """Have the robot stand, and drive it no more. Idempotent.

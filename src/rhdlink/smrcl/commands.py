@@ -14,8 +14,8 @@ from types import MappingProxyType
 
 from . import driving, effects, settings
 from .arithmetic import format_number
-from .interpreter import Outcome
 from .parser import FUNCTIONS, KEYWORDS
+from .plan import Outcome
 from .syntax import Operand, TextLiteral
 
 __all__ = ["COMMANDS", "MOST_PARAMETERS", "RESERVED", "ParameterKind", "ScriptCommand"]

@@ -25,10 +25,10 @@ from .commands import COMMANDS
 from .dialogue import ClientDialogue
 from .effects import Hook, MissionEffects
 from .expressions import LineFault
-from .interpreter import Failure, MissionLimits, Run, ScriptInterpreter
+from .interpreter import MissionLimits, ScriptInterpreter
 from .motion.topoint import NoWay
 from .outbox import Outbox, Said
-from .plan import MissionPlan, split_lines
+from .plan import Failure, MissionPlan, Run, split_lines
 from .profile import SOUND, Profile
 from .robot_conf import RobotConf
 from .vehicle import Vehicle
@@ -113,7 +113,7 @@ class MissionController:
             self.vehicle, self._outbox, COMMANDS, functions or {}, limits or MissionLimits()
         )
         self.effects = MissionEffects(self.vehicle, self.interpreter, self._outbox, self._outbox, hooks or {})
-        self.interpreter.effects = self.effects
+        self.interpreter.perform = self.effects.perform
         self._profile = profile
         self._program: CycleProgram | None = None
         self.failure: Failure | None = None
@@ -158,8 +158,8 @@ class MissionController:
 
     def first_request(self) -> dict[str, list[int]]:
         """The variables that are written before the first answer."""
-        self.vehicle.reset_motors()
-        return self.vehicle.take_changed()
+        self.vehicle.outputs.reset_motors()
+        return self.vehicle.outputs.take_changed()
 
     def step(self, raw: Mapping[str, Sequence[int]], time: float = 0.0) -> dict[str, list[int]]:
         """One cycle.
@@ -191,7 +191,7 @@ class MissionController:
         written = vehicle.stand() if self.is_held else self._act()
         self._supervise()
         self.effects.log.update()
-        if vehicle.is_told_to_stop:
+        if vehicle.functions.stop:
             if not isinstance(self._program, ClientDialogue) or self._program.exit_ends:
                 is_over = True
             elif self._program.run is not None:

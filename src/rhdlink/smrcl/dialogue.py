@@ -16,10 +16,10 @@ from dataclasses import dataclass
 
 from .arithmetic import format_number, leading_number
 from .effects import MissionEffects
-from .interpreter import ERROR, FREE_LINE, Failure, Run, ScriptInterpreter
+from .interpreter import ScriptInterpreter
 from .motion.basic import Stop
 from .outbox import Outbox
-from .plan import LONGEST_LINE, MissionPlan, PlanLine
+from .plan import ERROR, FREE_LINE, LONGEST_LINE, Failure, MissionPlan, PlanLine, Run
 from .vehicle import Vehicle
 
 __all__ = ["ClientDialogue", "Session"]
@@ -116,13 +116,11 @@ class Session:
 
     def command_event(self, number: int, status: str, condition: float | None = None) -> None:
         """The outcome of a command."""
-        if condition is None:
-            self.event(f"ID{number} {status}\n", f'<cmd id="{number}" status="{status}" />\n')
-        else:
+        plain, xml = f"ID{number} {status}", f'<cmd id="{number}" status="{status}"'
+        if condition is not None:
             found = format_number(condition)
-            self.event(
-                f"ID{number} {status} {found}\n", f'<cmd id="{number}" status="finished" stopcond="{found}" />\n'
-            )
+            plain, xml = f"{plain} {found}", f'<cmd id="{number}" status="finished" stopcond="{found}"'
+        self.event(f"{plain}\n", f"{xml} />\n")
 
     def answer_command(self, number: int, status: str) -> None:
         """The immediate answer to a command."""
@@ -276,7 +274,7 @@ class ClientDialogue:
         self._queue = deque(each for each in self._queue if each.session is not session)
         if self._current is not None and self._current.session is session:
             self._run = self._current = None
-            self._interpreter.leave_switch()
+            self._interpreter.skips = False
             self._vehicle.control.finish()
 
     @property
@@ -307,7 +305,7 @@ class ClientDialogue:
             self._go_on()
         if self._run is None:
             period = self._vehicle.control.parameters.period
-            self._vehicle.update_variables(self._vehicle.odometry.distance, self._cycles * period, self.time)
+            self._vehicle.variables.update(self._vehicle.odometry.distance, self._cycles * period, self.time)
         for session in self.sessions:
             session.end_cycle()
         return is_over
@@ -317,7 +315,7 @@ class ClientDialogue:
         run, current = self._run, self._current
         if run is not None and current is not None:
             run.failure, run.result = failure, ERROR
-            self._interpreter.leave_switch()
+            self._interpreter.skips = False
             self._finish(run, current)
         elif not self.failures or self.failures[-1] != failure:
             self.failures.append(failure)
@@ -346,7 +344,10 @@ class ClientDialogue:
         # The order matters, since only the beginning of the line is looked at: `planet` is a line of a plan.
         if line.startswith("exit"):
             session.send("ok\n")
-            self._leave(session)
+            if self.exit_ends:
+                self._is_ending = True
+            else:
+                self.disconnect(session)
         elif line.startswith("logoff"):
             session.send("ok\n")
             self.disconnect(session)
@@ -370,19 +371,14 @@ class ClientDialogue:
             self._effects.client = session
             self._interpreter.perform_aside(f"set   {line[6:]}")
         elif line.startswith("laserscan"):
-            session.send(self._laser_scan())
+            # 361 values of two bytes. No laser scanner is known here, and MRC sends zeros without one.
+            session.send("\0" * 722)
         elif line.startswith("flushcmds"):
             self._flush(session)
         elif self._effects.is_reading and self._current is not None and self._current.session is session:
             self._effects.take_input(line)
         else:
             self._enqueue(session, line)
-
-    def _leave(self, session: Session) -> None:
-        if self.exit_ends:
-            self._is_ending = True
-        else:
-            self.disconnect(session)
 
     def _enqueue(self, session: Session, line: str) -> None:
         session.commands += 1
@@ -395,7 +391,7 @@ class ClientDialogue:
     def _flush(self, session: Session) -> None:
         self._queue.clear()
         self._run = None
-        self._interpreter.leave_switch()
+        self._interpreter.skips = False
         if self._profile.flush_stops:
             self._vehicle.control.finish()
         current = self._current
@@ -416,10 +412,6 @@ class ClientDialogue:
             found += f'{line[place:end]}="{format_number(value)}" '
             place = end + 2
         return f"{found}/>\n"
-
-    def _laser_scan(self) -> str:
-        # 361 values of two bytes. No laser scanner is known here, and MRC sends zeros without one.
-        return "\0" * 722
 
     # -- plans ----------------------------------------------------------------------------------------
 
@@ -444,12 +436,11 @@ class ClientDialogue:
         session.send("ok\n")
 
     def _end_plan(self, session: Session, text: str) -> None:
-        lines = [] if session.recorded is None else session.recorded.lines
-        self.say("\n" + "".join(f"{line.text}\0" for line in lines) + f"endplan {text}\n")
+        plan = session.recorded or MissionPlan([])
+        self.say("\n" + "".join(f"{line.text}\0" for line in plan.lines) + f"endplan {text}\n")
         # MRC prints addresses; these count from the beginning of the plan.
-        size = sum(len(line.text) + 1 for line in lines)
-        labels = 0 if session.recorded is None else session.recorded.labels
-        self.say(f"start 0 end {size:x}  label 0 nlabels {labels}\n")
+        size = sum(len(line.text) + 1 for line in plan.lines)
+        self.say(f"start 0 end {size:x}  label 0 nlabels {plan.labels}\n")
         session.send("ok\n")
 
     def _delete_plan(self, name: str) -> None:

@@ -8,13 +8,14 @@ from collections.abc import Sequence
 from .arithmetic import format_number
 from .effects import MissionEffects
 from .expressions import LineFault
-from .interpreter import Outcome, never
+from .interpreter import never
 from .motion.basic import Align, FollowDirection, Forward, FunctionGenerator, Stop, Wheels
 from .motion.control import Standing
 from .motion.following import FollowLine, FollowWall, FollowWallTable
 from .motion.topoint import DriveToPoint
 from .motion.turning import ArcTurn, Clothoid, Turn
 from .odometry import Pose
+from .plan import Outcome
 from .sensors import LineKind
 
 
@@ -179,7 +180,7 @@ def reset_motors(effects: MissionEffects) -> Outcome:
             start = vehicle.odometry.pose.copy()
             effects.routine_result = start.x
             vehicle.control.start(Standing())
-            vehicle.reset_motors()
+            vehicle.outputs.reset_motors()
         if cycle < 6:
             return False
         effects.output.message("reset state2 \n")

@@ -13,9 +13,10 @@ from linkcore.errors import BadValue
 
 from .arithmetic import format_number, truncate
 from .expressions import LineFault, Value
-from .interpreter import Outcome, Output, Run, ScriptInterpreter, never
+from .interpreter import ScriptInterpreter, never
 from .motion.control import ControlledMotion
-from .outbox import DataLog, Recipient
+from .outbox import DataLog, Outbox, Recipient
+from .plan import Outcome, Run
 from .symbols import split_index
 from .vehicle import Vehicle
 
@@ -44,7 +45,7 @@ class Watch:
         """Whether it has risen in this cycle.
 
         Raises:
-            Fault: its condition cannot be computed.
+            LineFault: its condition cannot be computed.
         """
         value = interpreter.watch(self._conditions)
         has_risen = value > self._value
@@ -84,7 +85,7 @@ class MissionEffects:
         self,
         vehicle: Vehicle,
         interpreter: ScriptInterpreter,
-        output: Output,
+        output: Outbox,
         client: Recipient,
         hooks: Mapping[str, Hook],
     ) -> None:
@@ -109,7 +110,11 @@ class MissionEffects:
     def perform(
         self, command: ScriptCommand, parameters: Sequence[float | str], run: Run, conditions: Sequence[Value]
     ) -> Outcome:
-        """Execute a command, see `interpreter.Effects`."""
+        """Execute a command.
+
+        Raises:
+            LineFault: it cannot be executed.
+        """
         self.command, self.run, self.conditions = command, run, conditions
         return command.carry_out(self, *parameters)
 
@@ -155,7 +160,7 @@ class MissionEffects:
         if hook is not None:
             found = self.call_hook(hook, *parameters)
             try:
-                self.vehicle.provide(found or {})
+                self.vehicle.variables.provide(found or {})
             except (BadValue, TypeError, AttributeError) as error:
                 raise LineFault(f"the function for {name} returned no system variables: {error}") from error
         elif self.profile.needs_are_checked:
@@ -357,7 +362,7 @@ def ask_of_text(effects: MissionEffects, text: str) -> Outcome:
 def get(effects: MissionEffects, what: str, text: str = "") -> Outcome:
     """`get`: where a guide mark is."""
     if what == "guidemark":
-        effects.vehicle.provide({"guidemarkok": 0.0})
+        effects.vehicle.variables.provide({"guidemarkok": 0.0})
         return ask(effects, what, text)
     effects.reject_name(f'get knows no "{what}", only guidemark')
     return effects.at_once()

@@ -18,8 +18,8 @@ from ..errors import MissionFailed, MissionLimit
 from .commands import COMMANDS
 from .controller import MissionController
 from .effects import Hook
-from .interpreter import Failure
 from .outbox import Said, SaidKind
+from .plan import Failure
 from .robot_link import RobotLink
 
 if TYPE_CHECKING:
@@ -215,7 +215,7 @@ class MissionExecution:
                 elif name == "ir":
                     vehicle.see_distances(value)  # type: ignore[arg-type]
                 else:
-                    vehicle.provide({name: value})  # type: ignore[dict-item]
+                    vehicle.variables.provide({name: value})  # type: ignore[dict-item]
             except Exception as error:
                 raise MissionFailed(f"what provides {name!r} raised {type(error).__name__}: {error}") from error
 

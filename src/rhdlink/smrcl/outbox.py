@@ -101,7 +101,7 @@ class Outbox:
         if len(self._said) < _MOST:
             self._said.append(Said(kind, text, number, line))
 
-    # -- interpreter.Output -----------------------------------------------------------------------------
+    # -- of the interpreter ---------------------------------------------------------------------------------
 
     def line(self, number: int, line: PlanLine) -> None:
         """A line is about to be executed."""

@@ -1,7 +1,8 @@
-"""A script as the interpreter sees it: its lines, where it is in them, and its labels."""
+"""A script as the interpreter sees it: its lines and labels, and an execution of it."""
 
 from __future__ import annotations
 
+import enum
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -9,7 +10,18 @@ from typing import Any
 
 from .syntax import ScriptLine
 
-__all__ = ["LONGEST_LINE", "MissionPlan", "PlanLine", "split_lines"]
+__all__ = [
+    "ERROR",
+    "FREE_LINE",
+    "LONGEST_LINE",
+    "Failure",
+    "MissionPlan",
+    "Outcome",
+    "PlanLine",
+    "Run",
+    "Stage",
+    "split_lines",
+]
 
 #: Characters of a line. MRC cuts longer ones, and takes the rest for the next line.
 LONGEST_LINE = 255
@@ -92,3 +104,103 @@ def split_lines(source: str, *, cuts: bool) -> Iterator[PlanLine]:
             whole = text[begin : begin + size]
             stripped = whole.lstrip(" \t")
             yield PlanLine(stripped, number, len(whole) - len(stripped))
+
+
+class Outcome(enum.Enum):
+    """How a line goes on."""
+
+    #: The line takes time: it is over when its end or a condition is true.
+    WAIT = 0
+    #: The next line follows in the same cycle.
+    NEXT = 1
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why a plan has failed.
+
+    Attributes:
+        reason: in words.
+        line: of the file, from 1; 0 where no line is at fault.
+        column: from 1; 0 where no line is at fault.
+        text: of the line.
+        is_limit: a bound was reached.
+    """
+
+    reason: str
+    line: int
+    column: int
+    text: str
+    is_limit: bool = False
+
+
+class Stage(enum.Enum):
+    """The step of a run in its next cycle."""
+
+    FETCH = "reads lines"
+    WAIT = "tests the end of a line"
+    ROUTINE = "goes through a routine of a command"
+    HOLD = "stands at a breakpoint"
+    DONE = "is over"
+
+
+#: What a run leaves as its result; otherwise 0 for a default end, or the number of the condition that was true.
+FREE_LINE, ERROR = -2.0, -1.0
+
+
+class Run:
+    """One execution of a plan.
+
+    Args:
+        plan: what is executed.
+        result: what is left there until a line has a result.
+
+    Attributes:
+        plan: what is executed; `goto` moves in it.
+        line: the line that is executed.
+        column: in it, from 1: of the statement that is executed.
+        result: of the last line: 0 for its default end, the number of a condition, `FREE_LINE` or `ERROR`.
+        failure: why it ended early; None if it did not.
+    """
+
+    def __init__(self, plan: MissionPlan, result: float = 0.0) -> None:
+        self.plan = plan
+        self.line: PlanLine | None = None
+        self.column = 0
+        self.result = result
+        self.failure: Failure | None = None
+        self.stage = Stage.FETCH
+        self._entered: Stage | None = None
+        self.cycles = 0
+        self.start_distance = 0.0
+        self.calls: list[int] = []
+        self._routine: Callable[[int], bool] | None = None
+
+    @property
+    def is_done(self) -> bool:
+        """Whether it is over."""
+        return self.stage is Stage.DONE
+
+    @property
+    def is_held(self) -> bool:
+        """Whether it stands at a breakpoint."""
+        return self.stage is Stage.HOLD
+
+    def start_routine(self, routine: Callable[[int], bool]) -> None:
+        """Go through a routine from the next cycle on; it is given the number of the cycle and says when it is over."""
+        self._routine = routine
+        self.stage = Stage.ROUTINE
+
+    def continue_routine(self) -> None:
+        """One cycle of the routine."""
+        if self._routine is None or self._routine(self.cycles):
+            self.stage = Stage.FETCH
+
+    def enter(self, distance: float, cycles: int) -> None:
+        """Begin a cycle, `cycles` periods after the one before; distance and time count from the first of a stage."""
+        if self.stage is not self._entered:
+            self._entered = self.stage
+            self.cycles = 0
+            self.start_distance = distance
+        else:
+            self.cycles += cycles

@@ -61,18 +61,19 @@ class InfraredSensors:
 
     Attributes:
         distances: of each sensor, m; 0 before the first update.
+        raw: the raw values of the last update; empty before the first.
     """
 
     def __init__(self, k1: Sequence[float] = (16.0,) * 6, k2: Sequence[float] = (76.0,) * 6) -> None:
         self._parameters = tuple(zip(k1, k2, strict=True))
         self.distances = [0.0] * len(self._parameters)
-        self._raw: Sequence[int] = ()
+        self.raw: Sequence[int] = ()
 
     def update(self, raw: Sequence[int]) -> None:
         """One cycle."""
-        if raw == self._raw:
+        if raw == self.raw:
             return
-        self._raw = raw
+        self.raw = raw
         distances = self.distances
         for number, ((k1, k2), value) in enumerate(zip(self._parameters, raw, strict=False)):
             # MRC keeps the raw value in a byte, and the difference in an int.
@@ -97,6 +98,7 @@ class LineSensor:
         size: how many sensors there are.
         values: of each sensor: 0 black, 1 white; not smoothed.
         smoothed: likewise, smoothed.
+        raw: the raw values of the last update; empty before the first.
         is_missing: no black line has been seen for 6 cycles.
     """
 
@@ -119,7 +121,7 @@ class LineSensor:
         self.smoothed = [0.0] * size
         self.is_missing = False
         self._count = 0
-        self._raw: Sequence[int] = ()
+        self.raw: Sequence[int] = ()
         self._is_settled = False
         self._darkest = self._brightest = 0.0
         self._brightest_place = 0
@@ -131,10 +133,10 @@ class LineSensor:
 
     def update(self, raw: Sequence[int]) -> None:
         """One cycle."""
-        if raw == self._raw and self._is_settled:
+        if raw == self.raw and self._is_settled:
             self._miss()
             return
-        self._raw = raw
+        self.raw = raw
         gain, offset = self._gain, self._offset
         self.see([gain[each] * (raw[each] - offset[each]) for each in range(self.size)])
 

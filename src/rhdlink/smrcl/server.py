@@ -21,8 +21,8 @@ from ..host.plugin import Plugin
 from .controller import MissionController
 from .dialogue import MOST_BACKLOG, ClientDialogue, Session
 from .execution import MissionExecution, WithCallbacks, error_of, leaving_at_exit, log_saver
-from .interpreter import Failure
 from .mission import Robot, suitable_conf
+from .plan import Failure
 from .profile import Profile, find_profile
 from .robot_conf import RobotConf
 from .robot_link import PluginLink, RobotLink, open_link

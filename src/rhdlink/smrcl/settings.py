@@ -8,9 +8,11 @@ from collections.abc import Callable, Mapping
 from operator import attrgetter
 
 from .arithmetic import cosine, divide, format_number, sine, truncate
+from .control_functions import CONTROL_FUNCTIONS
 from .effects import MissionEffects
 from .expressions import LineFault
-from .interpreter import Outcome
+from .odometry import Odometry
+from .plan import Outcome
 from .symbols import split_index
 
 #: The largest number that a setting takes, under the sound profile.
@@ -41,14 +43,18 @@ def make_array(effects: MissionEffects, name: str, size: float) -> Outcome:
 def transform(effects: MissionEffects, x0: float, y0: float, th0: float, x: float, y: float, th: float) -> Outcome:
     """`trans`: a pose in the frame of another one, into `$res0` to `$res2`; m and rad."""
     c, s = cosine(th0), sine(th0)
-    effects.vehicle.set_results(c * x - s * y + x0, s * x + c * y + y0, th + th0)
-    return effects.at_once()
+    return _set_results(effects, c * x - s * y + x0, s * x + c * y + y0, th + th0)
 
 
 def transform_back(effects: MissionEffects, x0: float, y0: float, th0: float, x: float, y: float, th: float) -> Outcome:
     """`invtrans`: likewise, from the outer frame into that of the pose."""
     c, s = cosine(th0), sine(th0)
-    effects.vehicle.set_results(c * (x - x0) + s * (y - y0), -s * (x - x0) + c * (y - y0), th - th0)
+    return _set_results(effects, c * (x - x0) + s * (y - y0), -s * (x - x0) + c * (y - y0), th - th0)
+
+
+def _set_results(effects: MissionEffects, *values: float) -> Outcome:
+    for number, value in enumerate(values):
+        effects.symbols.pool[effects.symbols.system[f"res{number}"].place] = value
     return effects.at_once()
 
 
@@ -77,7 +83,7 @@ def _check(effects: MissionEffects, what: str, value: float, *, is_positive: boo
 
 
 def _set_raw(effects: MissionEffects, name: str, variable: str, value: float) -> None:
-    if not effects.vehicle.set_word(variable, value) and effects.profile.needs_are_checked:
+    if not effects.vehicle.outputs.set_word(variable, value) and effects.profile.needs_are_checked:
         raise LineFault(f'set "{name}" needs a write variable {variable}, which this robot has not')
 
 
@@ -103,21 +109,22 @@ def _set_counter(effects: MissionEffects, value: float) -> None:
 
 def _set_odometry_ratio(effects: MissionEffects, ratio: float) -> None:
     odometry = effects.vehicle.odometry
-    mean = (odometry.right_scale + odometry.left_scale) / 2
-    odometry.right_scale = divide(2 * ratio, 1 + ratio) * mean
-    odometry.left_scale = divide(2, 1 + ratio) * mean
+    _set_odometry_scales(odometry, ratio, (odometry.right_scale + odometry.left_scale) / 2)
 
 
 def _set_odometry_mean(effects: MissionEffects, mean: float) -> None:
     odometry = effects.vehicle.odometry
-    ratio = divide(odometry.right_scale, odometry.left_scale)
+    _set_odometry_scales(odometry, divide(odometry.right_scale, odometry.left_scale), mean)
+
+
+def _set_odometry_scales(odometry: Odometry, ratio: float, mean: float) -> None:
     odometry.right_scale = divide(2 * ratio, 1 + ratio) * mean
     odometry.left_scale = divide(2, 1 + ratio) * mean
 
 
 def _set_kalman(effects: MissionEffects, value: float) -> None:
     vehicle = effects.vehicle
-    if value and "xkalman" not in vehicle.external and effects.profile.needs_are_checked:
+    if value and "xkalman" not in vehicle.variables.external and effects.profile.needs_are_checked:
         raise LineFault('set "usekalmanodo" needs a filter that provides $xkalman, $ykalman and $thkalman')
     vehicle.uses_kalman = truncate(value) != 0
     vehicle.control.target = vehicle.kalman_pose()
@@ -126,19 +133,19 @@ def _set_kalman(effects: MissionEffects, value: float) -> None:
 def set_output(effects: MissionEffects, text: str, value: float) -> Outcome:
     """`setoutput`: a write variable of the robot."""
     name, index = split_index(text)
-    if not effects.vehicle.set_output(name, index, value):
+    if not effects.vehicle.outputs.set(name, index, value):
         effects.reject_name(f"the robot has no write variable {text}")
     return effects.at_once()
 
 
 def set_offset(effects: MissionEffects, text: str, value: float) -> Outcome:
     """`setoffset`: of a variable of the robot."""
-    return _scaled(effects, text, "offset", value, effects.vehicle.set_scale(*split_index(text), offset=value))
+    return _scaled(effects, text, "offset", value, effects.symbols.set_scale(*split_index(text), offset=value))
 
 
 def set_gain(effects: MissionEffects, text: str, value: float) -> Outcome:
     """`setgain`: likewise."""
-    return _scaled(effects, text, "gain", value, effects.vehicle.set_scale(*split_index(text), gain=value))
+    return _scaled(effects, text, "gain", value, effects.symbols.set_scale(*split_index(text), gain=value))
 
 
 def _scaled(effects: MissionEffects, text: str, what: str, value: float, is_there: bool) -> Outcome:
@@ -152,7 +159,7 @@ def _scaled(effects: MissionEffects, text: str, what: str, value: float, is_ther
 def set_parameter(effects: MissionEffects, module: str, function: str, name: str, value: float) -> Outcome:
     """`setpar`: a parameter of a control function."""
     _check(effects, f"setpar of {name}", value)
-    if not effects.vehicle.set_parameter(module, function, name, value):
+    if not effects.vehicle.functions.set_parameter(module, function, name, value):
         _reject_path(effects, module, function, f"{name} of {module} {function} is no parameter")
     return effects.at_once()
 
@@ -160,14 +167,14 @@ def set_parameter(effects: MissionEffects, module: str, function: str, name: str
 def route_input(effects: MissionEffects, module: str, function: str, name: str, text: str) -> Outcome:
     """`routeinput`: an input of a control function comes from a system variable."""
     variable, index = split_index(text)
-    if not effects.vehicle.has_input(module, function, name):
+    if not effects.vehicle.functions.has_input(module, function, name):
         _reject_path(effects, module, function, f"{name} of {module} {function} is no input")
         return effects.at_once()
     symbol = effects.symbols.find_system(variable)
     if symbol is None:
         effects.reject_name(f"the robot has no variable {variable}", " input variable not found \n")
     elif 0 <= symbol.place + index < len(effects.symbols.pool):
-        effects.vehicle.route_input(module, function, name, symbol.place + index)
+        effects.vehicle.functions.route_input(module, function, name, symbol.place + index)
     return effects.at_once()
 
 
@@ -184,10 +191,9 @@ def route_output(effects: MissionEffects, source: str, text: str) -> Outcome:
 
 
 def _reject_path(effects: MissionEffects, module: str, function: str, reason: str) -> None:
-    functions = effects.vehicle.functions
-    if module not in functions:
+    if module not in CONTROL_FUNCTIONS:
         effects.reject_name(f'there is no module "{module}"', "module not found\n")
-    elif function not in functions[module]:
+    elif function not in CONTROL_FUNCTIONS[module]:
         effects.reject_name(f'{module} has no "{function}"', "paramlist not found\n")
     if not effects.profile.names_are_checked:
         effects.output.message("parameter not found \n")

@@ -104,6 +104,17 @@ class Symbols:
             here = place + index
             pool[here] = (words[index] + pool[here + size]) * pool[here + 2 * size]
 
+    def set_scale(self, name: str, index: int, *, offset: float | None = None, gain: float | None = None) -> bool:
+        """Set offset or gain of a system variable. False if there is none of that name and index."""
+        symbol = self.find_system(name)
+        if symbol is None or not 0 <= index < symbol.size:
+            return False
+        if offset is not None:
+            self.pool[symbol.place + symbol.size + index] = offset
+        if gain is not None:
+            self.pool[symbol.place + 2 * symbol.size + index] = gain
+        return True
+
     @property
     def free(self) -> int:
         """Values that can still be made."""

@@ -15,11 +15,10 @@ from pathlib import Path
 import pytest
 
 from rhdlink import Mission
-from rhdlink.smrcl import settings
-from rhdlink.smrcl import vehicle as vehicle_module
+from rhdlink.smrcl import control_functions, settings
 from rhdlink.smrcl.commands import COMMANDS, MOST_PARAMETERS, ParameterKind, ScriptCommand
 from rhdlink.smrcl.effects import MissionEffects
-from rhdlink.smrcl.interpreter import Outcome
+from rhdlink.smrcl.plan import Outcome
 from rhdlink.smrcl.vehicle import Vehicle
 from tests.rhdlink.smrcl.bench import Bench
 
@@ -112,11 +111,11 @@ def test_what_settings_and_routes_set_is_there() -> None:
     for setting in settings._SETTINGS.values():
         setting(effects, 1.0)
     assert attributes(effects.vehicle) == before
-    for module, function, name in vehicle_module._INPUTS:
-        assert vehicle.route_input(module, function, name, 0)
-    for owner, attribute, _ in (*vehicle._sensed, *vehicle._acted):
+    for module, function, name in control_functions._INPUTS:
+        assert vehicle.functions.route_input(module, function, name, 0)
+    for owner, attribute, _ in (*vehicle.functions._sensed, *vehicle.functions._acted):
         assert isinstance(getattr(owner, attribute), float), attribute
-    for attribute in vehicle_module._PARAMETERS.values():
+    for attribute in control_functions._PARAMETERS.values():
         assert isinstance(getattr(vehicle.control.parameters, attribute), float), attribute
 
 
