@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import pytest
 
 import rhdlink.connection
@@ -12,6 +10,7 @@ from linkcore.errors import LinkTimeout
 from rhdlink.connection import Connection
 from rhdlink.variables.database import Database
 from rhdlink.wire.messages import Batch, SymbolRow
+from tests.fakes.clock import Clock
 
 HANDSHAKE = Database([SymbolRow("tick", 1)]).encode_handshake("r")
 BATCH = b"dr\0\0\0\0ee"
@@ -23,10 +22,10 @@ class Wire:
     name = "wire"
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.now = 0.0
+        self.clock = Clock(0.0)
         self.coming: list[tuple[float, bytes]] = [(0.0, HANDSHAKE)]
         self.requests = 0
-        monkeypatch.setattr(rhdlink.connection, "time", SimpleNamespace(monotonic=lambda: self.now))
+        self.clock.replace(rhdlink.connection, monkeypatch)
 
     def open(self, timeout: float) -> None: ...
 
@@ -39,16 +38,16 @@ class Wire:
 
     def receive(self, timeout: float | None = None) -> tuple[bytes, Stamp]:
         assert timeout is not None
-        end = self.now + timeout
+        end = self.clock.now + timeout
         if self.coming and self.coming[0][0] <= end:
             at, data = self.coming.pop(0)
-            self.now = max(self.now, at)
+            self.clock.now = max(self.clock.now, at)
             return data, Stamp.now()
-        self.now = end
+        self.clock.now = end
         raise LinkTimeout("nothing came")
 
     def receive_waiting(self) -> tuple[bytes, Stamp] | None:
-        if self.coming and self.coming[0][0] <= self.now:
+        if self.coming and self.coming[0][0] <= self.clock.now:
             return self.coming.pop(0)[1], Stamp.now()
         return None
 
@@ -65,19 +64,19 @@ class Client:
             fallback=None,
             width=None,
             limits=None,
-            until=wire.now + 1.0,
+            until=wire.clock.now + 1.0,
             deliver=self.batches.append,
         )
 
     def sync(self, period: float | None, timeout: float = 1.0) -> float:
         """The seconds that it waited before it asked."""
-        began = self.wire.now
+        began = self.wire.clock.now
         until = began + timeout
         self.connection.take_waiting(until)
         self.connection.collect(until)
         self.connection.settle(period, until)
-        waited = self.wire.now - began
-        self.wire.coming.append((self.wire.now, BATCH))
+        waited = self.wire.clock.now - began
+        self.wire.coming.append((self.wire.clock.now, BATCH))
         self.connection.request(b"", until)
         return waited
 
@@ -110,7 +109,7 @@ def test_what_comes_meanwhile_settles_it(wire: Wire) -> None:
     """The first answer was the unsolicited batch; the reply follows one tick later, and nothing is waited for after."""
     client = Client(wire)
     client.sync(None)
-    wire.coming = [(wire.now + 0.012, BATCH)]
+    wire.coming = [(wire.clock.now + 0.012, BATCH)]
     assert client.sync(0.01) == pytest.approx(0.012)
     assert client.sync(0.01) == 0.0
     assert (wire.requests, len(client.batches)) == (3, 4)

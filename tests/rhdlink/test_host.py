@@ -27,6 +27,7 @@ from rhdlink.host.plugin import Plugin
 from rhdlink.host.server import TickSchedule
 from rhdlink.variables.declarations import Read, Write
 from rhdlink.variables.value_types import Int32
+from tests.fakes.clock import Clock
 from tests.rhdlink.raw_client import RawClient
 from tests.waiting import until
 
@@ -577,17 +578,17 @@ class Waits:
     """A server on a clock of its own: notes until when the host waits, and lets time pass until it is enough."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.now = 100.0
+        self.clock = Clock()
         self.until: list[float | None] = []
         #: called when a wait begins, for what happens in it
         self.happens: Callable[[], None] = lambda: None
-        monkeypatch.setattr(host_module, "time", SimpleNamespace(monotonic=lambda: self.now))
+        self.clock.replace(host_module, monkeypatch)
 
     def serve(self, until: float | None, is_enough: Callable[[], bool]) -> None:
         self.until.append(until)
         self.happens()
         if not is_enough() and until is not None:
-            self.now = max(self.now, until)
+            self.clock.now = max(self.clock.now, until)
 
 
 @pytest.mark.parametrize(
@@ -619,12 +620,12 @@ def test_a_host_that_is_stopped_in_a_wait_waits_for_no_writer(monkeypatch: pytes
     service: Any = SimpleNamespace(writers=1, is_asked=False)
     waits.happens = host.stop
     host._wait_for_tick(service, waits)  # type: ignore[arg-type]
-    assert (waits.until, waits.now) == ([101.0], 100.0)
+    assert (waits.until, waits.clock.now) == ([101.0], 100.0)
     # Nor on, when it is stopped while it waits for one.
     host = Host(period=1.0, synchronized=True)
     waits.happens = lambda: host.stop() if len(waits.until) == 3 else None
     host._wait_for_tick(service, waits)  # type: ignore[arg-type]
-    assert (waits.until, waits.now) == ([101.0, 101.0, 102.0], 101.0)
+    assert (waits.until, waits.clock.now) == ([101.0, 101.0, 102.0], 101.0)
 
 
 def test_a_master_that_is_slower_than_the_period_is_waited_for() -> None:

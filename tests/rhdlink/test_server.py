@@ -19,6 +19,7 @@ from rhdlink.host.server import MOST_NEW, Server
 from rhdlink.host.service import AHEAD, Client, Service
 from rhdlink.variables.database import Database
 from rhdlink.wire.messages import SymbolRow
+from tests.fakes.clock import Clock
 from tests.rhdlink.raw_client import RawClient
 from tests.waiting import until
 
@@ -34,8 +35,8 @@ class Stand:
     """A server without a host: rounds come when the test says so, and time goes on when the test says so."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.now = 1000.0
-        monkeypatch.setattr(server_module, "SelectorLoop", lambda: SelectorLoop(lambda: self.now))
+        self.clock = Clock()
+        monkeypatch.setattr(server_module, "SelectorLoop", lambda: SelectorLoop(self.clock))
         self.database = Database([SymbolRow("tick", 1), SymbolRow("scan", WORDS)], [SymbolRow("speed", 1)])
         self.service = Service(self.database, clients=3)
         self.server = Server(self.service, "127.0.0.1", 0, client_timeout=TIMEOUT, inactivity_timeout=INACTIVITY)
@@ -49,14 +50,14 @@ class Stand:
         """Serve what comes until the condition is met."""
 
         def serve_and_look() -> object:
-            self.server.serve(self.now, lambda: False)
+            self.server.serve(self.clock.now, lambda: False)
             return condition()
 
         until(serve_and_look)
 
     def sleep(self, seconds: float) -> None:
         """Time goes on, and what is due then happens."""
-        self.now += seconds
+        self.clock.sleep(seconds)
         self.serve()
 
     def tick(self) -> None:

@@ -12,6 +12,7 @@ from linkcore.handle import Handle, Lifecycle
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from linkcore.threads import CallbackThread
+from tests.fakes.clock import Clock
 from urlink.commanding.channel import CommandChannel
 from urlink.commanding.interlock import Interlock
 from urlink.commanding.monitor import SafetyMonitor
@@ -134,7 +135,7 @@ class Desk:
     """
 
     def __init__(self, *, stale_after: float = math.inf, may_wait: bool = False) -> None:
-        self.now = 100.0
+        self.clock = Clock()
         self.pace = 0.2
         self.waits: list[float] = []
         self.meanwhile: Callable[[], object] = lambda: None
@@ -147,12 +148,9 @@ class Desk:
         self.monitor = SafetyMonitor(slow, fast, self.interlock, self.section, self.callbacks, self.clock)
         self.channel = CommandChannel(slow, self.monitor, self.section, self.clock)
 
-    def clock(self) -> float:
-        return self.now
-
     def _wait(self, seconds: float) -> None:
         self.waits.append(seconds)
-        self.now += self.pace
+        self.clock.now += self.pace
         self.meanwhile()
 
     def clear(self) -> None:
@@ -163,7 +161,7 @@ class Desk:
         assert self.monitor.refusal() is None
 
     def event(self, line: Line, state: ConnectionState, error: Exception | None = None) -> None:
-        line.tell(ConnectionEvent(state, line.name, error, Stamp(self.now, self.now)))
+        line.tell(ConnectionEvent(state, line.name, error, Stamp(self.clock.now, self.clock.now)))
 
     @property
     def sent(self) -> list[str]:
@@ -245,7 +243,7 @@ class Programming(Desk):
 
     def state(self, later: float = 0.0, *, runs: bool = False, paused: bool = False) -> None:
         """A state, so many seconds later."""
-        self.now += later
+        self.clock.now += later
         self.primary.tell(slow(is_program_running=runs, is_program_paused=paused))
 
     @property

@@ -19,21 +19,12 @@ import pytest
 
 from linkcore.errors import BadAddress, BadValue, LinkTimeout
 from linkcore.net.loop import Connection, Handler, ListeningPort, SelectorLoop
+from tests.fakes.clock import Clock
 from tests.waiting import until
 
 pytestmark = pytest.mark.real_time
 
 TIMEOUT = 10.0
-
-
-class Clock:
-    """Stands still until it is told otherwise."""
-
-    def __init__(self) -> None:
-        self.now = 100.0
-
-    def __call__(self) -> float:
-        return self.now
 
 
 class Recorder(Handler):

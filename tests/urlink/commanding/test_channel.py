@@ -211,7 +211,7 @@ def test_only_what_was_sent_just_now_is_discarded(desk: Desk) -> None:
     desk.channel.discard(1000.0)
     assert desk.primary.aborts == 0  # nothing was ever sent
     desk.channel.motion(TEXT)
-    desk.now += 2.5
+    desk.clock.now += 2.5
     desk.channel.discard(2.0)
     assert desk.primary.aborts == 0
     desk.channel.discard(2.5)

@@ -183,7 +183,7 @@ def test_a_program_that_was_not_let_go_on_says_so(desk: Programming) -> None:
 )
 def test_what_does_not_begin_in_time(desk: Programming, options: dict[str, bool], what_if: str) -> None:
     run = desk.motion(**options)
-    desk.now += 5.0
+    desk.clock.now += 5.0
     desk.state()
     assert run.phase is Phase.SENT
     desk.state(0.1, runs=True)
@@ -196,7 +196,7 @@ def test_time_counts_from_when_it_left(desk: Programming, monkeypatch: pytest.Mo
     desk.primary.room = 0
 
     def make_room() -> None:
-        desk.now += 0.2
+        desk.clock.now += 0.2
         desk.primary.room = None
 
     desk.meanwhile = make_room
@@ -276,7 +276,7 @@ def test_a_flag_that_is_down_for_half_a_second_has_been_missed(desk: Programming
 def test_a_stop_that_is_told_after_the_end(desk: Programming) -> None:
     run = desk.script()
     run.begins()
-    desk.now = 0.0
+    desk.clock.now = 0.0
     run.stops()
     desk.state(0.3)
     assert run.phase is Phase.RUNNING
@@ -460,7 +460,7 @@ def test_what_was_sent_before_a_silence_is_discarded(desk: Programming) -> None:
     desk.programs._listen()
     for before, aborts in ((1.6, 0), (1.4, 1)):
         desk.motion()
-        desk.now += before
+        desk.clock.now += before
         for _, hook in desk.primary.watches:
             hook(1.0)
         assert desk.primary.aborts == aborts
@@ -471,19 +471,21 @@ def test_what_was_sent_over_a_connection_that_is_lost(desk: Programming) -> None
     script, motion = desk.script(), desk.motion(asks=False)
     for state in (ConnectionState.CONNECTING, ConnectionState.CONNECTED):
         desk.event(desk.primary, state)
-    event = ConnectionEvent(ConnectionState.LOST, "line", ConnectionLost("pulled"), Stamp(desk.now, desk.now))
+    event = ConnectionEvent(
+        ConnectionState.LOST, "line", ConnectionLost("pulled"), Stamp(desk.clock.now, desk.clock.now)
+    )
     desk.programs.hear_event(event)
     assert script.phase is motion.phase is Phase.SENT  # sent after it was lost, over the next one
-    desk.now += 0.1
-    desk.programs.hear_event(event._replace(received=Stamp(desk.now, desk.now)))
+    desk.clock.now += 0.1
+    desk.programs.hear_event(event._replace(received=Stamp(desk.clock.now, desk.clock.now)))
     lost = "the connection was lost while {} ran; {}: pulled"
     assert script.end == "ConnectionLost: " + lost.format(script.name, "it moves nothing if it begins later")
     later = "if it begins later, it may still move the arm"
     assert motion.end == "NotRunning: " + lost.format(motion.name, later)
     another = desk.script()
     another.begins()
-    desk.now += 0.1
-    desk.programs.hear_event(event._replace(received=Stamp(desk.now, desk.now), error=None))
+    desk.clock.now += 0.1
+    desk.programs.hear_event(event._replace(received=Stamp(desk.clock.now, desk.clock.now), error=None))
     assert another.end.endswith("ran; it may still run")
 
 

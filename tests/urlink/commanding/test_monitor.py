@@ -175,7 +175,7 @@ def test_a_connection_that_was_given_up_is_listened_to_anew(desk: Monitored, sta
     assert isinstance(desk.closings[0], NotRunning)
     desk.clear()
     assert desk.listeners == [2, 1, 2, 1]
-    told(ConnectionEvent(ConnectionState.LOST, "line", None, Stamp(desk.now, desk.now)))
+    told(ConnectionEvent(ConnectionState.LOST, "line", None, Stamp(desk.clock.now, desk.clock.now)))
     assert desk.monitor.refusal() is None  # an event of the connection before
 
 
@@ -200,9 +200,9 @@ def test_a_word_is_as_old_as_its_bytes(desk: Monitored) -> None:
         return type(packet).LAYOUTS.decode(bytes(packet), FIRMWARE, Stamp(at, at))
 
     for age in (STALE_AFTER - 0.1, STALE_AFTER + 0.1):
-        desk.now += 10.0
+        desk.clock.now += 10.0
         desk.primary.tell(slow())
-        desk.realtime.tell(stamped(fast(), desk.now - age))
+        desk.realtime.tell(stamped(fast(), desk.clock.now - age))
         refusal = desk.monitor.refusal()
         assert (refusal is not None) == (age > STALE_AFTER)
     assert "nothing has been read from the realtime interface for 1.1 s" in str(refusal)
@@ -284,7 +284,7 @@ def test_how_long_news_is_waited_for() -> None:
         desk.primary.tell(slow(SafetyMode.PROTECTIVE_STOP))
         # It is in the way of motions only, until both have spoken again.
         assert bool(is_settled(desk.interlock)) is not moves
-        desk.now += 0.1
+        desk.clock.now += 0.1
         desk.primary.tell(slow(SafetyMode.PROTECTIVE_STOP))
         assert bool(is_settled(desk.interlock)) is not moves
         desk.realtime.tell(fast())

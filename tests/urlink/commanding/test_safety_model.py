@@ -18,6 +18,7 @@ from linkcore.errors import ConnectionLost, LinkError
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from linkcore.threads import CallbackThread
+from tests.fakes.clock import Clock
 from tests.urlink.line import Line
 from urlink.commanding.channel import CommandChannel
 from urlink.commanding.interlock import STALE_AFTER, Interlock, Policy
@@ -43,7 +44,7 @@ sources = st.sampled_from(["primary", "realtime"])
 class InterlockBeforeTheChannel(RuleBasedStateMachine):
     @initialize(policy=policies)
     def begin(self, policy: Policy) -> None:
-        self.now = 100.0
+        self.clock = Clock()
         self.lines = {"primary": Line(), "realtime": Line()}
         primary, realtime = (cast(Connection, self.lines[name]) for name in ("primary", "realtime"))
         section = Section(primary.reads_here)
@@ -77,7 +78,7 @@ class InterlockBeforeTheChannel(RuleBasedStateMachine):
 
     @property
     def blocked(self) -> str | None:
-        return self.told or ("stale" if any(self.now - at > STALE_AFTER for at in self.heard.values()) else None)
+        return self.told or ("stale" if any(self.clock.now - at > STALE_AFTER for at in self.heard.values()) else None)
 
     @property
     def is_open(self) -> bool:
@@ -159,7 +160,9 @@ class InterlockBeforeTheChannel(RuleBasedStateMachine):
     @rule(source=sources)
     def lost(self, source: str) -> None:
         self.tick()
-        event = ConnectionEvent(ConnectionState.LOST, source, ConnectionLost("pulled"), Stamp(self.now, self.now))
+        event = ConnectionEvent(
+            ConnectionState.LOST, source, ConnectionLost("pulled"), Stamp(self.clock.now, self.clock.now)
+        )
 
         def change() -> None:
             self.said[source], self.is_silent[source] = None, False
@@ -169,7 +172,7 @@ class InterlockBeforeTheChannel(RuleBasedStateMachine):
     @rule(source=sources)
     def silence(self, source: str) -> None:
         def change() -> None:
-            self.now += STALE_AFTER
+            self.clock.now += STALE_AFTER
             self.is_silent[source] = True
 
         self.event(lambda: self.lines[source].be_silent(), change)
@@ -177,7 +180,7 @@ class InterlockBeforeTheChannel(RuleBasedStateMachine):
     @rule()
     def held_up(self) -> None:
         """Time passes, and nothing is read: no fault of the robot's."""
-        self.now += 1.5 * STALE_AFTER
+        self.clock.now += 1.5 * STALE_AFTER
         motions = self.motions
         self.try_motion(expected=False)
         assert self.motions == motions
@@ -192,7 +195,7 @@ class InterlockBeforeTheChannel(RuleBasedStateMachine):
                 self.safety.enable()
 
     # Seldom: what a policy does shows over several events.
-    @precondition(lambda self: self.now % 0.07 < 0.01)
+    @precondition(lambda self: self.clock.now % 0.07 < 0.01)
     @rule(policy=policies)
     def change_policy(self, policy: Policy) -> None:
         if policy != self.policy:
@@ -229,7 +232,7 @@ class InterlockBeforeTheChannel(RuleBasedStateMachine):
     @rule()
     def command(self) -> None:
         runs = all(said is not None and said[0] is RobotMode.RUNNING for said in self.said.values())
-        fresh = all(self.now - heard <= STALE_AFTER for heard in self.heard.values()) and not any(
+        fresh = all(self.clock.now - heard <= STALE_AFTER for heard in self.heard.values()) and not any(
             self.is_silent.values()
         )
         if runs and fresh:
@@ -251,15 +254,12 @@ class InterlockBeforeTheChannel(RuleBasedStateMachine):
 
     # -- small change --------------------------------------------------------------------------------
 
-    def clock(self) -> float:
-        return self.now
-
     def tick(self) -> None:
-        self.now += 0.01
+        self.clock.now += 0.01
 
     def say(self, source: str, said: tuple[RobotMode, SafetyMode]) -> None:
         self.said[source] = said
-        self.heard[source] = self.now
+        self.heard[source] = self.clock.now
         self.is_silent[source] = False
 
 

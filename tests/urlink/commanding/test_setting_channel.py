@@ -13,6 +13,7 @@ import pytest
 import urlink
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkError
 from linkcore.streaming.connection import Connection
+from tests.fakes.clock import Clock
 from tests.urlink.line import Line
 from tests.urlink.stand_in import StandIn
 from tests.waiting import until
@@ -173,7 +174,7 @@ class Desk:
     """A channel for settings, before one that takes all; `sent` is what went by text."""
 
     def __init__(self) -> None:
-        self.now = 100.0
+        self.clock = Clock()
         self.sent: list[str] = []
         self.inputs = Inputs()
         self.line = Line()
@@ -183,7 +184,7 @@ class Desk:
             cast(Connection, self.line),
             Section(),
             lambda: self.inputs,
-            lambda: self.now,
+            self.clock,
         )
 
     def send(self, values: Mapping[str, Any] | None) -> None:
@@ -195,7 +196,7 @@ def test_a_package_half_a_second_after_a_text_overtakes_nothing() -> None:
     desk.inputs.held = {"a"}
     desk.send({"a": 1})
     for later, written in ((0.499, 0), (0.499, 0), (0.5, 1), (0.0, 2)):
-        desk.now += later
+        desk.clock.now += later
         desk.send({"b": 1})
         assert len(desk.inputs.written) == written
     assert len(desk.sent) == 3
@@ -206,7 +207,7 @@ def test_what_has_no_inputs_now_goes_by_text_and_the_next_does_not() -> None:
     desk = Desk()
     desk.send(None)
     assert (desk.inputs.asked, desk.sent) == ([], ["text"])
-    desk.now += 1.0
+    desk.clock.now += 1.0
     desk.send({"a": 1})
     assert (desk.inputs.written, desk.sent) == ([{"a": 1}], ["text"])
 
@@ -217,7 +218,7 @@ def test_what_was_refused_is_refused_for_as_long_as_the_connection_holds(caplog:
     desk.inputs.held = {"a"}
     for _ in range(2):
         desk.send({"a": 1})
-        desk.now += 1.0
+        desk.clock.now += 1.0
     assert len(desk.inputs.asked) == 1
     assert caplog.text.count("('a',) by script: in use") == 1
     desk.settings.doubt()
@@ -226,7 +227,7 @@ def test_what_was_refused_is_refused_for_as_long_as_the_connection_holds(caplog:
     desk.send({"b": 1})
     assert len(desk.inputs.asked) == 1
     desk.line.counters.connections += 1
-    desk.now += 1.0
+    desk.clock.now += 1.0
     desk.send({"b": 1})
     assert desk.inputs.written == [{"b": 1}]
 

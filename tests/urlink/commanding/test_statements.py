@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
@@ -76,8 +75,7 @@ class Mode(Programming):
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         super().__init__()
         self.peer = Peer()
-        self.sleeps: list[float] = []
-        monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=self.clock, sleep=self.sleep))
+        self.clock.replace(module, monkeypatch)
         self.life = self.programs.life("interpreter mode")
         dialogue = cast(Dialogue, self.peer)
         self.recall = Recall("robot")
@@ -87,11 +85,6 @@ class Mode(Programming):
 
         take_back = TakeBack(client, lambda client, is_wanted: None)
         self.interpreter = Interpreter(self.life, deque(), dialogue, self.channel, self.recall, take_back, 42.0)
-
-    def sleep(self, seconds: float) -> None:
-        self.sleeps.append(seconds)
-        self.now += seconds
-        self.meanwhile()
 
 
 @pytest.fixture
@@ -179,21 +172,21 @@ def test_what_was_handed_over_is_over_once_something_after_it_has_begun(mode: Mo
     mode.peer.lag = 1
 
     def go_on() -> None:
-        mode.peer.lag = len(mode.sleeps) < 3
+        mode.peer.lag = len(mode.clock.sleeps) < 3
 
-    mode.meanwhile = go_on
+    mode.clock.meanwhile = go_on
     mode.interpreter.wait_executed(1.0)
-    assert mode.sleeps == [0.02] * 3
+    assert mode.clock.sleeps == [0.02] * 3
     assert mode.peer.asked == ["movej(q)", "sync()", *[EXECUTED] * 4]
 
 
 @pytest.mark.parametrize(("seconds", "sleeps"), [(0.0, []), (0.02, [0.02]), (0.05, [0.02, 0.02, 0.01])])
 def test_waiting_for_statements_has_an_end(mode: Mode, seconds: float, sleeps: list[float]) -> None:
-    mode.now, mode.peer.lag = 0.0, 1
+    mode.clock.now, mode.peer.lag = 0.0, 1
     state = r"InterpreterState\(last_interpreted=20, last_executed=0, last_cleared=16, unexecuted=15\)"
     with pytest.raises(LinkTimeout, match=rf"not executed within {seconds:g} s: {state}; they go on"):
         mode.interpreter.wait_executed(seconds)
-    assert mode.sleeps == pytest.approx(sleeps)
+    assert mode.clock.sleeps == pytest.approx(sleeps)
 
 
 @pytest.mark.parametrize(
@@ -206,7 +199,7 @@ def test_waiting_for_statements_has_an_end(mode: Mode, seconds: float, sleeps: l
 )
 def test_for_how_long_is_waited(mode: Mode, act: Callable[[Interpreter], object], seconds: int) -> None:
     mode.peer.lag = 1
-    mode.meanwhile = lambda: setattr(mode, "now", mode.now + 100.0)
+    mode.clock.meanwhile = lambda: setattr(mode.clock, "now", mode.clock.now + 100.0)
     with pytest.raises(LinkTimeout, match=f"within {seconds} s"):
         act(mode.interpreter)
 
@@ -335,7 +328,7 @@ def test_it_begins_once_the_controller_takes_a_statement(beginning: Beginning) -
     interpreter = beginning.interpreters().begin(10.0, 60.0, texts.append)
     (peer,) = beginning.peers
     assert peer.asked == [EXECUTED, "sync()", "sync()", "sync()"]
-    assert beginning.sleeps == [0.02, 0.02]
+    assert beginning.clock.sleeps == [0.02, 0.02]
     assert "interpreter_mode()" in beginning.sent[0]
     (name,) = beginning.programs._runs
     beginning.key("PROGRAM_XXX_STARTED", name)
@@ -355,11 +348,11 @@ def test_nothing_is_sent_where_the_service_is_off(beginning: Beginning) -> None:
 
 @pytest.mark.parametrize(("seconds", "sleeps"), [(0.02, [0.02]), (0.05, [0.02, 0.02, 0.01])])
 def test_it_has_to_begin_in_time(beginning: Beginning, seconds: float, sleeps: list[float]) -> None:
-    beginning.now = 0.0
+    beginning.clock.now = 0.0
     beginning.peer.answers += [f"state: 0: {EXECUTED}", *["discard: 0: sync()"] * 9]
     with pytest.raises(LinkTimeout, match=f"has not begun within {seconds:g} s"):
         beginning.interpreters().begin(seconds, 60.0, None)
-    assert beginning.sleeps == pytest.approx(sleeps)
+    assert beginning.clock.sleeps == pytest.approx(sleeps)
     assert beginning.peers[0].is_closed
     assert beginning.stops == 1  # it may be in the mode by now
 
@@ -378,7 +371,7 @@ def test_a_program_that_is_over_before_it_began(beginning: Beginning, monkeypatc
     ]
     for end, error, words in ends:
         beginning.peer.answers += [f"state: 0: {EXECUTED}", "discard: 0: sync()"]
-        beginning.meanwhile = lambda end=end: end(lives[-1])  # type: ignore[misc]
+        beginning.clock.meanwhile = lambda end=end: end(lives[-1])  # type: ignore[misc]
         with pytest.raises(error, match=words):
             beginning.interpreters().begin(10.0, 60.0, None)
 

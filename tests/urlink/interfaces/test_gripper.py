@@ -14,6 +14,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 import urlink
 from linkcore.errors import BadValue, Closed, ConnectFailed, LinkError, LinkTimeout, LocalError, PacketError, WrongPeer
+from tests.fakes.clock import Clock
 from tests.waiting import until
 from urlink.interfaces.gripper.client import Gripper, GripperFault, ObjectStatus
 from urlink.interfaces.gripper.protocol import (
@@ -93,14 +94,14 @@ class GripperMachine(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        self.now = 0.0
-        self.gripper = SimulatedGripper(lambda: self.now)
+        self.clock = Clock()
+        self.gripper = SimulatedGripper(self.clock)
         self.object: tuple[int, bool] | None = None
         self.last = 0
 
     @rule(seconds=st.floats(0.0, 2.0))
     def wait(self, seconds: float) -> None:
-        self.now += seconds
+        self.clock.sleep(seconds)
         assert abs(self.gripper.position - self.last) <= seconds * 450 + 1
 
     @rule(name=st.sampled_from(sorted(WRITABLE)), value=st.integers(0, 255))
@@ -138,23 +139,23 @@ test_gripper_machine = pytest.mark.property(GripperMachine.TestCase)
 
 
 def test_the_fingers_take_the_time_of_the_data_sheet() -> None:
-    now = [0.0]
-    gripper = SimulatedGripper(lambda: now[0])
+    clock = Clock()
+    gripper = SimulatedGripper(clock)
     gripper.reply("SET POS 255 GTO 1")
     assert gripper.reply("GET POS") == "POS 0"
     gripper.reply("SET ACT 1 GTO 0")
-    now[0] += 1.0
+    clock.now += 1.0
     assert (gripper.reply("GET STA"), gripper.reply("GET OBJ")) == ("STA 1", "OBJ 0")
     gripper.reply("SET POS 0 GTO 1")
     assert gripper.reply("GET FLT") == "FLT 7"
-    now[0] += 2.0
+    clock.now += 2.0
     assert gripper.is_active
     assert gripper.reply("GET FLT") == "FLT 0"
     for speed, seconds in ((255, 0.085 / 0.150), (0, 0.085 / 0.020)):
         gripper.reply(f"SET POS {255 if speed else 0} SPE {speed} GTO 1")
-        now[0] += seconds - 0.01
+        clock.now += seconds - 0.01
         assert gripper.reply("GET OBJ") == "OBJ 0"
-        now[0] += 0.02
+        clock.now += 0.02
         assert gripper.reply("GET OBJ") == "OBJ 3"
 
 

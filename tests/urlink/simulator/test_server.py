@@ -16,6 +16,7 @@ import pytest
 
 import urlink
 from linkcore.errors import BadAddress, BadValue, LocalError
+from tests.fakes.clock import Clock
 from tests.waiting import until
 from urlink.interfaces.enums import SafetyMode
 from urlink.interfaces.primary.robot_message import RobotCommMessage, SafetyModeMessage, VersionMessage
@@ -388,18 +389,9 @@ def test_an_older_head_has_the_version_message_alone(connect: Connect) -> None:
 # -- a machine that is busy with something else --------------------------------------------------------
 
 
-class Clock:
-    """Goes on only when the test says so, as if the server's thread had no processor meanwhile."""
-
-    def __init__(self) -> None:
-        self.now = 1000.0
-
-    def __call__(self) -> float:
-        return self.now
-
-
 @pytest.fixture
 def starved() -> Iterator[tuple[Controller, Clock]]:
+    """Time goes on when the test says so, as if the server's thread had no processor meanwhile."""
     controller, clock = Controller("UR5e", "5.11"), Clock()
     controller._clock = clock
     with controller:

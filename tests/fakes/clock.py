@@ -1,0 +1,37 @@
+"""A clock that the test sets, for what takes its time from one clock and has no threads; else time is simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import ModuleType, SimpleNamespace
+
+import pytest
+
+__all__ = ["Clock"]
+
+
+class Clock:
+    """Stands still until the test sets `now`, or something sleeps by it.
+
+    Attributes:
+        now: s.
+        sleeps: seconds of each sleep.
+        meanwhile: called in each sleep, when the time has come.
+    """
+
+    def __init__(self, now: float = 100.0) -> None:
+        self.now = now
+        self.sleeps: list[float] = []
+        self.meanwhile: Callable[[], object] = lambda: None
+
+    def __call__(self) -> float:
+        return self.now
+
+    def sleep(self, seconds: float) -> None:
+        self.sleeps.append(seconds)
+        self.now += seconds
+        self.meanwhile()
+
+    def replace(self, module: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Have a module take its time from here."""
+        monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=self, sleep=self.sleep))
