@@ -1,4 +1,4 @@
-"""A dashboard server over TCP whose every byte a test decides, and the simulated controller behind it."""
+"""A dashboard server over TCP whose every byte a test decides, and a simulated controller that is stepped."""
 
 from __future__ import annotations
 
@@ -6,12 +6,8 @@ import socket
 from collections.abc import Callable
 
 from tests.served import OneAfterAnother
-from urlink.firmware import Firmware
 from urlink.interfaces.dashboard.commands import GREETING
 from urlink.simulator import Controller, Still
-from urlink.simulator.ports.dashboard import DashboardPort
-from urlink.simulator.programs.pendant import Pendant
-from urlink.simulator.robot.modes import Modes
 
 #: Seconds that a test waits for what must come at once.
 TIMEOUT = 10.0
@@ -20,44 +16,25 @@ TIMEOUT = 10.0
 FIRMWARES = ["1.6", "1.8", "3.0", "3.1", "3.2", "3.4", "3.7", "3.12", "3.14", "5.0", "5.1", "5.4", "5.6", "5.8", "5.11"]
 
 
-class StandIn:
-    """A simulated controller that is stepped by the test, with two saved programs and an arm that stands still."""
+def stepped(firmware: str) -> Controller:
+    """A controller that the test steps, with two saved programs and an arm that stands still."""
+    files = dict.fromkeys(("pick.urp", "/programs/place it.urp"), "while True:\n  sync()\nend\n")
+    return Controller(firmware=firmware, motion=Still(), serial="20215500001", files=files)
 
-    def __init__(self, firmware: str) -> None:
-        self.controller = Controller(
-            firmware=firmware,
-            motion=Still(),
-            serial="20215500001",
-            files=dict.fromkeys(("pick.urp", "/programs/place it.urp"), "while True:\n  sync()\nend\n"),
-        )
 
-    @property
-    def dashboard(self) -> DashboardPort:
-        return self.controller.dashboard
+def wait(host: Controller, seconds: float) -> None:
+    host.step(round(seconds * host.firmware.rate))
 
-    @property
-    def firmware(self) -> Firmware:
-        return self.controller.firmware
 
-    @property
-    def modes(self) -> Modes:
-        return self.controller.modes
+def protective_stop(host: Controller) -> None:
+    host.faults.protective_stop()
+    host.step()
 
-    @property
-    def pendant(self) -> Pendant:
-        return self.controller.pendant
 
-    def wait(self, seconds: float) -> None:
-        self.controller.step(round(seconds * self.firmware.rate))
-
-    def protective_stop(self) -> None:
-        self.controller.faults.protective_stop()
-        self.controller.step()
-
-    def play(self) -> None:
-        """Let a program run."""
-        assert self.pendant.load("pick.urp")
-        assert self.pendant.play()
+def play(host: Controller) -> None:
+    """Let a program run."""
+    assert host.pendant.load("pick.urp")
+    assert host.pendant.play()
 
 
 class Desk(OneAfterAnother):

@@ -26,12 +26,13 @@ from linkcore.errors import (
     RemoteError,
     WrongPeer,
 )
-from tests.urlink.interfaces.dashboard_desk import FIRMWARES, TIMEOUT, Desk, StandIn
+from tests.urlink.interfaces.dashboard_desk import FIRMWARES, TIMEOUT, Desk, play, protective_stop, stepped, wait
 from urlink.firmware import Firmware
 from urlink.interfaces.dashboard.client import Dashboard, DashboardRefused
 from urlink.interfaces.dashboard.commands import COMMANDS, NOT_IN_REMOTE_CONTROL
 from urlink.interfaces.dashboard.protocol import ProgramStatus, SavedProgram
 from urlink.interfaces.enums import ProgramState, RobotMode, RobotModeCB2, SafetyMode
+from urlink.simulator import Controller
 from urlink.simulator.robot.modes import Power
 
 pytestmark = pytest.mark.simulated_time
@@ -61,7 +62,7 @@ def opened() -> Iterator[Opened]:
         each.close()
 
 
-def answering(host: StandIn) -> Callable[[str], bytes]:
+def answering(host: Controller) -> Callable[[str], bytes]:
     """A controller's own answers."""
 
     def answer(line: str) -> bytes:
@@ -136,13 +137,13 @@ def test_every_command_has_its_method() -> None:
 @pytest.mark.parametrize("firmware", FIRMWARES)
 def test_every_command_on_every_firmware(firmware: str, opened: Opened) -> None:
     """What the firmware has, the controller does; what it has not is refused before anything is sent."""
-    host = StandIn(firmware)
-    desk, dashboard = opened(answering(host), firmware)
+    host = stepped(firmware)
+    desk, dashboard = opened(lambda line: answering(host)(line), firmware)
     for name, (call, value) in CALLS.items():
-        host.controller = StandIn(firmware).controller
+        host = stepped(firmware)
         host.pendant.load("pick.urp")
         if name != "play":
-            host.play()
+            play(host)
         sent = len(desk.lines)
         if COMMANDS[name].is_on(host.firmware):
             assert call(dashboard) == value, name
@@ -181,7 +182,7 @@ def test_polyscope_x_has_no_dashboard() -> None:
 def test_the_firmware_is_asked_anew(opened: Opened) -> None:
     """A controller can come back from a reboot with another."""
     versions = ["5.4", "5.11"]
-    desk, _ = opened(answering(StandIn("5.11")))
+    desk, _ = opened(answering(stepped("5.11")))
     with Dashboard("127.0.0.1", desk.port, lambda: Firmware.parse(versions[0])) as dashboard:
         with pytest.raises(LocalError):
             dashboard.is_in_remote_control()
@@ -190,14 +191,14 @@ def test_the_firmware_is_asked_anew(opened: Opened) -> None:
 
 
 def test_cb2_has_robot_modes_of_its_own(opened: Opened) -> None:
-    host = StandIn("1.8")
+    host = stepped("1.8")
     _, dashboard = opened(answering(host), "1.8")
-    host.protective_stop()
+    protective_stop(host)
     assert dashboard.robot_mode() is RobotModeCB2.SECURITY_STOPPED
 
 
 def test_no_program_is_loaded(opened: Opened) -> None:
-    _, dashboard = opened(answering(StandIn("5.11")))
+    _, dashboard = opened(answering(stepped("5.11")))
     assert dashboard.loaded_program() is None
     assert dashboard.program_state() == (ProgramState.STOPPED, "<unnamed>")
 
@@ -216,7 +217,7 @@ def test_no_program_is_loaded(opened: Opened) -> None:
 def test_refusals_in_the_controllers_own_words(
     call: Callable[[Dashboard], object], command: str, reply: str, opened: Opened
 ) -> None:
-    desk, dashboard = opened(answering(StandIn("5.11")))
+    desk, dashboard = opened(answering(stepped("5.11")))
     with pytest.raises(DashboardRefused) as caught:
         call(dashboard)
     assert (caught.value.command, caught.value.reply) == (command, reply)
@@ -228,21 +229,21 @@ def test_refusals_in_the_controllers_own_words(
 
 
 def test_a_protective_stop_cannot_be_unlocked_at_once(opened: Opened) -> None:
-    host = StandIn("5.11")
+    host = stepped("5.11")
     _, dashboard = opened(answering(host))
-    host.protective_stop()
+    protective_stop(host)
     with pytest.raises(DashboardRefused, match="until 5s after occurrence"):
         dashboard.unlock_protective_stop()
-    host.wait(5)
+    wait(host, 5)
     dashboard.unlock_protective_stop()
     assert dashboard.safety_mode() is SafetyMode.NORMAL
 
 
 def test_after_a_refusal_in_local_mode_it_connects_anew(opened: Opened) -> None:
     """As the controller asks for in its refusal."""
-    host = StandIn("5.11")
+    host = stepped("5.11")
     desk, dashboard = opened(answering(host))
-    host.controller.remote_control = False
+    host.remote_control = False
     assert not dashboard.is_in_remote_control()
     with pytest.raises(DashboardRefused, match="switch robot to Remote Control mode") as caught:
         dashboard.power_off()
@@ -250,7 +251,7 @@ def test_after_a_refusal_in_local_mode_it_connects_anew(opened: Opened) -> None:
     assert dashboard.robot_mode() == RobotMode.RUNNING
     assert desk.connections == 2
     assert dashboard.send("power off") == NOT_IN_REMOTE_CONTROL
-    host.controller.remote_control = True
+    host.remote_control = True
     assert dashboard.send("power off") == "Powering off"
     assert desk.connections == 3
 
@@ -312,7 +313,7 @@ def test_a_timeout_is_positive(timeout: float) -> None:
 
 
 def test_send_returns_whatever_is_said(opened: Opened) -> None:
-    desk, dashboard = opened(answering(StandIn("5.11")))
+    desk, dashboard = opened(answering(stepped("5.11")))
     assert dashboard.send("robotmode") == "Robotmode: RUNNING"
     assert dashboard.send("dance", timeout=5) == "could not understand: 'dance'"
     assert desk.connections == 1
@@ -338,13 +339,13 @@ def test_no_text_becomes_a_second_command(text: str) -> None:
 
 
 def test_start_powers_on_and_releases_the_brakes(opened: Opened) -> None:
-    host = StandIn("5.4")
+    host = stepped("5.4")
     host.modes.power_off()
-    host.wait(0.1)
+    wait(host, 0.1)
     answer = answering(host)
 
     def later(line: str) -> bytes:
-        host.wait(0.3)
+        wait(host, 0.3)
         return answer(line)
 
     desk, dashboard = opened(later, "5.4")
@@ -354,15 +355,15 @@ def test_start_powers_on_and_releases_the_brakes(opened: Opened) -> None:
 
 
 def test_start_of_an_arm_that_runs_sends_nothing(opened: Opened) -> None:
-    desk, dashboard = opened(answering(StandIn("3.0")), "3.0")
+    desk, dashboard = opened(answering(stepped("3.0")), "3.0")
     dashboard.start()
     assert desk.lines == ["robotmode"]
 
 
 def test_start_says_how_far_it_got(opened: Opened) -> None:
-    host = StandIn("5.11")
+    host = stepped("5.11")
     host.modes.emergency_stop()
-    host.wait(0.1)
+    wait(host, 0.1)
     desk, dashboard = opened(answering(host))
     with pytest.raises(
         LinkTimeout,
@@ -390,10 +391,10 @@ def test_start_does_not_argue_with_who_switches_it_off(opened: Opened) -> None:
 
 
 def test_start_in_local_mode_is_refused(opened: Opened) -> None:
-    host = StandIn("5.11")
+    host = stepped("5.11")
     host.modes.power_off()
-    host.wait(0.1)
-    host.controller.remote_control = False
+    wait(host, 0.1)
+    host.remote_control = False
     _, dashboard = opened(answering(host))
     with pytest.raises(DashboardRefused, match="Remote Control"):
         dashboard.start()
@@ -409,7 +410,7 @@ def test_cb2_is_started_by_hand() -> None:
 
 
 def test_it_connects_at_first_use(opened: Opened) -> None:
-    desk, dashboard = opened(answering(StandIn("5.11")))
+    desk, dashboard = opened(answering(stepped("5.11")))
     assert desk.connections == 0
     dashboard.running()
     dashboard.running()
@@ -442,13 +443,13 @@ def test_no_greeting_comes(opened: Opened) -> None:
 
 @pytest.mark.parametrize("chunk", [1, 7])
 def test_replies_in_pieces(chunk: int, opened: Opened) -> None:
-    _, dashboard = opened(answering(StandIn("5.11")), chunk=chunk)
+    _, dashboard = opened(answering(stepped("5.11")), chunk=chunk)
     assert dashboard.robot_mode() is RobotMode.RUNNING
     assert dashboard.robot_model() == "UR5"
 
 
 def test_lost_between_two_commands(opened: Opened) -> None:
-    desk, dashboard = opened(answering(StandIn("5.11")))
+    desk, dashboard = opened(answering(stepped("5.11")))
     dashboard.running()
     desk.hang_up()
     assert has_come(dashboard)
@@ -572,7 +573,7 @@ def test_a_reply_that_trickles_does_not_outlast_the_deadline(opened: Opened) -> 
 
 
 def test_slow_commands_have_longer(opened: Opened, monkeypatch: pytest.MonkeyPatch) -> None:
-    _, dashboard = opened(answering(StandIn("5.11")), timeout=SHORT)
+    _, dashboard = opened(answering(stepped("5.11")), timeout=SHORT)
     waited: list[float] = []
     exchange = dashboard._exchange
 
@@ -591,7 +592,7 @@ def test_slow_commands_have_longer(opened: Opened, monkeypatch: pytest.MonkeyPat
 
 
 def test_quit_takes_leave_and_the_next_command_connects(opened: Opened) -> None:
-    desk, dashboard = opened(answering(StandIn("5.11")))
+    desk, dashboard = opened(answering(stepped("5.11")))
     dashboard.quit()
     dashboard.running()
     assert desk.lines == ["quit", "running"]
@@ -599,7 +600,7 @@ def test_quit_takes_leave_and_the_next_command_connects(opened: Opened) -> None:
 
 
 def test_closed_is_closed(opened: Opened) -> None:
-    desk, dashboard = opened(answering(StandIn("5.11")))
+    desk, dashboard = opened(answering(stepped("5.11")))
     with dashboard:
         dashboard.running()
     dashboard.close()

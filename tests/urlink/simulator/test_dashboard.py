@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.urlink.interfaces.dashboard_desk import FIRMWARES, StandIn
+from tests.urlink.interfaces.dashboard_desk import FIRMWARES, play, protective_stop, stepped, wait
 from urlink.interfaces.dashboard.commands import COMMANDS, NOT_IN_REMOTE_CONTROL
 from urlink.interfaces.enums import SafetyMode
 from urlink.simulator import Demonstration
@@ -35,10 +35,10 @@ def test_the_arguments_are_those_of_the_table() -> None:
 @pytest.mark.parametrize("firmware", FIRMWARES)
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_on_every_firmware(name: str, firmware: str) -> None:
-    host = StandIn(firmware)
+    host = stepped(firmware)
     dashboard = host.dashboard
     if name in ("pause", "stop"):
-        host.play()
+        play(host)
     elif name == "play":
         host.pendant.load("pick.urp")
     reply = dashboard.reply(line_of(name))
@@ -56,7 +56,7 @@ def test_every_command_on_every_firmware(name: str, firmware: str) -> None:
 
 def test_cb2_has_its_own_few() -> None:
     on = {
-        firmware: {name for name, command in COMMANDS.items() if command.is_on(StandIn(firmware).firmware)}
+        firmware: {name for name, command in COMMANDS.items() if command.is_on(stepped(firmware).firmware)}
         for firmware in ("1.6", "1.8")
     }
     assert on["1.6"] == {
@@ -75,8 +75,8 @@ def test_polyscope_x_has_none() -> None:
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_an_e_series_in_local_mode_answers_questions_and_nothing_else(name: str) -> None:
-    host = StandIn("5.11")
-    host.controller.remote_control = False
+    host = stepped("5.11")
+    host.remote_control = False
     reply = host.dashboard.reply(line_of(name))
     if not COMMANDS[name].is_on(host.firmware) or name == "quit":
         return
@@ -91,8 +91,8 @@ def test_what_moves_the_arm_needs_remote_control(name: str) -> None:
 
 
 def test_a_cb3_knows_no_local_mode() -> None:
-    host = StandIn("3.14")
-    host.controller.remote_control = False
+    host = stepped("3.14")
+    host.remote_control = False
     assert host.dashboard.reply("power off") == "Powering off"
 
 
@@ -100,25 +100,25 @@ def test_a_cb3_knows_no_local_mode() -> None:
 
 
 def test_from_power_off_to_running() -> None:
-    host = StandIn("5.4")
+    host = stepped("5.4")
     dashboard = host.dashboard
     assert dashboard.reply("power off") == "Powering off"
-    host.wait(0.1)
+    wait(host, 0.1)
     assert dashboard.reply("robotmode") == "Robotmode: POWER_OFF"
     assert dashboard.reply("power on") == "Powering on"
     assert dashboard.reply("robotmode") == "Robotmode: POWER_ON"
-    host.wait(5)
+    wait(host, 5)
     assert dashboard.reply("robotmode") == "Robotmode: IDLE"
     assert dashboard.reply("brake release") == "Brake releasing"
-    host.wait(5)
+    wait(host, 5)
     assert dashboard.reply("robotmode") == "Robotmode: RUNNING"
 
 
 def test_power_on_twice_changes_nothing() -> None:
-    host = StandIn("5.4")
+    host = stepped("5.4")
     dashboard = host.dashboard
     dashboard.reply("power on")
-    host.wait(5)
+    wait(host, 5)
     assert dashboard.reply("robotmode") == "Robotmode: RUNNING"
 
 
@@ -137,15 +137,15 @@ def test_power_on_twice_changes_nothing() -> None:
 )
 def test_power_commands_are_carried_out_in_their_order(lines: list[str], reached: Power) -> None:
     """While the arm still brakes for `power off` the next one may come: the vendor's client sends them at once."""
-    host = StandIn("5.11")
-    host.controller.follow(Demonstration())
-    host.wait(2)
-    assert any(host.controller.arm.setpoint.qd)
+    host = stepped("5.11")
+    host.follow(Demonstration())
+    wait(host, 2)
+    assert any(host.arm.setpoint.qd)
     seen = [host.modes.power]
     for line in lines:
         host.dashboard.reply(line)
     for _ in range(2 * host.firmware.rate):
-        host.controller.step()
+        host.step()
         if host.modes.power is not seen[-1]:
             seen.append(host.modes.power)
     begun = [] if "off" not in lines[0] and "safety" not in lines[0] else [Power.OFF, Power.BOOTING, Power.IDLE]
@@ -160,69 +160,69 @@ def test_power_commands_are_carried_out_in_their_order(lines: list[str], reached
 
 
 def test_an_emergency_stop_takes_a_power_on_back() -> None:
-    host = StandIn("5.11")
+    host = stepped("5.11")
     host.dashboard.reply("power off")
     host.dashboard.reply("brake release")
     host.modes.emergency_stop()
-    host.wait(0.1)
+    wait(host, 0.1)
     host.modes.clear()
-    host.wait(5)
+    wait(host, 5)
     assert host.modes.power is Power.OFF
 
 
 def test_brake_release_powers_on() -> None:
-    host = StandIn("3.0")
+    host = stepped("3.0")
     host.modes.power_off()
-    host.wait(0.1)
+    wait(host, 0.1)
     host.dashboard.reply("brake release")
-    host.wait(5)
+    wait(host, 5)
     assert host.modes.power is Power.RUNNING
 
 
 def test_cb2_says_its_mode_as_a_number() -> None:
-    host = StandIn("1.8")
+    host = stepped("1.8")
     dashboard = host.dashboard
     assert dashboard.reply("robotmode") == "Robotmode: 0"
-    host.protective_stop()
+    protective_stop(host)
     assert dashboard.reply("robotmode") == "Robotmode: 4"
 
 
 def test_a_protective_stop_is_unlocked_after_five_seconds() -> None:
-    host = StandIn("5.11")
+    host = stepped("5.11")
     dashboard = host.dashboard
-    host.protective_stop()
+    protective_stop(host)
     host.pendant.popup = "Protective stop"
     assert dashboard.reply("safetymode") == "Safetymode: PROTECTIVE_STOP"
-    host.wait(4.98)
+    wait(host, 4.98)
     refused = dashboard.reply("unlock protective stop")
     assert refused is not None
     assert refused.startswith("Cannot unlock protective stop until 5s after occurrence. ")
     assert COMMANDS["unlock protective stop"].is_refusal(refused)
     assert dashboard.reply("safetystatus") == "Safetystatus: PROTECTIVE_STOP"
-    host.wait(0.02)
+    wait(host, 0.02)
     assert dashboard.reply("unlock protective stop") == "Protective stop releasing"
     assert host.modes.stop is StopState.NONE
     assert host.pendant.popup is None
 
 
 def test_an_emergency_stop_is_not_unlocked() -> None:
-    host = StandIn("5.11")
+    host = stepped("5.11")
     dashboard = host.dashboard
     host.modes.emergency_stop()
-    host.wait(10)
+    wait(host, 10)
     dashboard.reply("unlock protective stop")
     dashboard.reply("restart safety")
     dashboard.reply("power on")
-    host.wait(5)
+    wait(host, 5)
     assert host.modes.safety_mode is SafetyMode.ROBOT_EMERGENCY_STOP
     assert host.modes.power is Power.OFF
 
 
 def test_restart_safety_leaves_the_arm_off() -> None:
-    host = StandIn("5.11")
-    host.protective_stop()
+    host = stepped("5.11")
+    protective_stop(host)
     host.dashboard.reply("restart safety")
-    host.wait(0.1)
+    wait(host, 0.1)
     assert (host.modes.stop, host.modes.power) == (StopState.NONE, Power.OFF)
 
 
@@ -230,7 +230,7 @@ def test_restart_safety_leaves_the_arm_off() -> None:
 
 
 def test_load_play_pause_stop() -> None:
-    host = StandIn("5.4")
+    host = stepped("5.4")
     dashboard = host.dashboard
     assert dashboard.reply("get loaded program") == "No program loaded"
     assert dashboard.reply("programState") == "STOPPED <unnamed>"  # as a real 5.4 says
@@ -244,7 +244,7 @@ def test_load_play_pause_stop() -> None:
     assert dashboard.reply("play") == "Starting program"
     assert dashboard.reply("running") == "Program running: true"
     assert dashboard.reply("programState") == "PLAYING place it.urp"
-    host.protective_stop()
+    protective_stop(host)
     assert dashboard.reply("programState") == "PAUSED place it.urp"
     host.modes.clear()
     assert dashboard.reply("stop") == "Stopped"
@@ -252,10 +252,10 @@ def test_load_play_pause_stop() -> None:
 
 
 def test_power_off_stops_a_program_from_being_played() -> None:
-    host = StandIn("5.4")
+    host = stepped("5.4")
     host.pendant.load("pick.urp")
     host.modes.power_off()
-    host.wait(0.1)
+    wait(host, 0.1)
     assert host.dashboard.reply("play") == "Failed to execute: play"
 
 
@@ -263,7 +263,7 @@ def test_power_off_stops_a_program_from_being_played() -> None:
 
 
 def test_popup_and_log() -> None:
-    host = StandIn("5.4")
+    host = stepped("5.4")
     dashboard = host.dashboard
     popups = []
     for line in ("popup two  blanks, and Ümlaut", "close popup"):
@@ -279,7 +279,7 @@ def test_popup_and_log() -> None:
 
 
 def test_user_role() -> None:
-    dashboard = StandIn("3.4").dashboard
+    dashboard = stepped("3.4").dashboard
     assert dashboard.reply("getUserRole") == "NONE"
     assert dashboard.reply("setUserRole operator") == "Setting user role: operator"
     assert dashboard.reply("getUserRole") == "OPERATOR"
@@ -289,7 +289,7 @@ def test_user_role() -> None:
 
 
 def test_operational_mode() -> None:
-    dashboard = StandIn("5.6").dashboard
+    dashboard = stepped("5.6").dashboard
     assert dashboard.reply("get operational mode") == "NONE"
     assert dashboard.reply("set operational mode automatic") == "Operational mode AUTOMATIC is set"
     assert dashboard.reply("get operational mode") == "AUTOMATIC"
@@ -300,7 +300,7 @@ def test_operational_mode() -> None:
 
 
 def test_who_it_is() -> None:
-    dashboard = StandIn("5.11").dashboard
+    dashboard = stepped("5.11").dashboard
     assert dashboard.reply("get robot model") == "UR5"
     assert dashboard.reply("get serial number") == "20215500001"
     assert dashboard.reply("version") == "5.11.0.0"
@@ -308,7 +308,7 @@ def test_who_it_is() -> None:
 
 
 def test_reports() -> None:
-    dashboard = StandIn("5.11").dashboard
+    dashboard = stepped("5.11").dashboard
     assert dashboard.reply("generate flight report system") == "Flight Report generated with id: 1"
     # As the vendor's own client sends it.
     assert dashboard.reply("generate flight report") == "Flight Report generated with id: 2"
@@ -316,28 +316,28 @@ def test_reports() -> None:
 
 
 def test_upper_and_lower_case_are_alike() -> None:
-    dashboard = StandIn("5.11").dashboard
+    dashboard = stepped("5.11").dashboard
     assert dashboard.reply("ROBOTMODE") == dashboard.reply(" robotmode\r") == "Robotmode: RUNNING"
 
 
 def test_load_installation_is_not_load() -> None:
-    host = StandIn("5.11")
+    host = stepped("5.11")
     dashboard = host.dashboard
     assert dashboard.reply("load installation a.installation") == "Loading installation: a.installation"
     assert (host.pendant.loaded, dashboard.installation) == (None, "a.installation")
     # Firmware without it takes it for the name of a program, or does not know it; nobody knows which.
-    assert StandIn("3.0").dashboard.reply("load installation a") == "could not understand: 'load installation a'"
+    assert stepped("3.0").dashboard.reply("load installation a") == "could not understand: 'load installation a'"
 
 
 @pytest.mark.parametrize("line", ["", "dance", "powerup", "play it", "stopp", "popupx", "loadpick.urp"])
 def test_what_is_no_command(line: str) -> None:
-    assert StandIn("5.11").dashboard.reply(line) == f"could not understand: '{line}'"
+    assert stepped("5.11").dashboard.reply(line) == f"could not understand: '{line}'"
 
 
 @pytest.mark.property
 @given(st.text() | st.builds("{} {}".format, st.sampled_from(sorted(COMMANDS)), st.text()), st.sampled_from(FIRMWARES))
 def test_any_line_is_answered_with_one_line_or_ends_the_connection(line: str, firmware: str) -> None:
-    host = StandIn(firmware)
+    host = stepped(firmware)
     host.pendant.files[line.partition(" ")[2].strip()] = "sync()"
     reply = host.dashboard.reply(line)
     if reply is None:
