@@ -32,7 +32,7 @@ from .motion.trajectory import Trajectory
 from .robot import Robot
 from .vectors import Numbers, six
 
-__all__ = ["WAITING", "Group", "GroupMotion", "GroupStream", "Nearest"]
+__all__ = ["WAITING", "Group", "GroupMotion", "GroupStream", "Moments"]
 
 #: Peak of speed and of acceleration of the quintic from 0 to 1 in one second, at rest at both ends.
 _PEAK_SPEED, _PEAK_ACCELERATION = 1.875, 10.0 / math.sqrt(3.0)
@@ -295,61 +295,65 @@ class Group:
             LinkTimeout: none came from an arm in time.
             RemoteError, LocalError: as `Stream.iterate`.
         """
-        first, nearest = self._nearest()
-        others = {each: self.robots[each].realtime.iterate(drop_oldest(WAITING), timeout) for each in nearest}
-        to_local = self.robots[first].clock.to_local
-        for state in self.robots[first].realtime.iterate(latest, timeout):
-            local, found = to_local(state.time), {first: state}
-            for number, near in nearest.items():
-                while near.is_before(local):
-                    newer = next(others[number], None)
-                    if newer is None:
-                        return
-                    near.take(newer)
-                near.add_to(found, number, local)
-            if len(found) == len(self.robots):
-                yield tuple(found[number] for number in range(len(found)))
+        moments = self._moments()
+        others = {each: self.robots[each].realtime.iterate(drop_oldest(WAITING), timeout) for each in moments.others}
+        for state in self.robots[moments.first].realtime.iterate(latest, timeout):
+            while (lacking := moments.lacking(state)) is not None:
+                newer = next(others[lacking], None)
+                if newer is None:
+                    return
+                moments.take(lacking, newer)
+            states = moments.at(state)
+            if states is not None:
+                yield states
 
-    def _nearest(self) -> tuple[int, dict[int, Nearest]]:
-        """Number of the arm whose states set the moments, and, by number, what finds those of each other one."""
-        rates = [robot.firmware.rate for robot in self.robots]
-        first = rates.index(min(rates))
-        found = {
-            number: Nearest(robot.clock.to_local, 0.75 / rate)
-            for number, (robot, rate) in enumerate(zip(self.robots, rates, strict=True))
-            if number != first
-        }
-        return first, found
+    def _moments(self) -> Moments:
+        return Moments([(robot.clock.to_local, robot.firmware.rate) for robot in self.robots])
 
     def __repr__(self) -> str:
         return f"<Group of {', '.join(robot.address for robot in self.robots)}>"
 
 
-class Nearest:
-    """The states of one arm, looked up by the time of this computer; times only go on.
+class Moments:
+    """States of several arms of the same moment, found by the time of this computer. Times only go on.
 
     Args:
-        to_local: converts s of its controller to monotonic s of this computer.
-        furthest: s between a state and the time that it is looked up by, at most.
+        arms: of each, what converts s of its controller to monotonic s of this computer, and its states per second.
+
+    Attributes:
+        first: number of the arm whose states set the moments: the slowest, or the first of those.
+        others: numbers of the other ones.
     """
 
-    def __init__(self, to_local: Callable[[float], float], furthest: float) -> None:
-        self._to_local = to_local
-        self._furthest = furthest
-        self._before: RealtimeState | None = None
-        self._after: RealtimeState | None = None
+    def __init__(self, arms: Sequence[tuple[Callable[[float], float], float]]) -> None:
+        self.first = min(range(len(arms)), key=lambda number: arms[number][1])
+        self.others = [number for number in range(len(arms)) if number != self.first]
+        self._arms = arms
+        #: of each other arm, its state before the moment, and after it
+        self._around: dict[int, tuple[RealtimeState | None, RealtimeState | None]]
+        self._around = dict.fromkeys(self.others, (None, None))
 
-    def is_before(self, local: float) -> bool:
-        """Whether a later state has to be taken to know which is the nearest."""
-        return self._after is None or self._to_local(self._after.time) < local
+    def lacking(self, state: RealtimeState) -> int | None:
+        """Number of an arm whose next state is needed for the moment of a state of the first; None if there is none."""
+        local = self._local(self.first, state)
+        for number, (_, after) in self._around.items():
+            if after is None or self._local(number, after) < local:
+                return number
+        return None
 
-    def take(self, state: RealtimeState) -> None:
-        """The next state of the arm."""
-        self._before, self._after = self._after, state
+    def take(self, number: int, state: RealtimeState) -> None:
+        """The next state of an arm."""
+        self._around[number] = self._around[number][1], state
 
-    def add_to(self, found: dict[int, RealtimeState], number: int, local: float) -> None:
-        """Add the state nearest to monotonic s, if there is one near it."""
-        candidates = [each for each in (self._before, self._after) if each is not None]
-        nearest = min(candidates, key=lambda each: abs(self._to_local(each.time) - local))
-        if abs(self._to_local(nearest.time) - local) <= self._furthest:
-            found[number] = nearest
+    def at(self, state: RealtimeState) -> tuple[RealtimeState, ...] | None:
+        """The states of all arms, nearest to one of the first; None if one of them has none near it."""
+        local, found = self._local(self.first, state), {self.first: state}
+        for number, around in self._around.items():
+            off = {abs(self._local(number, each) - local): each for each in around if each is not None}
+            if min(off) > 0.75 / self._arms[number][1]:
+                return None
+            found[number] = off[min(off)]
+        return tuple(found[number] for number in range(len(found)))
+
+    def _local(self, number: int, state: RealtimeState) -> float:
+        return self._arms[number][0](state.time)

@@ -364,6 +364,83 @@ def test_where_the_stream_of_one_runs_dry_all_stand() -> None:
             assert side.robot.realtime.wait().q_target == pytest.approx(path.q[-1], abs=1e-3)
 
 
+def beside(path: Trajectory, way: float) -> Trajectory:
+    """The same, so many rad further in wrist 3."""
+    return Trajectory.from_arrays(path.time, path.q + np.array([0, 0, 0, 0, 0, way]), path.qd)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("firmwares", [("5.11", "5.11"), ("3.15", "5.11")])
+def test_the_points_of_all_are_replaced_and_cleared_at_one_time(firmwares: tuple[str, str]) -> None:
+    cycle = 0.002 if firmwares[0] == "5.11" else 0.008
+    with pair(21, *firmwares) as both:
+        with both.group.stream() as stream:
+            stream.append(both.dense(), wait=False)
+            time.sleep(0.8)
+            looked = stream.time
+            # As a policy would say it that saw them at 0.1 s.
+            since = stream.replace(0.0, [beside(path, 0.05) for path in both.dense()])
+            assert looked < since < looked + 0.15
+            stream.wait_until_dry()
+            assert stream.time == pytest.approx(2.4)
+            assert both.radians_apart() < 0.5 * 2 * cycle  # at 0.5 rad/s
+            for side, path in zip(both.sides, both.steady(2.4), strict=True):
+                assert side.robot.realtime.wait().q_target[5] == pytest.approx(path.q[-1, 5] + 0.05, abs=1e-3)
+            both.begin()
+            stream.append(both.dense(), wait=False)
+            time.sleep(0.8)
+            ended = stream.clear()
+            assert [each.end for each in stream.motions] == [pytest.approx(ended)] * 2
+            stream.wait_until_dry()
+            assert stream.time == pytest.approx(ended)
+            assert stream.starved == 0
+            assert 2.9 < ended < 3.2
+            assert both.radians_apart() < 0.5 * 2 * cycle
+            both.begin()
+            stream.append(both.steady(1.0))
+            stream.wait_until_dry()
+            assert both.seconds_apart() < cycle
+        assert (stream.phase, stream.error) == (Phase.DONE, None)
+
+
+@pytest.mark.slow
+def test_where_one_cannot_go_over_none_does() -> None:
+    with pair(22) as both, both.group.stream() as stream:
+        stream.append(both.dense(), wait=False)
+        time.sleep(0.8)
+        far = [beside(path, 1.0 * number) for number, path in enumerate(both.dense(1.0))]
+        with pytest.raises(BadValue, match="cannot be reached from where the stream is"):
+            stream.replace(0.0, far)
+        with pytest.raises(BadValue, match=r"end at 2\.4, 1 s; expected the same time for all"):
+            stream.replace(0.0, [both.dense()[0], far[1]])
+        with pytest.raises(BadValue, match="points for 1 arms"):
+            stream.replace(0.0, far[:1])
+        stream.wait_until_dry()
+        assert stream.starved == 0
+        for side, path in zip(both.sides, both.steady(2.4), strict=True):
+            assert side.robot.realtime.wait().q_target == pytest.approx(path.q[-1], abs=1e-3)
+
+
+@pytest.mark.slow
+def test_where_a_word_comes_too_late_to_one_all_are_cleared() -> None:
+    """The left arm has gone over when the right one says that its points were past before the word came."""
+    with pair(23) as both, both.group.stream(buffer=1.5) as stream:
+        stream.append(both.dense(), wait=False)
+        time.sleep(0.8)
+        route = both.sim.network.route(both.sim.here, both.right.computer)
+        route.latency, quick = 0.3, route.latency
+        soon = [beside(path, 0.0) for path in both.dense(1.0)]
+        with pytest.raises(BadValue, match=r"cleared: the word came too late to 192\.168\.0\.101: "):
+            stream.replace(0.0, soon)
+        route.latency = quick
+        stream.wait_until_dry()
+        assert stream.end < 2.0
+        both.begin()
+        stream.append(both.steady(1.0))
+        stream.wait_until_dry()
+        assert both.seconds_apart() < CYCLE
+
+
 def test_a_stop_of_one_ends_the_stream_of_all() -> None:
     latency = 1e-3
     with pair(16, latency=latency, jitter=0.0) as both:
@@ -479,10 +556,13 @@ def test_awaited() -> None:
                 here[1] = here[1] + 0.05
                 path = [Trajectory.from_arrays([0, 1], [begin, q]) for begin, q in zip(begins, here, strict=True)]
                 assert await stream.append(path) <= 0.3
+                begin = await stream.replace(0.0, path)
+                assert 0.0 < begin < 0.9
                 await stream.wait_until_dry()
                 assert stream.time == pytest.approx(1.0)
                 assert (stream.end, stream.starved, stream.is_dry) == (1.0, 0, True)
                 assert [each.phase for each in stream.motions] == [Phase.RUNNING] * 2
+                assert await stream.clear() == pytest.approx(1.0)
             assert (stream.phase, stream.error) == (Phase.DONE, None)
             seen = 0
             async for states in both.states():

@@ -24,6 +24,8 @@ class AsyncGroupStream(AwaitedHandle[GroupStream]):
     __slots__ = ()
 
     append = awaited(GroupStream.append)
+    clear = awaited(GroupStream.clear)
+    replace = awaited(GroupStream.replace)
     wait = awaited(GroupStream.wait)
     wait_until_dry = awaited(GroupStream.wait_until_dry)
 
@@ -73,17 +75,14 @@ class AsyncGroup(AwaitedPart[Group]):
 
     async def states(self, timeout: float | None = 5.0) -> AsyncIterator[tuple[RealtimeState, ...]]:
         """As `Group.states`: ``async for left, right in both.states()``."""
-        first, nearest = self._part._nearest()
-        others = {each: self.robots[each].realtime.iterate(drop_oldest(WAITING), timeout) for each in nearest}
-        to_local = self.robots[first].clock.to_local
-        async for state in self.robots[first].realtime.iterate(latest, timeout):
-            local, found = to_local(state.time), {first: state}
-            for number, near in nearest.items():
-                while near.is_before(local):
-                    newer = await anext(others[number], None)
-                    if newer is None:
-                        return
-                    near.take(newer)
-                near.add_to(found, number, local)
-            if len(found) == len(self.robots):
-                yield tuple(found[number] for number in range(len(found)))
+        moments = self._part._moments()
+        others = {each: self.robots[each].realtime.iterate(drop_oldest(WAITING), timeout) for each in moments.others}
+        async for state in self.robots[moments.first].realtime.iterate(latest, timeout):
+            while (lacking := moments.lacking(state)) is not None:
+                newer = await anext(others[lacking], None)
+                if newer is None:
+                    return
+                moments.take(lacking, newer)
+            states = moments.at(state)
+            if states is not None:
+                yield states

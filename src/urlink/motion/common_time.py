@@ -179,12 +179,13 @@ class CommonPace:
                 self._wanted = min(each.own_rate(now) for each in busy)
 
     def lead(self, place: float, local: float) -> float:
-        """s by which a stream is ahead of the one that is furthest behind.
+        """s by which a stream is ahead of the one that is furthest behind, of those that have points.
 
         Args:
             place: s on its clock, at `local`, monotonic s of this computer.
         """
-        return place - min(each.place_at(local, self._rate) for each in self._members)
+        busy = [each.place_at(local, self._rate) for each in self._members if not each.is_idle]
+        return place - min(busy, default=place)
 
 
 class MemberPace:

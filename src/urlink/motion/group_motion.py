@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import contextlib
+import threading
 import time
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Future
 from functools import partial
 from typing import TYPE_CHECKING
 
-from linkcore.arguments import check_seconds, check_wait
+from linkcore.arguments import check_number, check_seconds, check_wait
 from linkcore.errors import BadValue, Cancelled, LinkError
 from linkcore.handle import Lifecycle, Motion
 from linkcore.threads import CallbackThread
 
 from .point_stream import PointStream
 from .stream_points import Points
+from .stream_steps import Aim, Handed
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -23,6 +26,9 @@ __all__ = ["GroupMotion", "GroupStream", "end_all"]
 
 #: s by which the points of two arms may end at different times.
 _SAME_TIME = 1e-6
+#: s within which the ways of all arms onto other points have been found. Chosen: two take a few ms; if it takes longer,
+#: some arms go over later.
+_PLANNING = 0.01
 #: s within which the handle hears of the end of a stream, and the reason of it.
 _REASON = 1.0
 
@@ -82,6 +88,8 @@ class GroupStream(GroupMotion):
     ) -> None:
         super().__init__(life, streams, names, stopping)
         self._block = contextlib.ExitStack()
+        #: points are handed to all arms, or taken from all; re-entrant, for signal handlers
+        self._handing = threading.RLock()
 
     def __enter__(self) -> Self:
         """Upload the programs and wait until all have connected.
@@ -126,23 +134,86 @@ class GroupStream(GroupMotion):
             LocalError, LinkError: as `PointStream.append`; or what has ended the stream of another arm.
         """
         seconds = check_wait(wait)
-        if len(points) != len(self.motions):
-            raise BadValue(f"points for {len(points)} arms; expected them for each of the {len(self.motions)}")
-        with self._reasons(), contextlib.ExitStack() as stack:
-            for stream in self.motions:
-                stack.enter_context(stream._producing())
-            checked = [stream._checked(each) for stream, each in zip(self.motions, points, strict=True)]
-            ends = [aims[-1].time for _, aims in checked]
-            if max(ends) - min(ends) > _SAME_TIME:
-                raise BadValue(
-                    f"the points end at {', '.join(f'{end:g}' for end in ends)} s; expected the same time for all"
-                )
-            handed = [stream._add(*each) for stream, each in zip(self.motions, checked, strict=True)]
+        with self._producing(points):
+            handed: list[Handed | None] = []
+            while not any(handed):  # another thread has cleared the stream meanwhile
+                # After a replacement that some arms took later than others, their points may end at different times.
+                begins = max(stream._mark().time for stream in self.motions)
+                checked = [stream._checked(each, begins) for stream, each in zip(self.motions, points, strict=True)]
+                _check_ends([aims for _, aims in checked])
+                with self._handing:
+                    handed = [stream._add(*each) for stream, each in zip(self.motions, checked, strict=True)]
             until = time.monotonic() + seconds
             for stream, each in zip(self.motions, handed, strict=True):
                 if seconds and each is not None:
                     stream._await_room(each, max(until - time.monotonic(), 0.0))
         return self.room
+
+    def replace(self, from_time: float, points: Sequence[Points]) -> float:
+        """Replace all points of all arms after a time, from the same time on; see `PointStream.replace`.
+
+        Each arm goes over onto its new points as soon as its limits allow.
+
+        Args:
+            from_time: s on the clock of the stream; if that is past, or one of the robots cannot be reached any more,
+                from as soon as all can be.
+            points: for each arm, as for `append`; the time of a trajectory begins at `from_time`.
+
+        Returns:
+            s on the clock of the stream from which it holds for all.
+
+        Raises:
+            BadValue: not for each arm; they end at different times; or an arm could not follow them. The old points of
+                all arms stay; but if the word came to one robot so late that it cannot go over any more, after others
+                have, the stream of all is cleared.
+            LocalError, LinkError: as for `append`.
+        """
+        since = check_number(from_time, "from_time", 0.0, unit="s")
+        with self._producing(points):
+            curves = [stream._curve(each, since) for stream, each in zip(self.motions, points, strict=True)]
+            _check_ends(curves)
+            return self._put(since, curves)
+
+    def clear(self) -> float:
+        """Drop all points of all arms, and brake, all from the same time on; see `PointStream.clear`.
+
+        Returns:
+            s on the clock of the stream at which the points end now.
+
+        Raises:
+            LocalError, LinkError: as for `append`.
+        """
+        with self._reasons():
+            for stream in self.motions:
+                stream._check_open()
+                stream._mark()
+            return self._put(0.0, [()] * len(self.motions))
+
+    def _put(self, since: float, curves: Sequence[Sequence[Aim]]) -> float:
+        """Replace the points of all arms, if each can go over; returns s from which that holds."""
+        replaced: list[Future[float]] = []
+        while not replaced:
+            for stream in self.motions:
+                stream._await_answer()
+            with self._handing:
+                if all(stream._is_answered for stream in self.motions):
+                    begin = max(since, *(stream._reach(_PLANNING) for stream in self.motions))
+                    for stream, curve in zip(self.motions, curves, strict=True):
+                        stream._check(begin, curve)
+                    replaced = [stream._put(begin, curve) for stream, curve in zip(self.motions, curves, strict=True)]
+        times, refused = [], []
+        for stream, name, each in zip(self.motions, self._names, replaced, strict=True):
+            try:
+                times.append(stream._answered(each))
+            except BadValue as error:
+                refused.append((name, error))
+        if not refused:
+            return max(times)
+        name, error = refused[0]
+        if times:
+            self.clear()
+            raise BadValue(f"the points of all arms were cleared: the word came too late to {name}: {error}") from error
+        raise error
 
     def wait_until_dry(self, timeout: float = 60.0) -> None:
         """Wait until all arms have come to the end of their points, and rest.
@@ -187,6 +258,16 @@ class GroupStream(GroupMotion):
         return max(stream.starved for stream in self.motions)
 
     @contextlib.contextmanager
+    def _producing(self, points: Sequence[Points]) -> Iterator[None]:
+        """Nobody else appends or replaces."""
+        if len(points) != len(self.motions):
+            raise BadValue(f"points for {len(points)} arms; expected them for each of the {len(self.motions)}")
+        with self._reasons(), contextlib.ExitStack() as stack:
+            for stream in self.motions:
+                stack.enter_context(stream._producing())
+            yield
+
+    @contextlib.contextmanager
     def _reasons(self) -> Iterator[None]:
         """What has ended one stream is the error of all."""
         try:
@@ -197,6 +278,12 @@ class GroupStream(GroupMotion):
             if self.error is not None:
                 raise self.error from None
             raise
+
+
+def _check_ends(aims: Sequence[Sequence[Aim]]) -> None:
+    ends = [each[-1].time for each in aims]
+    if max(ends) - min(ends) > _SAME_TIME:
+        raise BadValue(f"the points end at {', '.join(f'{end:g}' for end in ends)} s; expected the same time for all")
 
 
 def end_all(lives: Sequence[Lifecycle], why: str) -> None:

@@ -133,10 +133,14 @@ class PointStream(LinkedBlock):
                 self._await_room(handed, seconds)
         return self.room
 
-    def _checked(self, points: Points) -> tuple[Mark, list[Aim]]:
-        """Where the stream ends, and what is to be appended there."""
+    def _checked(self, points: Points, begins: float = 0.0) -> tuple[Mark, list[Aim]]:
+        """Where the stream ends, and what is to be appended there, from `begins`, s on its clock, if that is later."""
         mark = self._mark()
-        return mark, self._reader.after(points, mark)
+        if mark.time < begins:
+            with self._context.section:
+                self._feed.skip(begins)
+            mark = self._mark()
+        return mark, self._reader.after(points, mark, begins)
 
     def _add(self, mark: Mark, aims: Sequence[Aim]) -> Handed | None:
         """Append them; None where another thread has cleared the stream meanwhile."""
@@ -173,11 +177,39 @@ class PointStream(LinkedBlock):
         """
         since = check_number(from_time, "from_time", 0.0, unit="s")
         with self._producing():
-            mark = self._mark()
-            curve = self._reader.curve(points, since, mark)
-            with self._context.section:
-                done = self._feed.replace(since, curve)
-            return self._await(done, _ANSWER, "the robot has not taken the points")
+            return self._answered(self._put(since, self._curve(points, since)))
+
+    def _curve(self, points: Points, since: float) -> list[Aim]:
+        """What the points are replaced by."""
+        return self._reader.curve(points, since, self._mark())
+
+    def _put(self, since: float, curve: Sequence[Aim]) -> Future[float]:
+        """Have the points after a time replaced, by none too."""
+        with self._context.section:
+            return self._feed.replace(since, curve)
+
+    def _await_answer(self) -> None:
+        """Wait until it is known which points the robot holds."""
+        with self._context.section:
+            answered = self._feed.answered()
+        self._await(answered, _ANSWER, "the robot has not answered")
+
+    def _check(self, since: float, curve: Sequence[Aim]) -> None:
+        """Raise BadValue if it is known now that `_put` would be refused."""
+        with self._context.section:
+            self._feed.check(since, curve)
+
+    def _reach(self, later: float) -> float:
+        """See `StreamFeed.reach`."""
+        with self._context.section:
+            return self._feed.reach(later)
+
+    @property
+    def _is_answered(self) -> bool:
+        return self._feed.is_answered
+
+    def _answered(self, replaced: Future[float]) -> float:
+        return self._await(replaced, _ANSWER, "the robot has not taken the change of its points")
 
     def clear(self) -> float:
         """Drop all points, also those that the robot holds, and brake; the stream goes on with the next points.
@@ -190,9 +222,7 @@ class PointStream(LinkedBlock):
         """
         self._check_open()
         self._mark()
-        with self._context.section:
-            done = self._feed.replace(0.0, ())
-        return self._await(done, _ANSWER, "the robot has not dropped its points")
+        return self._answered(self._put(0.0, ()))
 
     def wait_until_dry(self, timeout: float = 60.0) -> None:
         """Wait until the arm has come to the end of all points, and rests.

@@ -78,6 +78,10 @@ class _Sent:
     until: float
     aim: Aim | None
 
+    def clock(self, t: float) -> float:
+        """`t` s after it began, on the clock of the stream, s."""
+        return self.begins + (self.ends - self.begins) * min(t / self.step.length, 1.0) if t > 0.0 else self.begins
+
 
 @dataclasses.dataclass(frozen=True)
 class _Report:
@@ -178,11 +182,13 @@ class StreamFeed:
         self._is_open = False
         self._queue: deque[Aim] = deque()
         self._cut: _Cut | None = None
-        self._request: _Request | None = None
+        #: those that wait for the answer to the cut
+        self._requests: deque[_Request] = deque()
         self._is_cleared = False
         self._may_skip = False
         #: after a pause: the words before it, and where the arm stood
         self._found: tuple[int, JointMoment] | None = None
+        self._answered: list[Future[None]] = []
         self._dry: list[Future[None]] = []
 
     # -- for the one who appends; in the section -----------------------------------------------------
@@ -195,11 +201,34 @@ class StreamFeed:
     def replace(self, since: float, curve: Sequence[Aim]) -> Future[float]:
         """Replace what comes after a time, or as soon as possible after it; without points, end there."""
         request = _Request(since, curve, Future())
-        if self._cut is not None or self._request is not None:
-            self._request = request  # one that ends the stream, while points are being replaced
-        else:
-            self._attempt(request)
+        self._requests.append(request)
+        if self._cut is None:
+            self._attend()
         return request.done
+
+    def check(self, since: float, curve: Sequence[Aim]) -> None:
+        """Raise what `replace` would now, if the program has answered every cut.
+
+        Raises:
+            BadValue: no way within the limits leads onto the points.
+        """
+        self._planned(_Request(since, curve, Future()))
+
+    def reach(self, later: float) -> float:
+        """s on the clock of the stream from which points can be replaced, `later` s from now."""
+        if not self._is_open:
+            return self._last.ends
+        place = self._place(self.margin + later)
+        if place is None:
+            return self._end_of_sent.ends
+        sent, t = place
+        return sent.clock(t)
+
+    def skip(self, time: float) -> None:
+        """Where no points are left, set the clock of the stream forward to `time`, s."""
+        if not self._is_open and not self._queue and self.is_answered and self.mark is not None:
+            self._last = dataclasses.replace(self._last, ends=max(time, self._last.ends))
+            self.mark = Mark(self._last.ends, self.mark.moment)
 
     def forget(self, handed: Handed) -> None:
         """Drop those of these points that were not sent."""
@@ -214,17 +243,29 @@ class StreamFeed:
             else:
                 self.mark = Mark(self._last.ends, JointMoment.at_rest(self._brake.end.q))
 
+    def answered(self) -> Future[None]:
+        """Resolved once the program has answered every cut."""
+        self._answered.append(Future())
+        future = self._answered[-1]
+        self._settle()
+        return future
+
     def dry(self) -> Future[None]:
         """Resolved once the arm rests and no point is left."""
-        future: Future[None] = Future()
-        self._dry.append(future)
-        self._settle_dry()
+        self._dry.append(Future())
+        future = self._dry[-1]
+        self._settle()
         return future
+
+    @property
+    def is_answered(self) -> bool:
+        """Whether the program has answered every cut, so that it is known which points it holds."""
+        return not (self._cut or self._requests)
 
     @property
     def is_dry(self) -> bool:
         """Whether the arm rests and no point is left."""
-        is_busy = self._is_open or self._queue or self._cut or self._request
+        is_busy = self._is_open or self._queue or not self.is_answered
         return not is_busy and self._report.phase == RESTING
 
     @property
@@ -236,8 +277,8 @@ class StreamFeed:
         if place is None:
             # It stands, or is led beyond what was sent by now.
             return self._steps[-1].ends if self._steps and self._report.phase == MOVING else self._last.ends
-        step, t = place
-        return step.begins + (step.ends - step.begins) * min(t / step.step.length, 1.0) if t > 0.0 else step.begins
+        sent, t = place
+        return sent.clock(t)
 
     @property
     def ahead(self) -> float:
@@ -253,10 +294,10 @@ class StreamFeed:
             for aim in self._queue:
                 if aim.handed is not None:
                     aim.handed.settle(error)
-            waiting: list[Future[None] | Future[float]] = [self.begun, *self._dry]
-            for request in (self._request, None if self._cut is None else self._cut.request):
-                if request is not None:
-                    waiting.append(request.done)
+            waiting: list[Future[None] | Future[float]] = [self.begun, *self._answered, *self._dry]
+            waiting += [request.done for request in self._requests]
+            if self._cut is not None and self._cut.request is not None:
+                waiting.append(self._cut.request.done)
             for future in waiting:
                 if not future.done():
                     future.set_exception(error)
@@ -327,16 +368,11 @@ class StreamFeed:
         self._last, self._brake = _Sent(0, 0, still, time, time, 0.0, None), still
 
     def _next(self) -> bytes:
-        if self._cut is None:
-            if self._request is not None:
-                request, self._request = self._request, None
-                try:
-                    self._attempt(request)
-                except BadValue as error:
-                    request.done.set_exception(error)
-            if self._cut is None and not self._is_open and self._queue:
-                self._resume()
-            self._settle_dry()
+        while self._cut is None and self._requests:
+            self._attend()
+        self._settle()
+        if self._cut is None and not self._is_open and self._queue:
+            self._resume()
         if self._cut is not None and (self._cut.word == 0 or self._is_lossy):
             # Again until it is answered, where words may be lost: so what sees a later word has seen a cut.
             if self._cut.word == 0:
@@ -347,7 +383,7 @@ class StreamFeed:
             self._has_told = False
             aim = self._queue.popleft()
             assert aim.step is not None
-            before = self._steps[-1] if self._steps else self._last
+            before = self._end_of_sent
             self._head += 1
             # From where the step before ends, as the program does it.
             step = Step.to(before.step.end, aim.moment, aim.step.length, aim.degree)
@@ -357,6 +393,11 @@ class StreamFeed:
                 aim.handed.settle()
             return self._word(POINT, self._head, aim.step.length, aim.degree, aim.moment)
         return self._wait_word()
+
+    @property
+    def _end_of_sent(self) -> _Sent:
+        """The newest step that was sent, or the one that the arm has behind it."""
+        return self._steps[-1] if self._steps else self._last
 
     @property
     def _has_room(self) -> bool:
@@ -383,8 +424,7 @@ class StreamFeed:
             if report.epoch == cut.epoch:
                 if cut.request is not None:
                     self._is_cleared = not cut.request.curve
-                    assert self.mark is not None
-                    cut.request.done.set_result(self.mark.time if self._is_cleared else cut.request.since)
+                    cut.request.done.set_result(cut.request.since)
             else:
                 self._take_back(cut)
         while self._steps and self._steps[0].number <= report.base:
@@ -421,18 +461,20 @@ class StreamFeed:
         new = [sent.aim for sent in self._steps if sent.number > cut.head and sent.aim is not None]
         self._head, self._steps = cut.head, deque(cut.steps)
         if cut.request is not None:
-            self._queue, self.mark, self._request = deque(cut.queue), cut.mark, cut.request
+            self._queue, self.mark = deque(cut.queue), cut.mark
+            self._requests.appendleft(cut.request)
             self._is_open = True
         else:
             self._queue.extendleft(reversed([aim for aim in new if aim not in self._queue]))
             self._is_open = False
 
-    def _settle_dry(self) -> None:
-        if self.is_dry:
-            for future in self._dry:
-                if not future.done():
-                    future.set_result(None)
-            self._dry.clear()
+    def _settle(self) -> None:
+        for waiting, is_so in ((self._answered, self.is_answered), (self._dry, self.is_dry)):
+            if is_so:
+                for future in waiting:
+                    if not future.done():
+                        future.set_result(None)
+                waiting.clear()
 
     # -- planning --------------------------------------------------------------------------------------
 
@@ -496,51 +538,53 @@ class StreamFeed:
         step = self._brake.cut(t)
         self._steps.append(_Sent(self._head, 0, step, time, time, self._last.until + t, None))
 
-    def _attempt(self, request: _Request) -> None:
-        """Replace the tail, or cut it off.
+    def _attend(self) -> None:
+        """Begin with the first request."""
+        request = self._requests.popleft()
+        try:
+            self._planned(request)()
+        except BadValue as error:
+            request.done.set_exception(error)
+
+    def _planned(self, request: _Request) -> Callable[[], None]:
+        """What replaces the tail, or cuts it off; nothing changes before it is called.
 
         Raises:
             BadValue: no way within the limits leads onto the points.
         """
         now = self._place(self.margin)
         if not self._is_open:
-            self._replace_at_rest(request)
-        elif now is None or (request.curve and request.since >= self._steps[-1].ends):
-            self._replace_unsent(request)
-        else:
-            self._replace_sent(request, *now)
+            return self._planned_at_rest(request)
+        if now is None or request.since >= self._end_of_sent.ends:
+            return self._planned_unsent(request)
+        return self._planned_sent(request, *now)
 
-    def _replace_at_rest(self, request: _Request) -> None:
+    def _planned_at_rest(self, request: _Request) -> Callable[[], None]:
         time = self._last.ends
-        self._drop()
-        if request.curve:
-            aims = [aim for aim in request.curve if aim.time > max(request.since, time)]
-            if not aims:
-                raise BadValue(
-                    f"all points are past: the last is at {request.curve[-1].time:g} s, and the stream at {time:g} s"
-                )
-            self._queue.extend(aims)
-            self._may_skip = True
-            self.mark = Mark(aims[-1].time, aims[-1].moment)
-        else:
-            self.mark = Mark(time, JointMoment.at_rest(self._brake.end.q))
-        request.done.set_result(time)
+        aims = [aim for aim in request.curve if aim.time > max(request.since, time)]
+        if request.curve and not aims:
+            raise BadValue(
+                f"all points are past: the last is at {request.curve[-1].time:g} s, and the stream at {time:g} s"
+            )
 
-    def _replace_unsent(self, request: _Request) -> None:
+        def replace() -> None:
+            self._put(aims)
+            if aims:
+                self._may_skip = True
+            else:
+                self.mark = Mark(time, JointMoment.at_rest(self._brake.end.q))
+            request.done.set_result(time)
+
+        return replace
+
+    def _planned_unsent(self, request: _Request) -> Callable[[], None]:
         """What was sent stays; the arm is too near to its end, or the replacement is to begin later."""
-        end = self._steps[-1] if self._steps else self._last
-        queue = list(self._queue)
-        if not request.curve:
-            self._drop()
-            self._is_cleared = True
-            self.mark = Mark(end.ends, self._bounds.braked(end.step.end))
-            request.done.set_result(end.ends)
-            return
+        end = self._end_of_sent
         assert self.mark is not None
         since = min(max(request.since, end.ends), self.mark.time)
         kept: list[Aim] = []
         begin, time = end.step.end, end.ends
-        for aim in queue:
+        for aim in self._queue:
             if aim.time <= since:
                 kept.append(aim)
                 begin, time = aim.moment, aim.time
@@ -552,37 +596,51 @@ class StreamFeed:
                     step = aim.step.cut(t)
                     kept.append(Aim(since, step.degree, begin, step, aim.handed))
                 break
-        aims = onto(self._bounds, request.curve, begin, time, 2.0 * self._cycle)
-        self._drop(kept)
-        self._queue.extend([*kept, *aims])
-        self.mark = Mark(aims[-1].time, aims[-1].moment)
-        request.done.set_result(time)
+        aims = self._onto(request, begin, time)
 
-    def _replace_sent(self, request: _Request, place: _Sent, t: float) -> None:
-        time = place.begins + (place.ends - place.begins) * t / place.step.length
-        if request.curve and request.since > time:
+        def replace() -> None:
+            self._put([*kept, *aims])
+            if not aims:
+                self._is_cleared = True
+                self.mark = Mark(time, self._bounds.braked(begin))
+            request.done.set_result(time)
+
+        return replace
+
+    def _planned_sent(self, request: _Request, place: _Sent, t: float) -> Callable[[], None]:
+        time = place.clock(t)
+        if request.since > time:
             time = request.since
             place = next(sent for sent in self._steps if sent.ends > time)
             t = place.step.length * (time - place.begins) / (place.ends - place.begins)
         # A step of no length has no polynomial.
         t = max(t, 0.5 * self._cycle)
         here = place.step.at(t)
-        aims = onto(self._bounds, request.curve, here, time, 2.0 * self._cycle) if request.curve else []
-        kept = self._kept(dataclasses.replace(request, since=time if request.curve else request.since))
-        self._drop()
-        step = place.step.cut(t)
-        self._open(place.number - 1, t, step.degree, here, kept)
-        while self._steps and self._steps[-1].number >= place.number:
-            self._steps.pop()
-        until = place.until - place.step.length + t
-        self._steps.append(_Sent(place.number, 0, step, place.begins, time, until, None))
-        self._queue.extend(aims)
-        self.mark = Mark(aims[-1].time, aims[-1].moment) if aims else Mark(time, self._bounds.braked(here))
+        aims = self._onto(request, here, time)
 
-    def _drop(self, kept: Sequence[Aim] = ()) -> None:
-        """Forget the points that were not sent."""
-        left = {id(aim.handed) for aim in kept}
+        def replace() -> None:
+            kept = self._kept(dataclasses.replace(request, since=time))
+            self._put(aims)
+            step = place.step.cut(t)
+            self._open(place.number - 1, t, step.degree, here, kept)
+            while self._steps and self._steps[-1].number >= place.number:
+                self._steps.pop()
+            until = place.until - place.step.length + t
+            self._steps.append(_Sent(place.number, 0, step, place.begins, time, until, None))
+            if not aims:
+                self.mark = Mark(time, self._bounds.braked(here))
+
+        return replace
+
+    def _onto(self, request: _Request, here: JointMoment, time: float) -> list[Aim]:
+        return onto(self._bounds, request.curve, here, time, 2.0 * self._cycle) if request.curve else []
+
+    def _put(self, aims: Sequence[Aim]) -> None:
+        """These, in place of all that were not sent."""
+        left = {id(aim.handed) for aim in aims}
         for aim in self._queue:
             if aim.handed is not None and id(aim.handed) not in left:
                 aim.handed.settle(Cancelled("the points were replaced or cleared before the robot had room for them"))
-        self._queue.clear()
+        self._queue = deque(aims)
+        if aims:
+            self.mark = Mark(aims[-1].time, aims[-1].moment)

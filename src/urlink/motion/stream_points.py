@@ -67,8 +67,11 @@ class PointReader:
         self._shortest = shortest
         self._inverse = inverse
 
-    def after(self, points: Points, mark: Mark) -> list[Aim]:
+    def after(self, points: Points, mark: Mark, begins: float = 0.0) -> list[Aim]:
         """Points that are appended at the mark.
+
+        Args:
+            begins: s on the clock of the stream before which a trajectory does not begin.
 
         Raises:
             BadValue: the arm could not follow them.
@@ -77,7 +80,7 @@ class PointReader:
         aims: list[Aim] = []
         begin, time = mark.moment, mark.time
         names = []
-        for number, point in enumerate(self._given(points, mark.time, mark)):
+        for number, point in enumerate(self._given(points, max(begins, mark.time), mark)):
             name = f"point {number} (t = {point.time:g} s)"
             is_here = number == 0 and abs(point.time - time) < self._shortest
             if is_here and isinstance(points, Trajectory):

@@ -203,11 +203,7 @@ def buffering(
                 phase = {RESTING}
               end
             end
-            if phase == {OPEN} and head > base:
-              begin()
-              phase = {MOVING}
-              passed = 0.0
-            end
+            depart()
             keep_pace()
             advance()
             is_over = (leaving or starved) and phase == {RESTING}
@@ -500,6 +496,14 @@ def _geometry(period: str, change: str) -> str:
             phase = {BRAKING}
           end
         end
+        def depart():
+          if phase == {OPEN} and head > base:
+            begin()
+            phase = {MOVING}
+            passed = 0.0
+            pace = pace_told
+          end
+        end
         def keep_pace():
           wanted = pace_told
           if phase == {BRAKING}:
@@ -578,6 +582,7 @@ def _words(capacity: int, rates: str) -> str:
           end
         end
         def cut():
+          depart()
           if phase == {RESTING} or phase == {OPEN}:
             if word[3] == base and word[4] == 0:
               if not is_known:

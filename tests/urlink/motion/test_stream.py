@@ -256,6 +256,33 @@ class TestReplaced:
         path = np.array(stream.path[begin : begin + round(1.8 / stream.period)])
         assert np.abs(path - [wave(i * stream.period).q for i in range(len(path))]).max() < 2e-6
 
+    def test_what_is_refused_at_rest_leaves_the_points(self) -> None:
+        stream = Streamed(E_SERIES)
+        handed = stream.append(waves(0.05, 1.0))
+        stream.run_dry()
+        stream.append([TrajectoryPoint(turned(0.1), 2.0, [0] * 6, [0] * 6)])
+        with pytest.raises(BadValue, match=r"all points are past: the last is at 0\.3 s"):
+            stream.replace(0.0, waves(0.05, 0.3))
+        stream.run_dry()
+        assert handed.future.exception() is None
+        assert stream.path[-1] == pytest.approx(turned(0.1), abs=ROUNDING)
+
+    def test_one_that_came_too_late_is_cleared(self) -> None:
+        """Asked for while the other is on its way, and again after it was refused."""
+        stream = Streamed(E_SERIES, buffer=1.0, way=25)
+        stream.append(waves(0.05, 3.0))
+        stream.until(lambda: stream.feed.time > 0.6)
+        assert stream.feed.mark is not None
+        margin = stream.feed.margin
+        replaced = stream.feed.replace(0.0, stream.reader.curve(waves(0.05, 3.0), 0.0, stream.feed.mark))
+        stream.run(5)
+        first, second = stream.feed.replace(0.0, ()), stream.feed.replace(0.0, ())
+        stream.until(lambda: replaced.done() and first.done() and second.done())
+        assert stream.feed.margin > margin
+        assert 0.6 < replaced.result() < first.result() <= second.result() < 2.0
+        stream.run_dry()
+        assert stream.feed.time == pytest.approx(second.result())
+
     def test_at_rest(self) -> None:
         stream = Streamed(E_SERIES)
         stream.replace(0.0, [TrajectoryPoint(turned(0.01 * i), 0.05 * i, [0, 0, 0, 0, 0, 0.2]) for i in range(20)])

@@ -165,6 +165,16 @@ def test_replaced_and_cleared(connect: Callable[..., Robot], link: LinkName) -> 
         assert stream.starved == 1  # a pose carries no speed at which it would rest
 
 
+def test_replaced_before_the_arm_moves(connect: Callable[..., Robot]) -> None:
+    """While its speed rises from 0, a program has its points for several cycles before it leads the arm to them."""
+    robot = connect()
+    path = Trajectory.from_arrays([0, 1], [READY, turned(0.1)])
+    with robot.motion.stream() as stream:
+        stream.append(path)
+        for _ in range(10):
+            assert stream.replace(stream.time, path) < 0.05
+
+
 @pytest.mark.slow
 def test_registers_hold_one_stream_after_another_and_other_motions_between(connect: Callable[..., Robot]) -> None:
     robot = connect()
