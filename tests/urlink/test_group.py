@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 import numpy as np
@@ -19,6 +19,7 @@ from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.motion.trajectory import Trajectory
 from urlink.robot import Robot
 from urlink.simulator import Controller
+from urlink.simulator.robot.generator import MotionGenerator
 from urlink.vectors import FloatArray
 
 #: s for one cycle of an e-Series.
@@ -441,8 +442,16 @@ def test_where_a_word_comes_too_late_to_one_all_are_cleared() -> None:
         assert both.seconds_apart() < CYCLE
 
 
-def test_a_stop_of_one_ends_the_stream_of_all() -> None:
-    latency = 1e-3
+@pytest.mark.parametrize("latency", [1e-3, 5e-3])
+def test_a_stop_of_one_ends_the_stream_of_all(latency: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Set-points of the other brake within two cycles and the ways from one controller and to the other."""
+    setpoints: list[tuple[float, float]] = []
+    servoj = MotionGenerator.servoj
+
+    def watched(motion: MotionGenerator, q: Sequence[float], *options: float) -> object:
+        setpoints.append((both.sim.now, q[5]))
+        return servoj(motion, q, *options)
+
     with pair(16, latency=latency, jitter=0.0) as both:
         with both.group.stream() as stream:
             stream.append(both.dense(), wait=False)
@@ -450,6 +459,7 @@ def test_a_stop_of_one_ends_the_stream_of_all() -> None:
             controller = both.left.controller
             stopped = both.sim.now
             controller.call(controller.faults.protective_stop)
+            monkeypatch.setattr(MotionGenerator, "servoj", watched)  # from now on of the other one only
             time.sleep(1.0)
             with pytest.raises(SafetyStop):
                 stream.append(both.dense())
@@ -458,11 +468,12 @@ def test_a_stop_of_one_ends_the_stream_of_all() -> None:
             stream.motions[1].wait()
         for side in both.sides:
             side.mark()
+        at, q = np.array(setpoints).T
+        brakes = at[1:][np.diff(q) / np.diff(at) < 0.4997][0]
+        assert 2 * latency < brakes - stopped <= 2 * latency + 2 * CYCLE
         when, _, speed = both.right.path()
         slower = when[(when > stopped) & (speed < 0.498)][0]
-        assert (
-            slower - stopped <= 2 * CYCLE + 2 * latency + 0.02
-        )  # its braking begins smoothly, and shows after the lag of servoj
+        assert slower - brakes < 0.018  # it brakes smoothly, and shows that after the lag of servoj
         assert speed[-1] == 0.0
         assert np.abs(np.diff(speed)).max() / CYCLE < 12.0
 
