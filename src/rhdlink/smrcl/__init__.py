@@ -1,8 +1,8 @@
 """Missions: SMR-CL, the language of DTU's mobile robot controller MRC, executed in Python.
 
 Where the facts come from: MRC's sources (LaserNavigation, 2014) and recorded runs of it, which the tests repeat tick by
-tick. `docs/smrcl.md` describes the language, and `profile.py` has each difference from the original. `followwall2` alone
-of the motions has not been compared with a run of it.
+tick. `docs/smrcl.md` describes the language, and `profile.py` has each difference from the original. Of the motions,
+`followwall2` alone has not been compared with a run of it.
 """
 
 from __future__ import annotations
