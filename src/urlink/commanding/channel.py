@@ -177,22 +177,25 @@ class CommandChannel:
     def _send(self, text: str, decide: Callable[[], object], timeout: float) -> None:
         outgoing = _Text((text.rstrip("\n") + "\n").encode())
         until = self._clock() + timeout
-        while True:
-            with self._section:
-                if self._has_turn(outgoing):
-                    self._send_some(outgoing, decide)
-            if not outgoing.rest:
-                return
-            left = until - self._clock()
-            if left <= 0.0:
-                break
-            if self._unfinished in (None, outgoing):
-                self._connection.wait_for_room(left)
-            else:
-                time.sleep(_PAUSE)
-        with self._section:
+        try:
+            while True:
+                with self._section:
+                    if self._has_turn(outgoing):
+                        self._send_some(outgoing, decide)
+                if not outgoing.rest:
+                    return
+                left = until - self._clock()
+                if left <= 0.0:
+                    break
+                if self._unfinished in (None, outgoing):
+                    self._connection.wait_for_room(left)
+                else:
+                    time.sleep(_PAUSE)
+        finally:
+            # Part of it has left, and time is up, or the waiting for room was interrupted or has lost its connection.
             if self._unfinished is outgoing:
-                self._give_up()
+                with self._section:
+                    self._give_up()
         raise LinkTimeout(
             f"the controller has not taken a text of {outgoing.size} bytes within {timeout:g} s; it was not sent"
         )
@@ -228,8 +231,9 @@ class CommandChannel:
 
     def _give_up(self) -> None:
         """Part of a text has left: nobody must see the rest of it, or take what follows for the rest."""
-        self._connection.abort()
-        self._unfinished = None
+        unfinished, self._unfinished = self._unfinished, None
+        if unfinished is not None and unfinished.number == self._connection.counters.connections:
+            self._connection.abort()
 
 
 class _Text:

@@ -369,8 +369,11 @@ _HIDE, _SHOW = "\x1b[?25l", "\x1b[?25h"
 
 @pytest.mark.real_time
 def test_terminal_is_left_clean_at_the_end(address: str) -> None:
-    status, written = on_terminal("monitor", address, "--duration", "0.5")
-    assert status == 0
+    for seconds in ("0.5", "5", "50"):  # a busy machine may not have connected in half a second
+        status, written = on_terminal("monitor", address, "--duration", seconds)
+        assert status == 0
+        if "wrist 3" in written:
+            break
     assert "CONNECTED" in written
     assert "wrist 3" in written
     assert written.rfind(_SHOW) > written.rfind(_HIDE) >= 0

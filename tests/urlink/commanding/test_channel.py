@@ -93,6 +93,27 @@ def test_what_has_begun_does_not_go_on_over_another_connection(desk: Desk, room:
         assert desk.sent == [TEXT + "\n"]
 
 
+@pytest.mark.parametrize("error", [ConnectionLost("pulled"), KeyboardInterrupt()])
+@pytest.mark.parametrize("is_new", [False, True])
+def test_a_text_that_ends_while_it_waits_for_room_is_in_nobodys_way(
+    desk: Desk, error: BaseException, is_new: bool
+) -> None:
+    """Its connection is lost in the middle of it, or Ctrl-C comes; a connection that was made meanwhile stays."""
+    desk.primary.room = 3
+
+    def end() -> None:
+        desk.meanwhile = lambda: None
+        desk.primary.counters.connections += is_new
+        desk.primary.room = None
+        raise error
+
+    desk.meanwhile = end
+    with pytest.raises(type(error)):
+        desk.channel.motion(TEXT)
+    desk.channel.motion("stopj(2)", is_stop=True)
+    assert (desk.sent, desk.primary.aborts) == (["mov", "stopj(2)\n"], not is_new)
+
+
 def test_in_parts_over_the_same_connection(desk: Desk) -> None:
     desk.primary.room = 3
 
