@@ -45,6 +45,8 @@ from urlink.rtde import Inputs, Registers, Rtde
 
 pytestmark = pytest.mark.real_time
 
+#: Seconds in which a setting is shown: the computer may be busy.
+CONFIRM = 10.0
 HOME = np.array([0.0, -1.57, 1.57, -1.57, -1.57, 0.0])
 NEAR = HOME + 0.01
 #: How often each is called: the cycles of one call in ten would show, and one in 10,000 with `URLINK_CYCLES`.
@@ -117,12 +119,12 @@ def replaced(stream: PointStream) -> None:
 
 
 def asked_over_the_line(robot: Robot) -> None:
-    robot.io.set_tool_communication()
+    robot.io.set_tool_communication(confirm=CONFIRM)
     robot.tool_serial.ask(STATUS, 7)
 
 
 def read_over_the_line(robot: Robot) -> None:
-    robot.io.set_tool_communication()
+    robot.io.set_tool_communication(confirm=CONFIRM)
     robot.tool_serial.write(STATUS)
     robot.tool_serial.read(7)
 
@@ -186,12 +188,12 @@ CALLS: dict[str, Callable[[Robot], object]] = {
     "Robot.interpreter": lambda robot: interpreted(robot, lambda interpreter: None),
     "Robot.popup": lambda robot: robot.popup("x"),
     "Robot.set_gravity": lambda robot: robot.set_gravity((0, 0, -9.82)),
-    "Robot.set_payload": lambda robot: robot.set_payload(0.5, (0, 0, 0.01)),
-    "Robot.set_speed_slider": lambda robot: robot.set_speed_slider(1.0),
-    "Robot.set_tcp": lambda robot: robot.set_tcp((0, 0, 0.1, 0, 0, 0)),
+    "Robot.set_payload": lambda robot: robot.set_payload(0.5, (0, 0, 0.01), confirm=CONFIRM),
+    "Robot.set_speed_slider": lambda robot: robot.set_speed_slider(1.0, confirm=CONFIRM),
+    "Robot.set_tcp": lambda robot: robot.set_tcp((0, 0, 0.1, 0, 0, 0), confirm=CONFIRM),
     "Robot.teach": lambda robot: block(robot.teach(), lambda teaching: teaching.record()),
     "Robot.zero_force_sensor": lambda robot: robot.zero_force_sensor(),
-    "Motions.follow": lambda robot: robot.motion.follow(_trajectory(), start_tolerance=1.0, wait=True),
+    "Motions.follow": lambda robot: robot.motion.follow(_trajectory(), start_tolerance=1.0, watchdog=2.0, wait=True),
     "Motions.force_mode": lambda robot: block(
         robot.motion.force_mode("base", (0, 0, 1, 0, 0, 0), [0] * 6, [0.1] * 6), lambda mode: mode.set_wrench([0] * 6)
     ),
@@ -210,13 +212,15 @@ CALLS: dict[str, Callable[[Robot], object]] = {
     "Motions.until_contact": untouched,
     "Scripts.run": lambda robot: robot.script.run("sync()", wait=True, on_text=lambda text: None),
     "Scripts.send_line": lambda robot: robot.script.send_line("set_flag(1, True)"),
-    "IO.set_analog_out": lambda robot: robot.io.set_analog_out(0, 0.5),
-    "IO.set_configurable_digital_out": lambda robot: robot.io.set_configurable_digital_out(0, next(_dials)),
-    "IO.set_digital_out": lambda robot: robot.io.set_digital_out(0, next(_dials)),
+    "IO.set_analog_out": lambda robot: robot.io.set_analog_out(0, 0.5, confirm=CONFIRM),
+    "IO.set_configurable_digital_out": lambda robot: robot.io.set_configurable_digital_out(
+        0, next(_dials), confirm=CONFIRM
+    ),
+    "IO.set_digital_out": lambda robot: robot.io.set_digital_out(0, next(_dials), confirm=CONFIRM),
     "IO.set_flag": lambda robot: robot.io.set_flag(1, True),
-    "IO.set_tool_digital_out": lambda robot: robot.io.set_tool_digital_out(0, next(_dials)),
-    "IO.set_tool_communication": lambda robot: robot.io.set_tool_communication(),
-    "IO.set_tool_voltage": lambda robot: robot.io.set_tool_voltage(12),
+    "IO.set_tool_digital_out": lambda robot: robot.io.set_tool_digital_out(0, next(_dials), confirm=CONFIRM),
+    "IO.set_tool_communication": lambda robot: robot.io.set_tool_communication(confirm=CONFIRM),
+    "IO.set_tool_voltage": lambda robot: robot.io.set_tool_voltage(12, confirm=CONFIRM),
     "Interpreter.abort": lambda robot: interpreted(robot, lambda interpreter: interpreter.abort()),
     "Interpreter.clear": lambda robot: interpreted(robot, lambda interpreter: interpreter.clear()),
     "Interpreter.end": lambda robot: interpreted(robot, lambda interpreter: interpreter.end()),
