@@ -14,7 +14,7 @@ import pytest
 import linkcore.realtime
 from linkcore.errors import BadValue
 from linkcore.realtime import realtime_options, urgent
-from tests.linkcore.script import ScriptedTransport, counts, scripted
+from tests.fakes.link import ScriptedTransport, counts, scripted
 from tests.waiting import until
 
 

@@ -16,7 +16,7 @@ from rhdlink.plugins.turtle import Turtle
 from rhdlink.robots import VelocityOmega
 from rhdlink.world import World
 from tests.cancelling import Sent, Trial, run_cancelled, sends
-from tests.rhdlink.scripted import Peer, ScriptedServer, nothing_more_after_greeting
+from tests.fakes.rhd import Peer, ScriptedServer, nothing_more_after_greeting
 from tests.waiting import until
 
 pytestmark = pytest.mark.real_time

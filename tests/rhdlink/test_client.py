@@ -46,8 +46,8 @@ from rhdlink.replica import Replica
 from rhdlink.variables.database import Database, TimeStamp
 from rhdlink.wire.decoder import ServerDecoder
 from rhdlink.wire.messages import SymbolRow
+from tests.fakes.rhd import Peer, Robot, ScriptedServer, endless, nothing_more_after_greeting, serving
 from tests.rhdlink import recorded
-from tests.rhdlink.scripted import Peer, Robot, ScriptedServer, endless, nothing_more_after_greeting, serving
 from tests.waiting import until
 
 pytestmark = pytest.mark.simulated_time

@@ -13,7 +13,7 @@ from linkcore.errors import BadValue, ConnectionLost, LocalError
 from rhdlink import Backoff, Int32, Read, Variables
 from rhdlink.sync_thread import SyncThread
 from rhdlink.variables import Update
-from tests.rhdlink.scripted import Peer, Robot, ScriptedServer, endless
+from tests.fakes.rhd import Peer, Robot, ScriptedServer, endless
 from tests.waiting import until
 
 pytestmark = pytest.mark.simulated_time

@@ -12,6 +12,7 @@ import pytest
 
 import urlink
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout, LocalError, WrongPeer
+from tests.fakes.server import OneAfterAnother
 from urlink.firmware import RELEASES, Firmware, Release
 from urlink.identity import Identity, identify
 from urlink.interfaces.primary.protocol import PrimaryProtocol
@@ -28,34 +29,20 @@ MARGIN = 3.0
 Behaviour = Callable[[socket.socket, threading.Event], None]
 
 
-class Server:
-    """Does one thing with each connection, in a thread of its own."""
+class Server(OneAfterAnother):
+    """Does one thing with each connection."""
 
     def __init__(self, behaviour: Behaviour) -> None:
         self.over = threading.Event()
         self._behaviour = behaviour
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self.port: int = self._listener.getsockname()[1]
-        self._thread = threading.Thread(target=self._serve)
-        self._thread.start()
+        super().__init__()
 
-    def _serve(self) -> None:
-        self._listener.settimeout(0.05)
-        while not self.over.is_set():
-            try:
-                connection, _ = self._listener.accept()
-            except TimeoutError:
-                continue
-            with connection:
-                try:
-                    self._behaviour(connection, self.over)
-                except ConnectionError:
-                    continue  # the client has heard enough
+    def _talk(self, connection: socket.socket) -> None:
+        self._behaviour(connection, self.over)
 
     def close(self) -> None:
         self.over.set()
-        self._thread.join(10)
-        self._listener.close()
+        super().close()
 
 
 @pytest.fixture

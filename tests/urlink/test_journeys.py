@@ -9,7 +9,7 @@ from types import FrameType
 
 import pytest
 
-from tests.urlink.motion.rehearsal import Rehearsal, turned
+from tests.fakes.rehearsal import Rehearsal, turned
 from urlink.simulator import Controller
 
 #: Once the command has left, the states are subscribed to: an arm that is moved while it is paused is stopped.

@@ -23,7 +23,7 @@ from linkcore.streaming.connection_life import Backoff, ConnectionEvent, Connect
 from linkcore.streaming.fanout import FanOut
 from linkcore.streaming.packet_queue import Policy, block, drop_oldest, latest
 from linkcore.streaming.stream import Stream
-from tests.linkcore.script import AT_ONCE, BAD, Count, CountProtocol, counts
+from tests.fakes.link import AT_ONCE, BAD, Count, CountProtocol, counts
 
 pytestmark = pytest.mark.real_time
 

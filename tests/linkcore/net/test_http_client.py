@@ -12,7 +12,7 @@ import pytest
 from linkcore.errors import Closed, ConnectFailed, ConnectionLost, LinkTimeout, WrongPeer
 from linkcore.net.http_client import HttpClient
 from linkcore.wire.http import HttpParser, HttpRequest, HttpResponse
-from tests.served import OneAfterAnother
+from tests.fakes.server import OneAfterAnother
 from tests.waiting import until
 
 pytestmark = pytest.mark.real_time

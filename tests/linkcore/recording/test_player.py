@@ -22,7 +22,7 @@ from linkcore.recording.player import ReplayClock, ReplayTransport
 from linkcore.recording.recorder import Recorder
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from linkcore.streaming.stream import Stream
-from tests.linkcore.script import Count, ScriptedTransport, counts, scripted
+from tests.fakes.link import Count, ScriptedTransport, counts, scripted
 from tests.waiting import until
 
 #: (seconds, bytes, or the state of an event)

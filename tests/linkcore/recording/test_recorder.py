@@ -17,7 +17,7 @@ from linkcore.recording.file import Kind, Record, RecordingFile, RecordingWriter
 from linkcore.recording.recorder import Recorder
 from linkcore.streaming.packet_queue import block
 from linkcore.streaming.stream import Stream
-from tests.linkcore.script import Count, ScriptedTransport, counts, scripted
+from tests.fakes.link import Count, ScriptedTransport, counts, scripted
 from tests.waiting import until
 
 pytestmark = pytest.mark.simulated_time

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pytest
 
 from linkcore.streaming.stream import Stream
-from tests.linkcore.script import Count, ScriptedTransport, scripted
+from tests.fakes.link import Count, ScriptedTransport, scripted
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from linkcore.streaming.packet_queue import block, drop_oldest
 from linkcore.streaming.stream import Stream
 from linkcore.streaming.thread_connection import ThreadConnection
 from linkcore.wire.packet import State
-from tests.linkcore.script import Count, CountProtocol, ScriptedTransport, counts, scripted
+from tests.fakes.link import Count, CountProtocol, ScriptedTransport, counts, scripted
 
 pytestmark = pytest.mark.simulated_time
 

@@ -13,7 +13,7 @@ from linkcore.streaming.packet_queue import PacketQueue, block
 from linkcore.streaming.stream import Stream
 from linkcore.streaming.subscription import ThreadedDelivery
 from linkcore.threads import CallbackThread, started
-from tests.linkcore.script import Count, ScriptedTransport, counts
+from tests.fakes.link import Count, ScriptedTransport, counts
 from tests.waiting import until
 
 pytestmark = pytest.mark.simulated_time

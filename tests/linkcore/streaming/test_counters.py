@@ -19,7 +19,7 @@ from linkcore.streaming.packet_queue import Policy, block, drop_oldest, latest
 from linkcore.streaming.statistics import StreamCounters, SubscriptionStatistics
 from linkcore.streaming.stream import Stream
 from linkcore.streaming.subscription import Subscription
-from tests.linkcore.script import BAD, Count, ScriptedTransport, counts, scripted
+from tests.fakes.link import BAD, Count, ScriptedTransport, counts, scripted
 from tests.waiting import until
 
 pytestmark = pytest.mark.simulated_time

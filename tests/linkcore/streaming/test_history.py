@@ -13,7 +13,7 @@ from linkcore.net.transport import Finished
 from linkcore.streaming.connection_life import ConnectionEvent
 from linkcore.streaming.history import History
 from linkcore.streaming.stream import Stream
-from tests.linkcore.script import Count, ScriptedTransport, counts
+from tests.fakes.link import Count, ScriptedTransport, counts
 from tests.waiting import until
 from urlink.interfaces.realtime.packets import RealtimeState
 

@@ -14,7 +14,7 @@ from linkcore.streaming.connection_life import Chunk, ConnectionEvent, Connectio
 from linkcore.streaming.packet_queue import block, latest
 from linkcore.streaming.stream import Stream
 from linkcore.streaming.subscription import Subscription
-from tests.linkcore.script import Count, ScriptedTransport, counts
+from tests.fakes.link import Count, ScriptedTransport, counts
 from tests.waiting import until
 
 pytestmark = pytest.mark.simulated_time

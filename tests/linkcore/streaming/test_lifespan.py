@@ -15,7 +15,7 @@ from linkcore.aio.packets import LoopQueue
 from linkcore.clock import Stamp
 from linkcore.errors import BadValue
 from linkcore.streaming.packet_queue import PacketQueue, Policy, drop_oldest
-from tests.linkcore.script import Count, ScriptedTransport, counts, scripted
+from tests.fakes.link import Count, ScriptedTransport, counts, scripted
 from tests.waiting import until
 
 pytestmark = pytest.mark.simulated_time

@@ -14,7 +14,7 @@ from linkcore.errors import LocalError
 from linkcore.net.transport import Finished
 from linkcore.streaming.connection_life import ConnectionState
 from linkcore.streaming.stream import Stream
-from tests.linkcore.script import Count, ScriptedTransport, counts, output_of, scripted
+from tests.fakes.link import Count, ScriptedTransport, counts, output_of, scripted
 from tests.waiting import until
 
 pytestmark = pytest.mark.simulated_time
@@ -126,7 +126,7 @@ def test_close_without_threads(transport: ScriptedTransport, monkeypatch: pytest
 _FORKED = """
 import os, sys
 from linkcore.net.transport import TcpTransport
-from tests.linkcore.script import scripted
+from tests.fakes.link import scripted
 
 stream = scripted(TcpTransport("127.0.0.1", int(sys.argv[1]), silence=60))
 first = stream.wait(20).number

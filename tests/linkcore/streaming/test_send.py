@@ -12,7 +12,7 @@ from linkcore.recording.player import ReplayClock, ReplayTransport
 from linkcore.recording.recorder import Recorder
 from linkcore.streaming.connection_life import Backoff, ConnectionState
 from linkcore.streaming.stream import Stream
-from tests.linkcore.script import Count, ScriptedTransport, counts, scripted
+from tests.fakes.link import Count, ScriptedTransport, counts, scripted
 from tests.waiting import until
 
 pytestmark = pytest.mark.simulated_time

@@ -10,7 +10,7 @@ import pytest
 from linkcore.errors import BadValue, LinkTimeout
 from linkcore.streaming.connection_life import Backoff, ConnectionEvent, ConnectionState
 from linkcore.streaming.silence import SilenceMonitor
-from tests.linkcore.script import ScriptedTransport, counts, output_of, scripted
+from tests.fakes.link import ScriptedTransport, counts, output_of, scripted
 from tests.waiting import until
 
 pytestmark = pytest.mark.simulated_time
@@ -197,7 +197,7 @@ _STALLED = """
 import ctypes, sys, threading
 from linkcore.net.transport import TcpTransport
 from linkcore.streaming.connection_life import ConnectionEvent
-from tests.linkcore.script import Count, scripted
+from tests.fakes.link import Count, scripted
 
 stream = scripted(TcpTransport("127.0.0.1", int(sys.argv[1]), silence=60), silence=0.2)
 events, told = [], []

@@ -14,7 +14,7 @@ from linkcore.net.transport import Finished
 from linkcore.streaming.connection_life import Backoff, Chunk, ConnectionEvent, ConnectionState, Traffic
 from linkcore.streaming.packet_queue import Policy, block, drop_oldest, latest
 from linkcore.streaming.stream import Stream
-from tests.linkcore.script import BAD, Count, ScriptedTransport, counts, scripted
+from tests.fakes.link import BAD, Count, ScriptedTransport, counts, scripted
 from tests.waiting import until
 
 pytestmark = pytest.mark.simulated_time

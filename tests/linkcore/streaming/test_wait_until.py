@@ -11,7 +11,7 @@ from linkcore.errors import BadValue, Closed, ConnectionLost, LinkTimeout, Local
 from linkcore.net.transport import Finished
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from linkcore.streaming.stream import Stream
-from tests.linkcore.script import Count, ScriptedTransport, counts
+from tests.fakes.link import Count, ScriptedTransport, counts
 from tests.waiting import until
 
 pytestmark = pytest.mark.simulated_time

@@ -8,8 +8,8 @@ import pytest
 
 import rhdlink
 from rhdlink import Bool, Float64, Host, Plugin, Read
+from tests.fakes.rhd import Peer, ScriptedServer
 from tests.harm import HOSTILE, assert_harmless, strict
-from tests.rhdlink.scripted import Peer, ScriptedServer
 from tests.waiting import until
 
 from .conftest import Run, Spawn

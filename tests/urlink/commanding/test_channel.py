@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 
 from linkcore.errors import Cancelled, ConnectionLost, LinkTimeout
-from tests.urlink.line import Desk, slow
+from tests.fakes.line import Desk, slow
 from urlink.commanding.channel import CommandChannel
 from urlink.errors import NotRunning, SafetyStop
 from urlink.interfaces.enums import RobotMode, SafetyMode

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from linkcore.errors import BadValue, LinkTimeout
-from tests.urlink.stand_in import StandIn
+from tests.fakes.controller import ScriptedController
 from tests.waiting import until
 from urlink.commanding import io as module
 from urlink.commanding.io import IO, Analog
@@ -23,8 +23,8 @@ pytestmark = pytest.mark.simulated_time
 
 
 @pytest.fixture
-def robot() -> Iterator[StandIn]:
-    with StandIn() as robot:
+def robot() -> Iterator[ScriptedController]:
+    with ScriptedController() as robot:
         robot.clear()
         yield robot
 
@@ -40,7 +40,7 @@ def robot() -> Iterator[StandIn]:
         (lambda io: io.set_flag(3, True), "set_flag(3, True)"),
     ],
 )
-def test_setting_runs_beside_the_program(robot: StandIn, act: Callable[[IO], None], statement: str) -> None:
+def test_setting_runs_beside_the_program(robot: ScriptedController, act: Callable[[IO], None], statement: str) -> None:
     act(robot.io)
     assert robot.sent == [f"sec urlink_command():\n  {statement}\nend\n"]
 
@@ -66,13 +66,13 @@ def test_setting_runs_beside_the_program(robot: StandIn, act: Callable[[IO], Non
         lambda io: io.tool_analog_in(2),
     ],
 )
-def test_what_is_not_there(robot: StandIn, act: Callable[[IO], object]) -> None:
+def test_what_is_not_there(robot: ScriptedController, act: Callable[[IO], object]) -> None:
     with pytest.raises(BadValue):
         act(robot.io)
     assert robot.sent == []
 
 
-def test_reading(robot: StandIn) -> None:
+def test_reading(robot: ScriptedController) -> None:
     io = robot.io
     board = {
         "digital_input_bits": 1 << 3 | 1 << 8 | 1 << 17,
@@ -102,7 +102,7 @@ def test_reading(robot: StandIn) -> None:
 
 
 def test_cb2() -> None:
-    with StandIn("1.8") as robot:
+    with ScriptedController("1.8") as robot:
         robot.clear(board={"digital_input_bits": 1 << 9, "digital_output_bits": 1 << 8})
         io = robot.io
         assert [io.tool_digital_in(number) for number in range(2)] == [False, True]
@@ -122,7 +122,7 @@ def test_cb2() -> None:
                 act()
 
 
-def test_a_stop_does_not_matter_but_a_robot_that_does_not_run_does(robot: StandIn) -> None:
+def test_a_stop_does_not_matter_but_a_robot_that_does_not_run_does(robot: ScriptedController) -> None:
     io = robot.io
     robot.state(safety=SafetyMode.PROTECTIVE_STOP)
     until(lambda: robot.safety.cause == "protective stop")
@@ -136,7 +136,7 @@ def test_a_stop_does_not_matter_but_a_robot_that_does_not_run_does(robot: StandI
 
 def test_nothing_to_read(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_FIRST_STATE", 0.05)
-    with StandIn() as robot, pytest.raises(LinkTimeout):
+    with ScriptedController() as robot, pytest.raises(LinkTimeout):
         robot.io.digital_in(0)
 
 
@@ -168,7 +168,7 @@ def test_a_first_state_is_waited_for_for_two_seconds() -> None:
 def test_an_input_is_waited_for_at_the_rate_of_the_real_time_interface(
     firmware: str, wait: Callable[[IO, bool, float], None], bit: int
 ) -> None:
-    with StandIn(firmware) as robot:
+    with ScriptedController(firmware) as robot:
 
         def show(bits: int) -> None:
             robot.fast.put(bytes(RealtimeState(robot.firmware, digital_input_bits=bits)))
@@ -193,6 +193,6 @@ def test_an_input_is_waited_for_at_the_rate_of_the_real_time_interface(
         lambda io: io.wait_tool_digital_in(0, True, -1.0),
     ],
 )
-def test_no_such_input_is_waited_for(robot: StandIn, wait: Callable[[IO], None]) -> None:
+def test_no_such_input_is_waited_for(robot: ScriptedController, wait: Callable[[IO], None]) -> None:
     with pytest.raises(BadValue):
         wait(robot.io)

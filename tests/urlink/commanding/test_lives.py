@@ -12,7 +12,7 @@ from linkcore.clock import Stamp
 from linkcore.errors import Cancelled, Closed, ConnectFailed, ConnectionLost, LinkError, LinkTimeout
 from linkcore.handle import Lifecycle, Phase
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
-from tests.urlink.line import FIRMWARE, STARTED, Programming, Run, Subscriber, slow
+from tests.fakes.line import FIRMWARE, STARTED, Programming, Run, Subscriber, slow
 from urlink.errors import CompileError, NotRunning, ProgramStopped, SafetyStop, ScriptFailed
 from urlink.interfaces.enums import RobotMode, SafetyMode
 from urlink.interfaces.primary.robot_message import RuntimeExceptionMessage, TextMessage

@@ -11,7 +11,7 @@ from linkcore.clock import Stamp
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkError
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from linkcore.wire.packet import State
-from tests.urlink.line import FIRMWARE, Desk, Subscriber, fast, slow
+from tests.fakes.line import FIRMWARE, Desk, Subscriber, fast, slow
 from urlink.commanding.interlock import Interlock
 from urlink.commanding.section import Section
 from urlink.errors import NotRunning, SafetyStop

@@ -15,7 +15,7 @@ import urlink
 from linkcore.errors import BadValue, Cancelled, Closed, ConnectionLost, LinkTimeout
 from linkcore.handle import Handle, Phase
 from linkcore.streaming.connection_life import ConnectionState
-from tests.urlink.stand_in import StandIn
+from tests.fakes.controller import ScriptedController
 from tests.waiting import until
 from urlink.commanding import programs as module
 from urlink.commanding.scripts import Program
@@ -27,25 +27,25 @@ pytestmark = pytest.mark.simulated_time
 
 
 @pytest.fixture
-def robot() -> Iterator[StandIn]:
+def robot() -> Iterator[ScriptedController]:
     before = set(threading.enumerate())
-    with StandIn() as robot:
+    with ScriptedController() as robot:
         robot.clear()
         yield robot
     until(lambda: set(threading.enumerate()) <= before)
 
 
-def run(robot: StandIn, source: str = "movej(q)") -> Program:
+def run(robot: ScriptedController, source: str = "movej(q)") -> Program:
     robot.clear()  # what is older than a second counts for nothing
     return robot.script.run(source)
 
 
-def uploaded(robot: StandIn) -> list[str]:
+def uploaded(robot: ScriptedController) -> list[str]:
     """What was sent, but for permissions to go on."""
     return [text for text in robot.sent if "urlink_permission" not in text]
 
 
-def ends(robot: StandIn, program: Handle) -> None:
+def ends(robot: ScriptedController, program: Handle) -> None:
     """Time passes, state by state, until it is over."""
 
     def is_over() -> bool:
@@ -55,7 +55,7 @@ def ends(robot: StandIn, program: Handle) -> None:
     until(is_over)
 
 
-def test_two_threads_begin_their_first_program(robot: StandIn, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_two_threads_begin_their_first_program(robot: ScriptedController, monkeypatch: pytest.MonkeyPatch) -> None:
     subscribe = robot.programs._primary.subscribe_inline
 
     def beside(*arguments: Any, **options: Any) -> Any:
@@ -77,7 +77,7 @@ def test_two_threads_begin_their_first_program(robot: StandIn, monkeypatch: pyte
 
 def test_a_stop_that_comes_with_the_beginning_of_the_first_program(monkeypatch: pytest.MonkeyPatch) -> None:
     """All in one piece, as after a cable was out: what it says of a stop is known before the program is let go on."""
-    with StandIn() as robot:
+    with ScriptedController() as robot:
         robot.state()
         program = robot.script.run("movej(q)")
         piece: list[bytes] = []
@@ -92,7 +92,7 @@ def test_a_stop_that_comes_with_the_beginning_of_the_first_program(monkeypatch: 
         assert robot.sent == uploaded(robot)
 
 
-def test_sent_running_finished(robot: StandIn) -> None:
+def test_sent_running_finished(robot: ScriptedController) -> None:
     program = run(robot, "def job():\n  textmsg(1)\nend")
     assert program.phase is Phase.SENT
     assert program.name.startswith("job_")
@@ -131,7 +131,7 @@ def test_sent_running_finished(robot: StandIn) -> None:
     assert len(uploaded(robot)) == 1
 
 
-def test_its_last_word_is_not_its_end(robot: StandIn) -> None:
+def test_its_last_word_is_not_its_end(robot: ScriptedController) -> None:
     """A program that follows at once must not race the old one."""
     program = run(robot)
     robot.begins(program)
@@ -143,7 +143,7 @@ def test_its_last_word_is_not_its_end(robot: StandIn) -> None:
     program.wait(5)
 
 
-def test_stopped_from_elsewhere(robot: StandIn) -> None:
+def test_stopped_from_elsewhere(robot: ScriptedController) -> None:
     program = run(robot)
     robot.begins(program)
     robot.is_stopped(program)
@@ -153,7 +153,7 @@ def test_stopped_from_elsewhere(robot: StandIn) -> None:
     assert program.phase is Phase.FAILED
 
 
-def test_cancelled(robot: StandIn) -> None:
+def test_cancelled(robot: ScriptedController) -> None:
     program = run(robot)
     robot.begins(program)
     robot.clear()
@@ -166,7 +166,7 @@ def test_cancelled(robot: StandIn) -> None:
 
 
 @pytest.mark.parametrize("is_told", [True, False])
-def test_preempted_by_the_next(robot: StandIn, is_told: bool) -> None:
+def test_preempted_by_the_next(robot: ScriptedController, is_told: bool) -> None:
     one = run(robot)
     robot.begins(one)
     two = run(robot)
@@ -178,7 +178,7 @@ def test_preempted_by_the_next(robot: StandIn, is_told: bool) -> None:
     until(lambda: two.phase is Phase.RUNNING)
 
 
-def test_preempted_by_one_that_was_given_up_meanwhile(robot: StandIn) -> None:
+def test_preempted_by_one_that_was_given_up_meanwhile(robot: ScriptedController) -> None:
     one = run(robot)
     robot.begins(one)
     two = run(robot)
@@ -189,7 +189,7 @@ def test_preempted_by_one_that_was_given_up_meanwhile(robot: StandIn) -> None:
         one.wait(5)
 
 
-def test_replaced_by_somebody_else(robot: StandIn) -> None:
+def test_replaced_by_somebody_else(robot: ScriptedController) -> None:
     program = run(robot)
     robot.begins(program)
     robot.key("PROGRAM_XXX_STARTED", "their_program")
@@ -197,7 +197,7 @@ def test_replaced_by_somebody_else(robot: StandIn) -> None:
         program.wait(5)
 
 
-def test_somebody_elses_end_is_not_ours(robot: StandIn) -> None:
+def test_somebody_elses_end_is_not_ours(robot: ScriptedController) -> None:
     program = run(robot)
     robot.key("PROGRAM_XXX_STARTED", "their_program")
     robot.key("PROGRAM_XXX_STOPPED", "their_program")
@@ -217,7 +217,7 @@ def test_somebody_elses_end_is_not_ours(robot: StandIn) -> None:
     ],
 )
 def test_does_not_compile(
-    robot: StandIn, line: int, column: int, text: str, place: tuple[int, int], words: str
+    robot: ScriptedController, line: int, column: int, text: str, place: tuple[int, int], words: str
 ) -> None:
     program = run(robot, "def job():\n  a = 1\n  txtmsg(1)\nend")
     robot.exception(line, column, text)
@@ -227,7 +227,7 @@ def test_does_not_compile(
     assert program.phase is Phase.FAILED
 
 
-def test_fails_while_it_runs(robot: StandIn) -> None:
+def test_fails_while_it_runs(robot: ScriptedController) -> None:
     program = run(robot, "a = 1\nb = a / 0")
     robot.begins(program)
     robot.exception(18, 7, "division by zero")
@@ -238,7 +238,7 @@ def test_fails_while_it_runs(robot: StandIn) -> None:
         program.wait(5)
 
 
-def test_a_compile_error_does_not_fail_the_program_that_runs(robot: StandIn) -> None:
+def test_a_compile_error_does_not_fail_the_program_that_runs(robot: ScriptedController) -> None:
     program = run(robot)
     robot.begins(program)
     robot.exception(2, 1, "syntax_error_on_line:2:end:")
@@ -246,7 +246,7 @@ def test_a_compile_error_does_not_fail_the_program_that_runs(robot: StandIn) -> 
     program.wait(5)
 
 
-def test_without_key_messages(robot: StandIn) -> None:
+def test_without_key_messages(robot: ScriptedController) -> None:
     """As it may be on CB2: the program's own words and the flag in the state have to do."""
     program = run(robot)
     robot.state(runs=False)
@@ -267,7 +267,9 @@ def test_without_key_messages(robot: StandIn) -> None:
         stopped.wait(5)
 
 
-def test_without_key_messages_and_over_between_two_states(robot: StandIn, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_key_messages_and_over_between_two_states(
+    robot: ScriptedController, monkeypatch: pytest.MonkeyPatch
+) -> None:
     program = run(robot)
     robot.text(f"{program.name} started")
     until(lambda: program.phase is Phase.RUNNING)
@@ -282,7 +284,7 @@ def test_without_key_messages_and_over_between_two_states(robot: StandIn, monkey
 
 
 def test_never_begins() -> None:
-    with StandIn(start_timeout=0.05) as robot:
+    with ScriptedController(start_timeout=0.05) as robot:
         program = run(robot)
 
         def told() -> bool:
@@ -303,7 +305,7 @@ def test_never_begins() -> None:
     ],
 )
 def test_what_lets_it_go_on(firmware: str, flags: tuple[int, ...], grant: str | None, is_refused: bool) -> None:
-    with StandIn(firmware, start_place=StartPlace(40, flags)) as robot:
+    with ScriptedController(firmware, start_place=StartPlace(40, flags)) as robot:
         program = run(robot)
         robot.begins(program)
         robot.text("heard")
@@ -314,7 +316,7 @@ def test_what_lets_it_go_on(firmware: str, flags: tuple[int, ...], grant: str | 
             robot.io.set_flag(7, True)
 
 
-def test_a_robot_that_takes_no_permission(robot: StandIn) -> None:
+def test_a_robot_that_takes_no_permission(robot: ScriptedController) -> None:
     program = run(robot)
     robot.slow.make_room(0)
     robot.begins(program)
@@ -322,7 +324,7 @@ def test_a_robot_that_takes_no_permission(robot: StandIn) -> None:
         program.wait(5)
 
 
-def test_connection_lost(robot: StandIn) -> None:
+def test_connection_lost(robot: ScriptedController) -> None:
     program = run(robot)
     robot.begins(program)
     robot.slow.put(ConnectionLost("pulled"))
@@ -336,7 +338,7 @@ def test_connection_lost(robot: StandIn) -> None:
 
 
 @pytest.mark.parametrize("is_told_first", [True, False])
-def test_ended_by_a_stop(robot: StandIn, is_told_first: bool) -> None:
+def test_ended_by_a_stop(robot: ScriptedController, is_told_first: bool) -> None:
     program = run(robot)
     robot.begins(program)
     if is_told_first:
@@ -351,7 +353,7 @@ def test_ended_by_a_stop(robot: StandIn, is_told_first: bool) -> None:
     program.cancel()
 
 
-def test_a_program_that_has_not_begun_when_a_stop_comes_does_not_begin_after_it(robot: StandIn) -> None:
+def test_a_program_that_has_not_begun_when_a_stop_comes_does_not_begin_after_it(robot: ScriptedController) -> None:
     program = run(robot)
     robot.state(safety=SafetyMode.PROTECTIVE_STOP)
     until(lambda: robot.safety.cause is not None)
@@ -362,7 +364,7 @@ def test_a_program_that_has_not_begun_when_a_stop_comes_does_not_begin_after_it(
     assert len(robot.sent) == 1  # it asks, and is not let go on
 
 
-def test_cancelling_under_a_stop_sends_nothing(robot: StandIn) -> None:
+def test_cancelling_under_a_stop_sends_nothing(robot: ScriptedController) -> None:
     program = run(robot)
     robot.begins(program)
     until(lambda: len(robot.sent) == 2)  # it was let go on
@@ -373,7 +375,7 @@ def test_cancelling_under_a_stop_sends_nothing(robot: StandIn) -> None:
     assert program.phase is Phase.CANCELLED
 
 
-def test_refused_by_the_interlock(robot: StandIn) -> None:
+def test_refused_by_the_interlock(robot: ScriptedController) -> None:
     robot.state(RobotMode.POWER_OFF)
     until(lambda: robot.safety.robot_mode is RobotMode.POWER_OFF)
     with pytest.raises(NotRunning, match="POWER_OFF"):
@@ -386,7 +388,7 @@ def test_refused_by_the_interlock(robot: StandIn) -> None:
 
 @pytest.mark.parametrize("is_refused", [True, False])
 def test_a_refusal_while_the_connection_is_lost(
-    robot: StandIn, is_refused: bool, monkeypatch: pytest.MonkeyPatch
+    robot: ScriptedController, is_refused: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What never left is nobody's loss: the error is that of the refusal, whatever happens at the same moment."""
     monkeypatch.setattr("urlink.commanding.monitor._NEXT_WORD", 0.0)
@@ -404,7 +406,7 @@ def test_a_refusal_while_the_connection_is_lost(
     until(lambda: not robot.programs._runs)
 
 
-def test_secondary_runs_beside(robot: StandIn) -> None:
+def test_secondary_runs_beside(robot: ScriptedController) -> None:
     program = run(robot)
     robot.begins(program)
     robot.clear()
@@ -428,7 +430,7 @@ def test_secondary_runs_beside(robot: StandIn) -> None:
     program.wait(5)
 
 
-def test_each_text_is_told(robot: StandIn) -> None:
+def test_each_text_is_told(robot: ScriptedController) -> None:
     heard: list[str] = []
     robot.clear()
     program = robot.script.run("textmsg(1)", on_text=heard.append)
@@ -442,7 +444,7 @@ def test_each_text_is_told(robot: StandIn) -> None:
         robot.script.run("textmsg(1)", on_text=3)  # type: ignore[arg-type]
 
 
-def test_the_last_thousand_lines_are_kept(robot: StandIn) -> None:
+def test_the_last_thousand_lines_are_kept(robot: ScriptedController) -> None:
     program = run(robot)
     robot.begins(program)
     for number in range(1003):
@@ -451,7 +453,7 @@ def test_the_last_thousand_lines_are_kept(robot: StandIn) -> None:
     assert program.texts == tuple(map(str, range(3, 1003)))
 
 
-def test_texts_before_it_has_begun_are_another_programs(robot: StandIn) -> None:
+def test_texts_before_it_has_begun_are_another_programs(robot: ScriptedController) -> None:
     heard: list[str] = []
     robot.clear()
     program = robot.script.run("textmsg(1)", on_text=heard.append)
@@ -464,7 +466,7 @@ def test_texts_before_it_has_begun_are_another_programs(robot: StandIn) -> None:
     assert heard == ["1"]
 
 
-def test_texts_of_a_secondary_program_cannot_be_told_apart(robot: StandIn) -> None:
+def test_texts_of_a_secondary_program_cannot_be_told_apart(robot: ScriptedController) -> None:
     heard: list[str] = []
     robot.clear()
     program = robot.script.run("sec blink():\n  textmsg(1)\nend", on_text=heard.append)
@@ -475,7 +477,7 @@ def test_texts_of_a_secondary_program_cannot_be_told_apart(robot: StandIn) -> No
     assert program.texts == ()
 
 
-def test_a_callback_for_texts_may_wait_for_the_program(robot: StandIn) -> None:
+def test_a_callback_for_texts_may_wait_for_the_program(robot: ScriptedController) -> None:
     robot.clear()
     ended = threading.Event()
 
@@ -490,7 +492,9 @@ def test_a_callback_for_texts_may_wait_for_the_program(robot: StandIn) -> None:
     assert ended.wait(10)
 
 
-def test_what_the_controller_complains_of_steers_no_terminal(robot: StandIn, caplog: pytest.LogCaptureFixture) -> None:
+def test_what_the_controller_complains_of_steers_no_terminal(
+    robot: ScriptedController, caplog: pytest.LogCaptureFixture
+) -> None:
     robot.clear()
     robot.script.send_line("movej(q)")
     program = run(robot)
@@ -500,7 +504,7 @@ def test_what_the_controller_complains_of_steers_no_terminal(robot: StandIn, cap
     assert "\x1b" not in caplog.text
 
 
-def test_from_a_file(robot: StandIn, tmp_path: Path) -> None:
+def test_from_a_file(robot: ScriptedController, tmp_path: Path) -> None:
     robot.clear()
     path = tmp_path / "job.script"
     path.write_text("def job():\n  textmsg(1)\nend\n")
@@ -514,7 +518,7 @@ def test_from_a_file(robot: StandIn, tmp_path: Path) -> None:
         robot.script.run(3)  # type: ignore[arg-type]
 
 
-def test_waiting_has_an_end(robot: StandIn) -> None:
+def test_waiting_has_an_end(robot: ScriptedController) -> None:
     program = run(robot)
     with pytest.raises(LinkTimeout, match=r"is sent, and not over within 0\.01 s"):
         program.wait(0.01)
@@ -526,7 +530,7 @@ def test_waiting_has_an_end(robot: StandIn) -> None:
         robot.script.run("movej(q)", wait=-1.0)
 
 
-def test_send_line(robot: StandIn) -> None:
+def test_send_line(robot: ScriptedController) -> None:
     robot.clear()
     robot.script.send_line("set speed 0.5")
     assert robot.sent == ["set speed 0.5\n"]
@@ -536,7 +540,7 @@ def test_send_line(robot: StandIn) -> None:
     assert len(robot.sent) == 1
 
 
-def test_closing_ends_what_is_followed(robot: StandIn) -> None:
+def test_closing_ends_what_is_followed(robot: ScriptedController) -> None:
     program = run(robot)
     robot.programs.close()
     with pytest.raises(ConnectionLost, match=r"closed here while .* ran; it moves nothing if it begins later"):

@@ -11,8 +11,8 @@ import pytest
 
 from linkcore.errors import BadValue, Closed, ConnectFailed, ConnectionLost, LinkError, LinkTimeout, LocalError
 from linkcore.streaming.connection_life import Backoff, ConnectionState
-from tests.linkcore.script import ScriptedTransport
-from tests.urlink.stand_in import StandIn
+from tests.fakes.controller import ScriptedController
+from tests.fakes.link import ScriptedTransport
 from tests.waiting import until
 from urlink.commanding import monitor
 from urlink.errors import NotEnabled, NotRunning, SafetyStop
@@ -23,12 +23,12 @@ pytestmark = pytest.mark.simulated_time
 
 
 @pytest.fixture
-def robot() -> Iterator[StandIn]:
-    with StandIn() as robot:
+def robot() -> Iterator[ScriptedController]:
+    with ScriptedController() as robot:
         yield robot
 
 
-def test_nothing_connects_before_it_is_used(robot: StandIn) -> None:
+def test_nothing_connects_before_it_is_used(robot: ScriptedController) -> None:
     assert robot.slow.opened == robot.fast.opened == 0
     robot.state(fast=False)
     assert robot.safety.mode is SafetyMode.NORMAL
@@ -51,12 +51,12 @@ def test_nothing_connects_before_it_is_used(robot: StandIn) -> None:
     ],
     ids=["cause", "wait_for_stop", "refusal"],
 )
-def test_the_first_question_listens(robot: StandIn, ask: Callable[[StandIn], str]) -> None:
+def test_the_first_question_listens(robot: ScriptedController, ask: Callable[[ScriptedController], str]) -> None:
     robot.state(safety=SafetyMode.PROTECTIVE_STOP, fast=False)
     assert ask(robot) == "protective stop"
 
 
-def test_two_threads_wait_for_the_first_word(robot: StandIn) -> None:
+def test_two_threads_wait_for_the_first_word(robot: ScriptedController) -> None:
     failures: list[LinkError] = []
 
     def command() -> None:
@@ -77,7 +77,7 @@ def test_two_threads_wait_for_the_first_word(robot: StandIn) -> None:
     assert robot.sent == ["set_tool_voltage(0)\n"] * 2
 
 
-def test_who_asks_while_another_thread_waits_for_the_first_word_waits_too(robot: StandIn) -> None:
+def test_who_asks_while_another_thread_waits_for_the_first_word_waits_too(robot: ScriptedController) -> None:
     modes: list[SafetyMode | None] = []
     threads = [threading.Thread(target=lambda: modes.append(robot.safety.mode)) for _ in range(2)]
     threads[0].start()
@@ -90,7 +90,7 @@ def test_who_asks_while_another_thread_waits_for_the_first_word_waits_too(robot:
     assert modes == [SafetyMode.NORMAL] * 2
 
 
-def test_a_stop_that_is_over_at_once(robot: StandIn) -> None:
+def test_a_stop_that_is_over_at_once(robot: ScriptedController) -> None:
     robot.state(fast=False)
     robot.monitor.listen()
     waits = robot.monitor.wait_for
@@ -108,7 +108,7 @@ def test_a_stop_that_is_over_at_once(robot: StandIn) -> None:
     assert "protective stop" in str(stop)
 
 
-def test_what_is_asked_before_a_motion_listens_to_both(robot: StandIn) -> None:
+def test_what_is_asked_before_a_motion_listens_to_both(robot: ScriptedController) -> None:
     """The real-time interface tells of a stop up to 0.1 s before the primary one."""
     robot.state()
     robot.channel.check()
@@ -117,7 +117,7 @@ def test_what_is_asked_before_a_motion_listens_to_both(robot: StandIn) -> None:
 
 def test_enabling_waits_for_a_stop_that_is_just_ending() -> None:
     """Whoever has unlocked the arm by the dashboard need not wait himself."""
-    with StandIn(policy="always") as robot:
+    with ScriptedController(policy="always") as robot:
         robot.state(safety=SafetyMode.PROTECTIVE_STOP)
         robot.monitor.listen(closely=True)
         until(lambda: robot.safety.cause == "protective stop")
@@ -133,7 +133,7 @@ def test_enabling_waits_for_a_stop_that_is_just_ending() -> None:
 
 
 def test_a_connection_that_is_lost_already_is_no_knowledge() -> None:
-    with StandIn(backoff=Backoff(first=60.0, most=60.0)) as robot:
+    with ScriptedController(backoff=Backoff(first=60.0, most=60.0)) as robot:
         robot.state(fast=False)
         robot.primary.wait(5)
         robot.slow.put(ConnectionLost("pulled"))
@@ -143,7 +143,7 @@ def test_a_connection_that_is_lost_already_is_no_knowledge() -> None:
         assert "not connected at present" in str(refusal)
 
 
-def test_a_stop_ends_motions_at_once_and_refuses_new_ones(robot: StandIn) -> None:
+def test_a_stop_ends_motions_at_once_and_refuses_new_ones(robot: ScriptedController) -> None:
     robot.clear()
     heard: list[LinkError] = []
     remove = robot.safety.on_stop(heard.append)
@@ -166,7 +166,7 @@ def test_a_stop_ends_motions_at_once_and_refuses_new_ones(robot: StandIn) -> Non
     assert len(heard) == 1
 
 
-def test_the_fast_stream_alone_tells_of_a_stop(robot: StandIn) -> None:
+def test_the_fast_stream_alone_tells_of_a_stop(robot: ScriptedController) -> None:
     robot.clear()
     heard: list[LinkError] = []
     robot.safety.on_stop(heard.append)
@@ -178,14 +178,14 @@ def test_the_fast_stream_alone_tells_of_a_stop(robot: StandIn) -> None:
     assert len(heard) == 1
 
 
-def test_a_message_is_quicker_than_the_state(robot: StandIn) -> None:
+def test_a_message_is_quicker_than_the_state(robot: ScriptedController) -> None:
     robot.clear()
     robot.safety_message(SafetyMode.VIOLATION)
     until(lambda: robot.safety.cause == "violation")
     assert robot.safety.mode is SafetyMode.VIOLATION
 
 
-def test_one_callback_that_raises_harms_no_other(robot: StandIn, caplog: pytest.LogCaptureFixture) -> None:
+def test_one_callback_that_raises_harms_no_other(robot: ScriptedController, caplog: pytest.LogCaptureFixture) -> None:
     robot.clear()
     heard: list[LinkError] = []
 
@@ -199,7 +199,7 @@ def test_one_callback_that_raises_harms_no_other(robot: StandIn, caplog: pytest.
     assert "the callbacks after it are called all the same" in caplog.text
 
 
-def test_a_callback_that_ends_its_thread_does_not(robot: StandIn, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_callback_that_ends_its_thread_does_not(robot: ScriptedController, caplog: pytest.LogCaptureFixture) -> None:
     robot.clear()
     heard: list[LinkError] = []
 
@@ -216,7 +216,7 @@ def test_a_callback_that_ends_its_thread_does_not(robot: StandIn, caplog: pytest
     assert caplog.text.count("SystemExit: on purpose") == 2
 
 
-def test_a_callback_may_command_and_wait(robot: StandIn) -> None:
+def test_a_callback_may_command_and_wait(robot: ScriptedController) -> None:
     robot.clear()
     done = threading.Event()
 
@@ -235,7 +235,7 @@ def test_a_callback_may_command_and_wait(robot: StandIn) -> None:
 
 
 @pytest.mark.parametrize("is_fast", [False, True])
-def test_a_lost_connection_is_no_knowledge(robot: StandIn, is_fast: bool) -> None:
+def test_a_lost_connection_is_no_knowledge(robot: ScriptedController, is_fast: bool) -> None:
     robot.clear()
     heard: list[LinkError] = []
     robot.safety.on_stop(heard.append)
@@ -250,7 +250,7 @@ def test_a_lost_connection_is_no_knowledge(robot: StandIn, is_fast: bool) -> Non
 
 
 def test_silence_is_no_knowledge() -> None:
-    with StandIn(stale_after=0.1) as robot:
+    with ScriptedController(stale_after=0.1) as robot:
         heard: list[LinkError] = []
         robot.safety.on_stop(heard.append)
         robot.clear()
@@ -266,7 +266,7 @@ def test_silence_is_no_knowledge() -> None:
 
 def test_what_was_sent_before_a_silence_is_discarded() -> None:
     """It may still be in the network, and the robot would do it when it is heard again."""
-    with StandIn(stale_after=0.1) as robot:
+    with ScriptedController(stale_after=0.1) as robot:
         robot.clear()
         robot.channel.command("set_tool_voltage(0)")
         until(lambda: robot.slow.opened == 2)  # its connection was aborted, and made anew
@@ -278,7 +278,7 @@ def test_what_was_sent_before_a_silence_is_discarded() -> None:
 
 
 def test_a_silence_before_anything_was_sent_leaves_the_connection(caplog: pytest.LogCaptureFixture) -> None:
-    with StandIn(stale_after=0.1) as robot:
+    with ScriptedController(stale_after=0.1) as robot:
         robot.clear()
         until(lambda: "said nothing" in str(robot.safety.refusal))
         robot.state()
@@ -289,7 +289,7 @@ def test_a_silence_before_anything_was_sent_leaves_the_connection(caplog: pytest
 
 def test_an_old_word_is_not_believed_while_this_program_is_held_up() -> None:
     """A callback that is called inline keeps the reader, which cannot tell whether the robot is silent."""
-    with StandIn(stale_after=1.0) as robot:
+    with ScriptedController(stale_after=1.0) as robot:
         robot.clear()
         heard: list[LinkError] = []
         robot.safety.on_stop(heard.append)
@@ -316,7 +316,7 @@ def test_an_old_word_is_not_believed_while_this_program_is_held_up() -> None:
         assert heard == []
 
 
-def test_nothing_heard_at_all(robot: StandIn, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_heard_at_all(robot: ScriptedController, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(monitor, "_FIRST_WORD", 0.05)
     with pytest.raises(NotRunning, match="yet; nothing was sent"):
         robot.channel.command("set_tool_voltage(0)")
@@ -324,7 +324,7 @@ def test_nothing_heard_at_all(robot: StandIn, monkeypatch: pytest.MonkeyPatch) -
     assert robot.safety.robot_mode is None
 
 
-def test_nobody_there(robot: StandIn) -> None:
+def test_nobody_there(robot: ScriptedController) -> None:
     robot.fast = ScriptedTransport(ConnectFailed("refused"))
     robot.realtime._connection._transport = robot.fast
     robot.state()
@@ -337,7 +337,7 @@ def test_nobody_there(robot: StandIn) -> None:
 
 
 def test_policies_over_the_streams() -> None:
-    with StandIn(policy="always") as robot:
+    with ScriptedController(policy="always") as robot:
         robot.clear()
         with pytest.raises(NotEnabled, match="enable"):
             robot.channel.motion("movej(q)")
@@ -368,7 +368,7 @@ def test_policies_over_the_streams() -> None:
 
 def test_listening_more_closely_closes_nothing() -> None:
     """The first motion asks the real-time interface too; until that speaks, what was enabled stays so."""
-    with StandIn(policy="always") as robot:
+    with ScriptedController(policy="always") as robot:
         robot.state(fast=False)
         robot.safety.enable()
         heard: list[LinkError] = []
@@ -386,7 +386,7 @@ def test_listening_more_closely_closes_nothing() -> None:
         assert heard == []
 
 
-def test_waiting_says_what_is_in_the_way(robot: StandIn) -> None:
+def test_waiting_says_what_is_in_the_way(robot: ScriptedController) -> None:
     robot.state(RobotMode.IDLE)
     with pytest.raises(LinkTimeout, match="IDLE"):
         robot.safety.wait_until_clear(0.01)
@@ -394,7 +394,7 @@ def test_waiting_says_what_is_in_the_way(robot: StandIn) -> None:
 
 
 @pytest.mark.parametrize("timeout", [None, -1.0, float("inf"), "soon"])
-def test_waiting_for_no_number_of_seconds(robot: StandIn, timeout: Any) -> None:
+def test_waiting_for_no_number_of_seconds(robot: ScriptedController, timeout: Any) -> None:
     for wait in (robot.safety.wait_enabled, robot.safety.wait_until_clear, robot.safety.wait_for_stop):
         with pytest.raises(BadValue, match="timeout"):
             wait(timeout)
@@ -402,13 +402,13 @@ def test_waiting_for_no_number_of_seconds(robot: StandIn, timeout: Any) -> None:
         robot.safety.on_stop(timeout)
 
 
-def test_whether_a_stop_holds_may_be_asked_without_waiting(robot: StandIn) -> None:
+def test_whether_a_stop_holds_may_be_asked_without_waiting(robot: ScriptedController) -> None:
     robot.clear()
     assert robot.safety.wait_for_stop(0.0) is None
 
 
 def test_cb2() -> None:
-    with StandIn("1.8") as robot:
+    with ScriptedController("1.8") as robot:
         robot.clear()
         assert robot.safety.mode is None
         robot.channel.motion("movej(q)")
@@ -423,7 +423,7 @@ def test_cb2() -> None:
     assert robot.sent == ["movej(q)\n"]
 
 
-def test_a_stop_waits_for_what_is_being_sent(robot: StandIn) -> None:
+def test_a_stop_waits_for_what_is_being_sent(robot: ScriptedController) -> None:
     """Check and send are one: what was admitted is out before the stop is told to anybody."""
     robot.clear()
     order: list[str] = []
@@ -448,7 +448,7 @@ def test_a_stop_waits_for_what_is_being_sent(robot: StandIn) -> None:
     assert order == ["sent", "stop"]
 
 
-def test_callbacks_are_called_without_a_lock(robot: StandIn) -> None:
+def test_callbacks_are_called_without_a_lock(robot: ScriptedController) -> None:
     """Else who holds a lock and asks the interlock, and a callback that wants that lock, would wait for ever."""
     robot.clear()
     own, stopped = threading.Lock(), threading.Event()
@@ -467,7 +467,7 @@ def test_callbacks_are_called_without_a_lock(robot: StandIn) -> None:
 
 
 def test_a_stream_that_gave_up_is_listened_to_anew() -> None:
-    with StandIn(backoff=Backoff(tries=0)) as robot:
+    with ScriptedController(backoff=Backoff(tries=0)) as robot:
         robot.clear()
         program = robot.script.run("movej(q)")
         robot.slow.put(ConnectionLost("pulled"))
@@ -481,14 +481,14 @@ def test_a_stream_that_gave_up_is_listened_to_anew() -> None:
         again.wait(5)
 
 
-def test_closed(robot: StandIn) -> None:
+def test_closed(robot: ScriptedController) -> None:
     robot.clear()
     robot.primary.close()
     with pytest.raises(Closed):
         robot.channel.motion("movej(q)")
 
 
-def test_closing_closes_the_interlock(robot: StandIn) -> None:
+def test_closing_closes_the_interlock(robot: ScriptedController) -> None:
     robot.clear()
     heard: list[LinkError] = []
     robot.safety.on_stop(heard.append)
@@ -500,7 +500,7 @@ def test_closing_closes_the_interlock(robot: StandIn) -> None:
     assert heard == []  # the robot has not stopped
 
 
-def test_closing_ends_waiting(robot: StandIn) -> None:
+def test_closing_ends_waiting(robot: ScriptedController) -> None:
     robot.state(safety=SafetyMode.PROTECTIVE_STOP)
     until(lambda: robot.safety.cause)
     closing = threading.Timer(0.05, robot.monitor.close)
@@ -510,7 +510,7 @@ def test_closing_ends_waiting(robot: StandIn) -> None:
     closing.join(10)
 
 
-def test_what_the_primary_interface_leaves_out_lifts_no_stop(robot: StandIn) -> None:
+def test_what_the_primary_interface_leaves_out_lifts_no_stop(robot: ScriptedController) -> None:
     robot.state(safety=SafetyMode.PROTECTIVE_STOP, fast=False)
     until(lambda: robot.safety.cause)
     modes = RobotModeData(robot.firmware, robot_mode=RobotMode.RUNNING)
@@ -523,7 +523,7 @@ def test_what_the_primary_interface_leaves_out_lifts_no_stop(robot: StandIn) -> 
 # -- who asks from where ---------------------------------------------------------------------------------
 
 
-def test_waiting_for_oneself_is_refused_at_once(robot: StandIn) -> None:
+def test_waiting_for_oneself_is_refused_at_once(robot: ScriptedController) -> None:
     robot.clear()
     raised: list[LinkError] = []
 
@@ -541,7 +541,7 @@ def test_waiting_for_oneself_is_refused_at_once(robot: StandIn) -> None:
     assert "inline=True" in str(raised[0])
 
 
-def test_an_inline_callback_commands(robot: StandIn) -> None:
+def test_an_inline_callback_commands(robot: ScriptedController) -> None:
     robot.clear()
 
     def command(state: object) -> None:
@@ -553,7 +553,7 @@ def test_an_inline_callback_commands(robot: StandIn) -> None:
         until(lambda: len(robot.sent) == 2)
 
 
-def test_an_inline_callback_that_is_the_first_to_command(robot: StandIn) -> None:
+def test_an_inline_callback_that_is_the_first_to_command(robot: ScriptedController) -> None:
     """It cannot wait for the first word; what the stream has heard already has to do."""
     raised: list[LinkError] = []
 
@@ -572,7 +572,7 @@ def test_an_inline_callback_that_is_the_first_to_command(robot: StandIn) -> None
 # -- texts that do not fit -------------------------------------------------------------------------------
 
 
-def send(robot: StandIn, text: str, **options: Any) -> tuple[threading.Thread, list[LinkError]]:
+def send(robot: ScriptedController, text: str, **options: Any) -> tuple[threading.Thread, list[LinkError]]:
     """Send in a thread of its own; what that raised."""
     raised: list[LinkError] = []
 
@@ -587,7 +587,7 @@ def send(robot: StandIn, text: str, **options: Any) -> tuple[threading.Thread, l
     return thread, raised
 
 
-def test_a_text_that_does_not_fit_leaves_in_parts(robot: StandIn) -> None:
+def test_a_text_that_does_not_fit_leaves_in_parts(robot: ScriptedController) -> None:
     robot.clear()
     robot.slow.make_room(3)
     first, raised = send(robot, "movej(q)")
@@ -602,7 +602,7 @@ def test_a_text_that_does_not_fit_leaves_in_parts(robot: StandIn) -> None:
     assert "".join(robot.sent) == "movej(q)\nstopj(2)\n"
 
 
-def test_the_rest_of_a_text_does_not_follow_a_stop(robot: StandIn) -> None:
+def test_the_rest_of_a_text_does_not_follow_a_stop(robot: ScriptedController) -> None:
     robot.clear()
     robot.slow.make_room(3)
     sender, raised = send(robot, "movej(q)")
@@ -616,7 +616,7 @@ def test_the_rest_of_a_text_does_not_follow_a_stop(robot: StandIn) -> None:
     until(lambda: robot.slow.opened == 2)  # nobody takes what follows for the rest
 
 
-def test_a_text_that_nobody_takes(robot: StandIn, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_text_that_nobody_takes(robot: ScriptedController, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("urlink.commanding.channel.SEND_TIMEOUT", 0.05)
     robot.clear()
     for room, opened in ((0, 1), (3, 2)):
@@ -627,7 +627,7 @@ def test_a_text_that_nobody_takes(robot: StandIn, monkeypatch: pytest.MonkeyPatc
         robot.clear()
 
 
-def test_a_text_does_not_go_on_over_the_next_connection(robot: StandIn) -> None:
+def test_a_text_does_not_go_on_over_the_next_connection(robot: ScriptedController) -> None:
     robot.clear()
     robot.slow.make_room(3)
     sender, raised = send(robot, "movej(q)")
@@ -644,18 +644,18 @@ def test_a_text_does_not_go_on_over_the_next_connection(robot: StandIn) -> None:
 # -- signal handlers -------------------------------------------------------------------------------------
 
 
-def in_the_section(robot: StandIn, handler: Callable[[], object]) -> None:
+def in_the_section(robot: ScriptedController, handler: Callable[[], object]) -> None:
     """Call `handler` in this thread while it is in the critical section, as a signal handler may be."""
     robot.channel.setpoint(handler)
 
 
-def test_a_signal_handler_commands_from_within(robot: StandIn) -> None:
+def test_a_signal_handler_commands_from_within(robot: ScriptedController) -> None:
     robot.clear()
     in_the_section(robot, lambda: robot.channel.motion("stopj(2)", is_stop=True))
     assert robot.sent == ["stopj(2)\n"]
 
 
-def test_a_signal_handler_waits_from_within(robot: StandIn) -> None:
+def test_a_signal_handler_waits_from_within(robot: ScriptedController) -> None:
     """What it waits for is heard by a thread that needs the section."""
     robot.clear()
 
@@ -669,7 +669,7 @@ def test_a_signal_handler_waits_from_within(robot: StandIn) -> None:
         robot.section._lock.release()
 
 
-def test_a_signal_handler_whose_own_thread_is_in_the_middle_of_a_text(robot: StandIn) -> None:
+def test_a_signal_handler_whose_own_thread_is_in_the_middle_of_a_text(robot: ScriptedController) -> None:
     robot.clear()
     robot.slow.make_room(3)
     raised: list[LinkError] = []

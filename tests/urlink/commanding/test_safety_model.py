@@ -19,7 +19,7 @@ from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from linkcore.threads import CallbackThread
 from tests.fakes.clock import Clock
-from tests.urlink.line import Line
+from tests.fakes.line import Line
 from urlink.commanding.channel import CommandChannel
 from urlink.commanding.interlock import STALE_AFTER, Interlock, Policy
 from urlink.commanding.monitor import SafetyMonitor

@@ -14,8 +14,8 @@ import urlink
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkError
 from linkcore.streaming.connection import Connection
 from tests.fakes.clock import Clock
-from tests.urlink.line import Line
-from tests.urlink.stand_in import StandIn
+from tests.fakes.controller import ScriptedController
+from tests.fakes.line import Line
 from tests.waiting import until
 from urlink import InputInUse
 from urlink.commanding import setting_channel
@@ -65,14 +65,14 @@ def inputs() -> Inputs:
 
 
 @pytest.fixture
-def robot(inputs: Inputs, monkeypatch: pytest.MonkeyPatch) -> Iterator[StandIn]:
+def robot(inputs: Inputs, monkeypatch: pytest.MonkeyPatch) -> Iterator[ScriptedController]:
     monkeypatch.setattr(setting_channel, "_SETTLED", 0.0)
-    with StandIn(inputs=inputs) as robot:
+    with ScriptedController(inputs=inputs) as robot:
         robot.clear()
         yield robot
 
 
-def test_masks_and_values_of_each_setting(robot: StandIn, inputs: Inputs) -> None:
+def test_masks_and_values_of_each_setting(robot: ScriptedController, inputs: Inputs) -> None:
     robot.state(board={"analog_output_domain_1": 1})
     acts: list[Callable[[], object]] = [
         lambda: robot.io.set_digital_out(3, True, confirm=0.01),
@@ -101,20 +101,22 @@ def test_masks_and_values_of_each_setting(robot: StandIn, inputs: Inputs) -> Non
     assert len(robot.sent) == 1
 
 
-def test_what_does_not_show_is_discarded_and_the_next_goes_by_script(robot: StandIn, inputs: Inputs) -> None:
+def test_what_does_not_show_is_discarded_and_the_next_goes_by_script(robot: ScriptedController, inputs: Inputs) -> None:
     for _ in range(2):
         with pytest.raises(NotConfirmed):
             robot.io.set_digital_out(0, True, confirm=0.01)
     assert (len(inputs.written), inputs.aborted, len(robot.sent)) == (1, 1, 1)
 
 
-def test_without_waiting_nothing_is_claimed(robot: StandIn, inputs: Inputs) -> None:
+def test_without_waiting_nothing_is_claimed(robot: ScriptedController, inputs: Inputs) -> None:
     robot.io.set_digital_out(0, True, confirm=None)
     assert inputs.asked == [(("standard_digital_output_mask", "standard_digital_output"), False)]
     assert len(robot.sent) == 1
 
 
-def test_no_package_overtakes_a_text(robot: StandIn, inputs: Inputs, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_package_overtakes_a_text(
+    robot: ScriptedController, inputs: Inputs, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(setting_channel, "_SETTLED", 60.0)
     robot.io.set_digital_out(0, True, confirm=None)
     robot.io.set_digital_out(0, False, confirm=None)
@@ -123,7 +125,7 @@ def test_no_package_overtakes_a_text(robot: StandIn, inputs: Inputs, monkeypatch
 
 @pytest.mark.parametrize("error", [ConnectFailed("refused"), urlink.LinkTimeout("no answer")], ids=str)
 def test_where_there_is_no_rtde_it_is_tried_once_for_each_connection(
-    robot: StandIn, inputs: Inputs, error: LinkError
+    robot: ScriptedController, inputs: Inputs, error: LinkError
 ) -> None:
     inputs.error = error
     acts: list[Callable[[], object]] = [
@@ -144,7 +146,7 @@ def test_where_there_is_no_rtde_it_is_tried_once_for_each_connection(
     assert (len(inputs.written), len(robot.sent)) == (1, 3)
 
 
-def test_an_input_in_use_is_refused_by_itself(robot: StandIn, inputs: Inputs) -> None:
+def test_an_input_in_use_is_refused_by_itself(robot: ScriptedController, inputs: Inputs) -> None:
     inputs.held = {"speed_slider_mask"}
     with pytest.raises(NotConfirmed):
         robot.settings.speed_slider(0.5, 0.01)
@@ -152,14 +154,14 @@ def test_an_input_in_use_is_refused_by_itself(robot: StandIn, inputs: Inputs) ->
     assert robot.settings._channel._is_refused(("speed_slider_mask", "speed_slider_fraction"))
 
 
-def test_what_could_not_be_written_goes_by_script(robot: StandIn, inputs: Inputs) -> None:
+def test_what_could_not_be_written_goes_by_script(robot: ScriptedController, inputs: Inputs) -> None:
     inputs.lost = True
     with pytest.raises(NotConfirmed):
         robot.io.set_digital_out(0, True, confirm=0.01)
     assert len(robot.sent) == 1
 
 
-def test_a_robot_that_does_not_run_is_sent_nothing_by_either_way(robot: StandIn, inputs: Inputs) -> None:
+def test_a_robot_that_does_not_run_is_sent_nothing_by_either_way(robot: ScriptedController, inputs: Inputs) -> None:
     robot.state(RobotMode.POWER_OFF)
     until(lambda: robot.safety.robot_mode is RobotMode.POWER_OFF)
     with pytest.raises(NotRunning):

@@ -12,8 +12,8 @@ import pytest
 from linkcore.errors import BadValue, LinkError, LinkTimeout, LocalError
 from linkcore.streaming.connection import Connection
 from linkcore.wire.packet import State
-from tests.urlink.line import Line
-from tests.urlink.stand_in import StandIn
+from tests.fakes.controller import ScriptedController
+from tests.fakes.line import Line
 from tests.waiting import until
 from urlink.commanding.io import IO
 from urlink.commanding.section import Section
@@ -30,7 +30,7 @@ from urlink.urscript.wrapping import StartPlace
 pytestmark = pytest.mark.simulated_time
 
 #: Acts on a robot with a timeout; what its states show afterwards, and what they may show before.
-Case = tuple[Callable[[StandIn, float | None], None], dict[str, Any], dict[str, Any]]
+Case = tuple[Callable[[ScriptedController, float | None], None], dict[str, Any], dict[str, Any]]
 
 
 def board(**fields: Any) -> dict[str, Any]:
@@ -102,13 +102,13 @@ SHOWN: dict[str, Case] = {
 
 
 @pytest.fixture
-def robot() -> Iterator[StandIn]:
-    with StandIn() as robot:
+def robot() -> Iterator[ScriptedController]:
+    with ScriptedController() as robot:
         robot.clear()
         yield robot
 
 
-def show(robot: StandIn, what: dict[str, Any]) -> None:
+def show(robot: ScriptedController, what: dict[str, Any]) -> None:
     """A state on each interface that shows it."""
     axes = ("X", "Y", "Z", "Rx", "Ry", "Rz")
     offset = {f"tcp_offset_{axis}": value for axis, value in zip(axes, what.get("tcp", [0] * 6), strict=True)}
@@ -127,12 +127,16 @@ def show(robot: StandIn, what: dict[str, Any]) -> None:
 class Setting:
     """A setting in a thread of its own."""
 
-    def __init__(self, robot: StandIn, act: Callable[[StandIn, float | None], None], confirm: float | None) -> None:
+    def __init__(
+        self, robot: ScriptedController, act: Callable[[ScriptedController, float | None], None], confirm: float | None
+    ) -> None:
         self.error: LinkError | None = None
         self._thread = threading.Thread(target=self._run, args=(robot, act, confirm))
         self._thread.start()
 
-    def _run(self, robot: StandIn, act: Callable[[StandIn, float | None], None], confirm: float | None) -> None:
+    def _run(
+        self, robot: ScriptedController, act: Callable[[ScriptedController, float | None], None], confirm: float | None
+    ) -> None:
         try:
             act(robot, confirm)
         except LinkError as error:
@@ -144,7 +148,7 @@ class Setting:
 
 
 @pytest.mark.parametrize("name", SHOWN)
-def test_waits_until_the_robot_shows_it(robot: StandIn, name: str) -> None:
+def test_waits_until_the_robot_shows_it(robot: ScriptedController, name: str) -> None:
     act, right, wrong = SHOWN[name]
     setting = Setting(robot, act, 10.0)
     until(lambda: robot.sent)
@@ -162,7 +166,7 @@ def test_waits_until_the_robot_shows_it(robot: StandIn, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", SHOWN)
-def test_says_what_the_robot_shows_instead(robot: StandIn, name: str) -> None:
+def test_says_what_the_robot_shows_instead(robot: ScriptedController, name: str) -> None:
     act, _, wrong = SHOWN[name]
     setting = Setting(robot, act, 0.3)
 
@@ -177,7 +181,7 @@ def test_says_what_the_robot_shows_instead(robot: StandIn, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", SHOWN)
-def test_does_not_wait_where_that_is_not_asked_for(robot: StandIn, name: str) -> None:
+def test_does_not_wait_where_that_is_not_asked_for(robot: ScriptedController, name: str) -> None:
     SHOWN[name][0](robot, None)
     assert len(robot.sent) == 1
 
@@ -192,7 +196,7 @@ def test_does_not_wait_where_that_is_not_asked_for(robot: StandIn, name: str) ->
     ],
 )
 def test_names_the_likely_cause(firmware: str, is_remote: bool | None, why: str) -> None:
-    with StandIn(firmware, is_remote=is_remote) as robot:
+    with ScriptedController(firmware, is_remote=is_remote) as robot:
         robot.clear()
         with pytest.raises(NotConfirmed, match=why):
             robot.io.set_digital_out(0, True, confirm=0.05)
@@ -209,14 +213,14 @@ def test_names_the_likely_cause(firmware: str, is_remote: bool | None, why: str)
         ("5.11", lambda r: r.io.set_flag(3, True)),
     ],
 )
-def test_does_not_wait_for_what_no_state_shows(firmware: str, act: Callable[[StandIn], None]) -> None:
-    with StandIn(firmware) as robot:
+def test_does_not_wait_for_what_no_state_shows(firmware: str, act: Callable[[ScriptedController], None]) -> None:
+    with ScriptedController(firmware) as robot:
         robot.clear()
         act(robot)
         assert len(robot.sent) == 1
 
 
-def test_where_it_would_wait_for_itself(robot: StandIn) -> None:
+def test_where_it_would_wait_for_itself(robot: ScriptedController) -> None:
     raised: list[LinkError] = []
 
     def switch(state: RobotState) -> None:
@@ -233,7 +237,7 @@ def test_where_it_would_wait_for_itself(robot: StandIn) -> None:
     assert len(robot.sent) == 1
 
 
-def test_from_a_callback_with_a_thread_of_its_own(robot: StandIn) -> None:
+def test_from_a_callback_with_a_thread_of_its_own(robot: ScriptedController) -> None:
     done = threading.Event()
 
     def switch(state: RobotState) -> None:
@@ -248,7 +252,7 @@ def test_from_a_callback_with_a_thread_of_its_own(robot: StandIn) -> None:
         until(is_done)
 
 
-def test_nothing_is_sent_to_a_robot_that_does_not_run(robot: StandIn) -> None:
+def test_nothing_is_sent_to_a_robot_that_does_not_run(robot: ScriptedController) -> None:
     robot.state(RobotMode.POWER_OFF)
     until(lambda: robot.safety.robot_mode is RobotMode.POWER_OFF)
     with pytest.raises(NotRunning):
@@ -257,7 +261,7 @@ def test_nothing_is_sent_to_a_robot_that_does_not_run(robot: StandIn) -> None:
 
 
 @pytest.mark.parametrize("confirm", [0, -1, "soon", float("nan"), True])
-def test_no_number_of_seconds(robot: StandIn, confirm: Any) -> None:
+def test_no_number_of_seconds(robot: ScriptedController, confirm: Any) -> None:
     with pytest.raises(BadValue, match="confirm"):
         robot.settings.tcp([0] * 6, confirm)
     assert robot.sent == []
@@ -275,7 +279,7 @@ def test_no_number_of_seconds(robot: StandIn, confirm: Any) -> None:
 )
 def test_no_payload_that_the_arm_cannot_carry(model: str, mass: float, is_carried: bool) -> None:
     """A UR3e carries 3 kg, a UR7e, which says that it is a UR5e, 7.5 kg; a quarter is left for later software."""
-    with StandIn(model=model) as robot:
+    with ScriptedController(model=model) as robot:
         robot.clear()
         if is_carried:
             robot.settings.payload(mass, None, None, None)
@@ -286,7 +290,7 @@ def test_no_payload_that_the_arm_cannot_carry(model: str, mass: float, is_carrie
 
 
 def test_an_arm_that_nobody_knows_carries_what_any_does() -> None:
-    with StandIn() as robot:
+    with ScriptedController() as robot:
         robot.clear()
         robot.settings.payload(99.0, None, None, None)
         with pytest.raises(BadValue, match="payload mass"):

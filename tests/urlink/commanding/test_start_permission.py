@@ -11,7 +11,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from tests.urlink.line import FIRMWARE, STARTED, STOPPED, Programming, Run
+from tests.fakes.line import FIRMWARE, STARTED, STOPPED, Programming, Run
 from urlink.firmware import Firmware
 from urlink.interfaces.primary.robot_message import TextMessage
 from urlink.simulator.registers import RegisterBanks

@@ -20,7 +20,7 @@ from linkcore.errors import (
 )
 from linkcore.net.dialogue import Dialogue
 from linkcore.net.recall import Recall, TakeBack
-from tests.urlink.line import Programming, slow
+from tests.fakes.line import Programming, slow
 from urlink.commanding import interpreter as module
 from urlink.commanding.interpreter import Interpreter, Interpreters, InterpreterState
 from urlink.errors import NotRunning, SafetyStop, StatementDiscarded

@@ -26,7 +26,7 @@ from linkcore.errors import (
     RemoteError,
     WrongPeer,
 )
-from tests.urlink.interfaces.dashboard_desk import FIRMWARES, TIMEOUT, Desk, play, protective_stop, stepped, wait
+from tests.fakes.dashboard import FIRMWARES, TIMEOUT, ScriptedDashboard, play, protective_stop, stepped, wait
 from urlink.firmware import Firmware
 from urlink.interfaces.dashboard.client import Dashboard, DashboardRefused
 from urlink.interfaces.dashboard.commands import COMMANDS, NOT_IN_REMOTE_CONTROL
@@ -40,7 +40,7 @@ pytestmark = pytest.mark.simulated_time
 #: Short enough for a test that waits for it, and long beside what a reply takes.
 SHORT = 0.3
 
-Opened = Callable[..., tuple[Desk, Dashboard]]
+Opened = Callable[..., tuple[ScriptedDashboard, Dashboard]]
 
 
 @pytest.fixture
@@ -50,8 +50,8 @@ def opened() -> Iterator[Opened]:
 
     def opened(
         answer: Callable[[str], bytes | None], firmware: str = "5.11", timeout: float = TIMEOUT, **options: Any
-    ) -> tuple[Desk, Dashboard]:
-        desk = Desk(answer, **options)
+    ) -> tuple[ScriptedDashboard, Dashboard]:
+        desk = ScriptedDashboard(answer, **options)
         made.append(desk)
         dashboard = Dashboard("127.0.0.1", desk.port, lambda: Firmware.parse(firmware), timeout=timeout)
         made.append(dashboard)
@@ -322,7 +322,7 @@ def test_send_returns_whatever_is_said(opened: Opened) -> None:
 @pytest.mark.property
 @given(st.text(max_size=50))
 def test_no_text_becomes_a_second_command(text: str) -> None:
-    desk = Desk(saying(b"showing popup\n"))
+    desk = ScriptedDashboard(saying(b"showing popup\n"))
     try:
         with Dashboard("127.0.0.1", desk.port, lambda: Firmware(5, 11), timeout=TIMEOUT) as dashboard:
             try:
@@ -460,7 +460,7 @@ def test_lost_between_two_commands(opened: Opened) -> None:
 
 @pytest.mark.parametrize("last_words", [None, b"showing pop"])
 def test_lost_in_the_middle_of_a_command_which_is_not_sent_again(last_words: bytes | None, opened: Opened) -> None:
-    desks: list[Desk] = []
+    desks: list[ScriptedDashboard] = []
 
     def answer(line: str) -> bytes | None:
         if line != "popup hello":
@@ -556,7 +556,7 @@ def test_an_endless_line(opened: Opened) -> None:
 
 def test_a_reply_that_trickles_does_not_outlast_the_deadline(opened: Opened) -> None:
     end = threading.Event()
-    desks: list[Desk] = []
+    desks: list[ScriptedDashboard] = []
 
     def answer(line: str) -> bytes | None:
         while not end.wait(0.01):
@@ -616,7 +616,7 @@ def test_closing_wakes_who_waits(opened: Opened) -> None:
 
     def answer(line: str) -> bytes:
         asked.set()
-        return Desk.SILENCE
+        return ScriptedDashboard.SILENCE
 
     _, dashboard = opened(answer)
 
@@ -684,7 +684,7 @@ _QUESTIONS = [call for name, (call, _) in CALLS.items() if COMMANDS[name].is_on(
 @given(st.binary(max_size=60) | st.sampled_from([b"true", b"STOPPED", b"Robotmode: "]).map(lambda b: b + b"\xff \n"))
 def test_any_bytes_are_a_value_or_a_documented_error(data: bytes) -> None:
     # A byte that ends the line, so that no example waits for a deadline.
-    desk = Desk(saying(data + b"\n"))
+    desk = ScriptedDashboard(saying(data + b"\n"))
     try:
         with Dashboard("127.0.0.1", desk.port, lambda: Firmware(5, 11), timeout=TIMEOUT) as dashboard:
             for call in _QUESTIONS[:: 1 + len(data) % 7]:

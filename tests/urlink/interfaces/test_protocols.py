@@ -17,7 +17,7 @@ from linkcore.net.transport import Finished
 from linkcore.streaming.packet_queue import block
 from linkcore.wire.framing import Framer
 from linkcore.wire.packet import State
-from tests.linkcore.script import ScriptedTransport
+from tests.fakes.link import ScriptedTransport
 from urlink.firmware import RELEASES, Firmware, Release, release_of
 from urlink.identity import Identity
 from urlink.interfaces.primary.protocol import PackageBoundary, PrimaryProtocol

@@ -8,7 +8,7 @@ from typing import Any, Literal, cast
 
 import numpy as np
 
-from tests.urlink.motion.rehearsal import HOME
+from tests.fakes.rehearsal import HOME
 from urlink.firmware import Firmware
 from urlink.interfaces.enums import ProgramState
 from urlink.interfaces.realtime.packets import RealtimeState

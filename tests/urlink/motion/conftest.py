@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from tests.urlink.motion.rehearsal import Rehearsal
+from tests.fakes.rehearsal import Rehearsal
 from tests.waiting import until
 
 

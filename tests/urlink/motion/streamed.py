@@ -10,8 +10,8 @@ from typing import cast
 
 import numpy as np
 
+from tests.fakes.rehearsal import HOME
 from tests.urlink.motion.bench import Bench
-from tests.urlink.motion.rehearsal import HOME
 from urlink.firmware import Firmware
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.kinematics import Arm

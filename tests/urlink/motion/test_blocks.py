@@ -12,7 +12,7 @@ import pytest
 
 from linkcore.errors import BadValue, Cancelled, Closed, ConnectionLost, LinkTimeout, LocalError
 from linkcore.handle import Phase
-from tests.urlink.motion.rehearsal import FOLLOW, HOME, STOP, TIMEOUT, WAIT, Rehearsal, turned
+from tests.fakes.rehearsal import FOLLOW, HOME, STOP, TIMEOUT, WAIT, Rehearsal, turned
 from tests.urlink.motion.test_servo import Beside
 from tests.waiting import until
 from urlink.errors import NoContact, ProgramStopped

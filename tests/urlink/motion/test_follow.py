@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from linkcore.errors import BadAddress, BadValue, Cancelled, ConnectFailed, ConnectionLost, LinkTimeout, LocalError
 from linkcore.handle import Motion, Phase
 from linkcore.pending_call import PendingCall
-from tests.urlink.motion.rehearsal import FOLLOW, STOP, TIMEOUT, WAIT, Rehearsal, turned
+from tests.fakes.rehearsal import FOLLOW, STOP, TIMEOUT, WAIT, Rehearsal, turned
 from tests.waiting import until
 from urlink.errors import NotEnabled, NotRunning, ProgramStopped, SafetyStop, ToleranceExceeded
 from urlink.firmware import Firmware

@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linkcore.errors import BadValue, LinkError, LinkTimeout
+from tests.fakes.rehearsal import FOLLOW, WAIT, turned
 from tests.urlink.motion.bench import PLAYING, Bench
-from tests.urlink.motion.rehearsal import FOLLOW, WAIT, turned
 from urlink.errors import ToleranceExceeded
 from urlink.firmware import Firmware
 from urlink.interfaces.realtime.packets import RealtimeState

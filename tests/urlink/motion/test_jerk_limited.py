@@ -10,8 +10,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from linkcore.errors import BadValue
+from tests.fakes.rehearsal import HOME, turned
 from tests.urlink.motion.bench import Led
-from tests.urlink.motion.rehearsal import HOME, turned
 from urlink.firmware import Firmware
 from urlink.models import model
 from urlink.motion.jerk_limited import JointLimit, Profile, TargetFilter, joint_limits

@@ -12,8 +12,8 @@ import pytest
 
 from linkcore.errors import BadValue, Cancelled, LocalError
 from linkcore.handle import Motion, Phase
+from tests.fakes.rehearsal import FOLLOW, HOME, STOP, TIMEOUT, WAIT, Rehearsal
 from tests.urlink.motion.bench import Bench
-from tests.urlink.motion.rehearsal import FOLLOW, HOME, STOP, TIMEOUT, WAIT, Rehearsal
 from tests.urlink.motion.test_servo import Beside
 from tests.waiting import until
 from urlink.errors import SafetyStop

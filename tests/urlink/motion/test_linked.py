@@ -9,7 +9,7 @@ import pytest
 
 from linkcore.errors import BadAddress, ConnectFailed, ConnectionLost, LinkError, LocalError
 from linkcore.handle import Motion, Phase
-from tests.urlink.motion.rehearsal import TIMEOUT, Rehearsal
+from tests.fakes.rehearsal import TIMEOUT, Rehearsal
 from tests.waiting import until
 from urlink.errors import NotRunning, ProgramStopped, SafetyStop, ToleranceExceeded
 from urlink.interfaces.enums import SafetyMode

@@ -11,7 +11,7 @@ import pytest
 
 from linkcore.errors import BadValue, Cancelled, Closed, ConnectionLost, LinkTimeout
 from linkcore.handle import Motion, Phase
-from tests.urlink.motion.rehearsal import HOME, TIMEOUT, Rehearsal, turned
+from tests.fakes.rehearsal import HOME, TIMEOUT, Rehearsal, turned
 from tests.waiting import until
 from urlink.errors import CompileError, NotEnabled, NotRunning, ProgramStopped, SafetyStop, ScriptFailed
 from urlink.interfaces.enums import RobotMode, SafetyMode

@@ -13,8 +13,8 @@ import pytest
 import urlink
 from linkcore.errors import ConnectionLost
 from linkcore.simulated import Computer, Simulation, simulated_time
+from tests.fakes.rehearsal import turned
 from tests.urlink.motion.bench import Bench
-from tests.urlink.motion.rehearsal import turned
 from urlink.firmware import Firmware
 from urlink.motion.setpoints import WAIT_WORD, dated, setpoint
 from urlink.robot import Robot

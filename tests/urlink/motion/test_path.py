@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 import urlink
 from linkcore.errors import BadValue, Cancelled, LinkTimeout
 from linkcore.handle import Phase
+from tests.fakes.rehearsal import HOME, TIMEOUT, Rehearsal
 from tests.urlink.motion.bench import Bench
-from tests.urlink.motion.rehearsal import HOME, TIMEOUT, Rehearsal
 from tests.waiting import interrupted, until
 from urlink import Circular, Joint, Linear
 from urlink.curves import Arc

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.urlink.line import START_PLACE
+from tests.fakes.line import START_PLACE
+from tests.fakes.rehearsal import HOME, turned
 from tests.urlink.motion.bench import Bench
-from tests.urlink.motion.rehearsal import HOME, turned
 from urlink.firmware import Firmware
 from urlink.motion.setpoints import STOP_WORD, WAIT_WORD, setpoint
 from urlink.motion.trajectory import Trajectory

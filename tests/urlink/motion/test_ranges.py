@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from linkcore.errors import BadValue, LocalError
-from tests.urlink.motion.rehearsal import HOME, Rehearsal, turned
+from tests.fakes.rehearsal import HOME, Rehearsal, turned
 from tests.urlink.motion.test_servo import opened
 from urlink import Linear
 from urlink.models import model

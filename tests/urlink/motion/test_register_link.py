@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout
+from tests.fakes.rehearsal import HOME, turned
 from tests.urlink.motion.bench import Bench
-from tests.urlink.motion.rehearsal import HOME, turned
 from urlink.firmware import Firmware
 from urlink.motion.register_link import NAMES, RegisterLink, RegisterPort
 from urlink.motion.setpoints import STOP_WORD, WAIT_WORD, dated, setpoint

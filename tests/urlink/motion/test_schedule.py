@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from linkcore.errors import BadValue, LinkError, LocalError
+from tests.fakes.rehearsal import HOME, Rehearsal, turned
 from tests.urlink.motion.bench import PLAYING, Led
-from tests.urlink.motion.rehearsal import HOME, Rehearsal, turned
 from tests.urlink.motion.test_servo import opened
 from tests.waiting import until
 from urlink import Circular, Joint, Linear

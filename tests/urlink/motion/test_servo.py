@@ -12,7 +12,7 @@ import pytest
 
 from linkcore.errors import BadValue, Cancelled, Closed, ConnectFailed, ConnectionLost, LocalError
 from linkcore.handle import Phase
-from tests.urlink.motion.rehearsal import FOLLOW, HOME, STOP, Rehearsal, turned
+from tests.fakes.rehearsal import FOLLOW, HOME, STOP, Rehearsal, turned
 from tests.waiting import until
 from urlink.errors import ProgramStopped, SafetyStop
 from urlink.interfaces.enums import SafetyMode

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from linkcore.errors import BadValue, Cancelled
-from tests.urlink.motion.rehearsal import HOME, turned
+from tests.fakes.rehearsal import HOME, turned
 from tests.urlink.motion.streamed import ACCELERATION, JERK, Streamed
 from urlink.firmware import Firmware
 from urlink.kinematics import Arm, Unreachable

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from linkcore.errors import BadValue, ConnectionLost, LinkTimeout
+from tests.fakes.rehearsal import HOME, turned
 from tests.urlink.motion.bench import PLAYING, Bench
-from tests.urlink.motion.rehearsal import HOME, turned
 from urlink.errors import ProgramStopped, ToleranceExceeded
 from urlink.firmware import Firmware
 from urlink.motion.following import Tolerances

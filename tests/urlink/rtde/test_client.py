@@ -16,8 +16,8 @@ import urlink
 from linkcore.errors import BadValue, Closed, ConnectionLost, LinkTimeout, LocalError
 from linkcore.streaming.connection_life import Backoff, ConnectionState
 from linkcore.wire.packet import State, Vector
+from tests.fakes.rtde import ScriptedRtde
 from tests.urlink.rtde import names_stub
-from tests.urlink.rtde.desk import Desk
 from tests.waiting import until
 from urlink import InputInUse, NoSuchVariable
 from urlink.firmware import Firmware
@@ -45,7 +45,7 @@ class Cell(urlink.rtde.Outputs):
 
 
 @contextmanager
-def rtde_of(*desks: Desk, firmware: str = "5.11", refusal: str = "") -> Iterator[Rtde]:
+def rtde_of(*desks: ScriptedRtde, firmware: str = "5.11", refusal: str = "") -> Iterator[Rtde]:
     """An `Rtde` whose connections are to these desks, one after the other."""
     left = list(desks)
     known = Firmware.parse(firmware)
@@ -66,7 +66,7 @@ def rtde_of(*desks: Desk, firmware: str = "5.11", refusal: str = "") -> Iterator
 
 
 def test_a_stream_of_variables() -> None:
-    desk = Desk()
+    desk = ScriptedRtde()
     with rtde_of(desk) as rtde:
         stream = rtde.outputs("timestamp", "actual_q", frequency=125)
         assert desk.opened == 0, "nothing connects before it is used"
@@ -87,7 +87,7 @@ def test_a_stream_of_variables() -> None:
 
 
 def test_a_declared_class() -> None:
-    desk = Desk()
+    desk = ScriptedRtde()
     desk.lacks = {"payload"}
     with rtde_of(desk) as rtde:
         stream = rtde.outputs(Cell)
@@ -127,7 +127,7 @@ def test_cb3_sends_at_125_hz_at_most() -> None:
 
 
 def test_what_is_missing_is_said_when_the_stream_is_used() -> None:
-    desk = Desk()
+    desk = ScriptedRtde()
     desk.lacks = {"payload"}
     with rtde_of(desk) as rtde:
         stream = rtde.outputs("timestamp", "payload")
@@ -136,7 +136,7 @@ def test_what_is_missing_is_said_when_the_stream_is_used() -> None:
 
 
 def test_the_recipe_is_restored_after_the_connection_was_lost() -> None:
-    desk = Desk()
+    desk = ScriptedRtde()
     with rtde_of(desk) as rtde:
         stream = rtde.outputs("timestamp")
         times: list[float] = []
@@ -152,7 +152,7 @@ def test_the_recipe_is_restored_after_the_connection_was_lost() -> None:
 
 def test_another_recipe_after_the_connection_was_lost() -> None:
     """A controller that comes back with an older firmware lacks a variable that was there."""
-    desk = Desk()
+    desk = ScriptedRtde()
     with rtde_of(desk) as rtde:
         stream = rtde.outputs("timestamp", "payload", missing="leave_out")
         assert stream.wait(2.0).payload == 0.0
@@ -165,7 +165,7 @@ def test_another_recipe_after_the_connection_was_lost() -> None:
 
 
 def test_text_comes_on_the_stream() -> None:
-    desk = Desk()
+    desk = ScriptedRtde()
     with rtde_of(desk) as rtde:
         stream = rtde.outputs("timestamp")
         texts: list[RtdeMessage] = []
@@ -176,7 +176,7 @@ def test_text_comes_on_the_stream() -> None:
 
 
 def test_a_package_that_does_not_fit_is_counted_and_no_more() -> None:
-    desk = Desk()
+    desk = ScriptedRtde()
     with rtde_of(desk) as rtde:
         stream = rtde.outputs("timestamp")
         stream.start()
@@ -190,7 +190,7 @@ def test_a_package_that_does_not_fit_is_counted_and_no_more() -> None:
 
 
 def test_masks_are_set_by_themselves() -> None:
-    desk = Desk()
+    desk = ScriptedRtde()
     with rtde_of(desk) as rtde, rtde.inputs("speed_slider_fraction", "standard_digital_output") as inputs:
         assert inputs.names == ("speed_slider_fraction", "standard_digital_output")
         inputs.send(speed_slider_fraction=0.5)
@@ -209,7 +209,7 @@ def test_masks_are_set_by_themselves() -> None:
 
 
 def test_analogue_outputs_need_their_type_once() -> None:
-    desk = Desk()
+    desk = ScriptedRtde()
     with rtde_of(desk) as rtde, rtde.inputs("standard_analog_output_0", "standard_analog_output_1") as inputs:
         with pytest.raises(BadValue, match="standard_analog_output_type has to be given"):
             inputs.send(standard_analog_output_0=0.5)
@@ -220,7 +220,7 @@ def test_analogue_outputs_need_their_type_once() -> None:
 
 
 def test_what_has_no_mask_is_given_the_first_time_and_kept_then() -> None:
-    desk = Desk()
+    desk = ScriptedRtde()
     with rtde_of(desk) as rtde, rtde.inputs("input_int_register_24", "input_double_register_24") as inputs:
         with pytest.raises(BadValue, match="the first time input_double_register_24 has to be given"):
             inputs.send(input_int_register_24=1)
@@ -231,7 +231,7 @@ def test_what_has_no_mask_is_given_the_first_time_and_kept_then() -> None:
 
 
 def test_what_two_threads_send_is_sent_in_turn(monkeypatch: pytest.MonkeyPatch) -> None:
-    desk = Desk()
+    desk = ScriptedRtde()
     with rtde_of(desk) as rtde, rtde.inputs("input_int_register_24", "input_int_register_25") as inputs:
         inputs.send(input_int_register_24=0, input_int_register_25=0)
         send, other = inputs._connection.send, threading.Thread(target=inputs.send, kwargs={"input_int_register_25": 2})
@@ -267,7 +267,7 @@ def test_what_two_threads_send_is_sent_in_turn(monkeypatch: pytest.MonkeyPatch) 
     ],
 )
 def test_values_are_checked(values: dict[str, Any], error: str) -> None:
-    desk = Desk()
+    desk = ScriptedRtde()
     names = ["speed_slider_fraction", "tool_digital_output", "input_int_register_24", "external_force_torque"]
     with rtde_of(desk) as rtde, rtde.inputs(*names, "input_bit_register_64") as inputs:
         with pytest.raises(BadValue, match=error):
@@ -276,7 +276,7 @@ def test_values_are_checked(values: dict[str, Any], error: str) -> None:
 
 
 def test_numbers_of_numpy_are_numbers() -> None:
-    desk = Desk()
+    desk = ScriptedRtde()
     names = ["input_int_register_24", "external_force_torque", "input_bit_register_64"]
     with rtde_of(desk) as rtde, rtde.inputs(*names) as inputs:
         inputs.send(
@@ -290,7 +290,7 @@ def test_numbers_of_numpy_are_numbers() -> None:
 
 
 def test_what_was_closed_is_let_go() -> None:
-    desks = [Desk(), Desk(), Desk()]
+    desks = [ScriptedRtde(), ScriptedRtde(), ScriptedRtde()]
     with rtde_of(*desks) as rtde:
         with rtde.outputs("timestamp") as stream:
             stream.wait(2.0)
@@ -303,7 +303,7 @@ def test_what_was_closed_is_let_go() -> None:
 
 @pytest.mark.simulated_time
 def test_closing_ends_a_claim_that_is_not_answered() -> None:
-    desk = Desk()
+    desk = ScriptedRtde()
     desk.answers[InputsRequest] = lambda request: []
     ended: list[float] = []
     with rtde_of(desk) as rtde:
@@ -324,9 +324,9 @@ def test_closing_ends_a_claim_that_is_not_answered() -> None:
 
 
 def test_inputs_that_cannot_be_had_are_not_kept() -> None:
-    desk = Desk()
+    desk = ScriptedRtde()
     desk.held = {"speed_slider_fraction"}
-    with rtde_of(desk, Desk()) as rtde:
+    with rtde_of(desk, ScriptedRtde()) as rtde:
         with pytest.raises(InputInUse):
             rtde.inputs("speed_slider_fraction")
         held = rtde.inputs("input_int_register_24")
@@ -334,7 +334,7 @@ def test_inputs_that_cannot_be_had_are_not_kept() -> None:
 
 
 def test_set_points_are_written_without_waiting() -> None:
-    desk = Desk()
+    desk = ScriptedRtde()
     with rtde_of(desk) as rtde, rtde.inputs("input_int_register_24", "input_double_register_24") as inputs:
         inputs._write({"input_int_register_24": 1, "input_double_register_24": 0.5})
         assert desk.written == {"input_int_register_24": 1, "input_double_register_24": 0.5}
@@ -353,7 +353,7 @@ def test_set_points_are_written_without_waiting() -> None:
 
 
 def test_an_input_in_use_is_said_by_name() -> None:
-    desk = Desk()
+    desk = ScriptedRtde()
     desk.held = {"speed_slider_fraction"}
     with rtde_of(desk) as rtde, pytest.raises(InputInUse, match="speed_slider_fraction") as caught:
         rtde.inputs("speed_slider_fraction")
@@ -361,7 +361,7 @@ def test_an_input_in_use_is_said_by_name() -> None:
 
 
 def test_inputs_are_claimed_again_and_what_was_sent_is_not_sent_again() -> None:
-    desk = Desk()
+    desk = ScriptedRtde()
     with rtde_of(desk) as rtde, rtde.inputs("input_int_register_24") as inputs:
         inputs.send(input_int_register_24=4)
         desk.written.clear()
@@ -385,7 +385,7 @@ def test_nothing_is_written_where_nothing_may_be() -> None:
 
 
 def test_what_is_closed_cannot_be_used() -> None:
-    desk = Desk()
+    desk = ScriptedRtde()
     with rtde_of(desk) as rtde:
         inputs = rtde.inputs("input_int_register_24")
         inputs.close()
@@ -395,7 +395,7 @@ def test_what_is_closed_cannot_be_used() -> None:
 
 
 def test_who_holds_inputs() -> None:
-    desk = Desk()
+    desk = ScriptedRtde()
     desk.held = {"speed_slider_mask", "input_int_register_0"}
     desk.lacks = {"external_force_torque"}
     with rtde_of(desk) as rtde:
@@ -409,7 +409,7 @@ def test_who_holds_inputs() -> None:
 
 def test_what_a_controller_lacks() -> None:
     for protocol in (1, 2):
-        desk = Desk()
+        desk = ScriptedRtde()
         desk.protocols = {protocol}
         desk.lacks = {"timestamp", "input_double_register_47"}
         with rtde_of(desk) as rtde:
@@ -421,7 +421,7 @@ def test_what_a_controller_lacks() -> None:
 
 
 def test_registers_are_claimed_as_they_are_written() -> None:
-    desk = Desk()
+    desk = ScriptedRtde()
     with rtde_of(desk) as rtde:
         registers = rtde.registers()
         registers.write_integer(24, 7)
@@ -450,7 +450,7 @@ def test_registers_are_claimed_as_they_are_written() -> None:
 
 
 def test_registers_that_cannot_be_had() -> None:
-    desk = Desk()
+    desk = ScriptedRtde()
     desk.held = {"input_int_register_24"}
     with rtde_of(desk) as rtde:
         registers = rtde.registers()
@@ -468,7 +468,7 @@ def test_registers_that_cannot_be_had() -> None:
 
 
 def test_a_claim_that_is_not_answered() -> None:
-    desk = Desk()
+    desk = ScriptedRtde()
     desk.answers[InputsRequest] = lambda request: [InputsReply(recipe=0, types="INT32")]
     with rtde_of(desk) as rtde, pytest.raises(urlink.RtdeRefused, match="refused the inputs"):
         rtde.registers().write_integer(24, 1)
@@ -476,7 +476,7 @@ def test_a_claim_that_is_not_answered() -> None:
 
 def test_a_signal_handler_that_writes_a_register_during_a_claim_does_not_hang() -> None:
     """The main thread that it interrupts waits for a reply, and cannot go on before the handler has returned."""
-    desk = Desk()
+    desk = ScriptedRtde()
     with rtde_of(desk) as rtde:
         rtde._source = rtde._source._replace(timeout=0.2)
         registers = rtde.registers()
@@ -495,7 +495,7 @@ def test_a_signal_handler_that_writes_a_register_during_a_claim_does_not_hang() 
 
 
 def test_a_reply_that_comes_late_is_not_taken_for_that_to_the_next_claim() -> None:
-    desk = Desk()
+    desk = ScriptedRtde()
     late: list[State] = []
 
     def keep(request: Any) -> list[State]:
@@ -524,7 +524,7 @@ def test_a_reply_that_comes_late_is_not_taken_for_that_to_the_next_claim() -> No
 
 
 def test_output_registers_are_read() -> None:
-    desks = [Desk() for _ in range(4)]
+    desks = [ScriptedRtde() for _ in range(4)]
     with rtde_of(*desks) as rtde:
         registers = rtde.registers(lower=True)
         assert registers.read_integer(0) == 0

@@ -16,8 +16,8 @@ from linkcore.streaming.statistics import StreamCounters
 from linkcore.wire.framing import Framer
 from linkcore.wire.packet import State
 from tests import real_captures
+from tests.fakes.rtde import ScriptedRtde
 from tests.urlink.interfaces.rtde_material import Recorded, recordings, replies
-from tests.urlink.rtde.desk import Desk
 from urlink.interfaces.rtde.framing import REPLY_SIZES, REQUEST_SIZES, RtdeBoundary
 from urlink.interfaces.rtde.packets import (
     ControllerVersionReply,
@@ -48,7 +48,7 @@ from urlink.interfaces.rtde.recipes import Outputs, Recipe
 from urlink.interfaces.rtde.transport import RtdeTransport
 
 
-def opened(desk: Desk, plan: Requests, timeout: float = 2.0) -> tuple[RtdeTransport, RtdeProtocol]:
+def opened(desk: ScriptedRtde, plan: Requests, timeout: float = 2.0) -> tuple[RtdeTransport, RtdeProtocol]:
     transport = RtdeTransport(desk, plan)
     transport.open(timeout)
     assert transport.dialogue is not None
@@ -65,12 +65,12 @@ def received(transport: RtdeTransport, plan: Requests, count: int = 1) -> list[A
     return packets
 
 
-def asked(desk: Desk) -> list[str]:
+def asked(desk: ScriptedRtde) -> list[str]:
     return [type(request).__name__ for request in desk.asked]
 
 
 def test_what_is_asked_and_in_which_order() -> None:
-    desk = Desk()
+    desk = ScriptedRtde()
     plan = Requests(("timestamp", "actual_q"), 125.0, inputs=[("speed_slider_mask", "speed_slider_fraction")])
     transport, dialogue = opened(desk, plan)
     names = ["Protocol", "ControllerVersion", "Outputs", "Inputs", "Start"]
@@ -87,14 +87,14 @@ def test_what_is_asked_and_in_which_order() -> None:
 
 @pytest.mark.parametrize(("firmware", "frequency"), [((3, 15, 8), 125.0), ((5, 4, 3), 500.0), ((10, 12, 0), 500.0)])
 def test_the_most_that_the_controller_sends(firmware: tuple[int, int, int], frequency: float) -> None:
-    desk = Desk()
+    desk = ScriptedRtde()
     desk.firmware = (*firmware, 0)
     opened(desk, Requests(("timestamp",)))
     assert desk.asked[2].frequency == frequency
 
 
 def test_what_the_controller_lacks_is_left_out_and_asked_again(caplog: pytest.LogCaptureFixture) -> None:
-    desk = Desk()
+    desk = ScriptedRtde()
     desk.lacks = {"payload", "payload_cog"}
     plan = Requests(("timestamp", "payload", "actual_q", "payload_cog"), optional=frozenset(["payload", "payload_cog"]))
     with caplog.at_level(logging.INFO):
@@ -107,7 +107,7 @@ def test_what_the_controller_lacks_is_left_out_and_asked_again(caplog: pytest.Lo
 
 
 def test_what_the_controller_lacks_is_an_error() -> None:
-    desk = Desk()
+    desk = ScriptedRtde()
     desk.lacks = {"payload"}
     with pytest.raises(NoSuchVariable, match=r"does not have actual_Q \(did you mean actual_q\?\), payload") as caught:
         opened(desk, Requests(("actual_Q", "timestamp", "payload")))
@@ -117,14 +117,14 @@ def test_what_the_controller_lacks_is_an_error() -> None:
 
 
 def test_a_type_that_nobody_knows_is_as_good_as_none() -> None:
-    desk = Desk()
+    desk = ScriptedRtde()
     desk.answers[OutputsRequest] = lambda request: [OutputsReply("2.0", recipe=1, types="STRING")]
     with pytest.raises(NoSuchVariable, match=r"timestamp .of the type STRING"):
         opened(desk, Requests(("timestamp",)))
 
 
 def test_an_input_in_use() -> None:
-    desk = Desk()
+    desk = ScriptedRtde()
     desk.held = {"speed_slider_mask"}
     with pytest.raises(InputInUse, match="in use by another client or a fieldbus: speed_slider_mask") as caught:
         opened(desk, Requests(inputs=[("input_int_register_24",), ("speed_slider_mask", "speed_slider_fraction")]))
@@ -142,7 +142,7 @@ def test_an_input_in_use() -> None:
     ],
 )
 def test_refusals(request_class: type[State], reply: State, error: str) -> None:
-    desk = Desk()
+    desk = ScriptedRtde()
     desk.answers[request_class] = lambda request: [reply]
     with pytest.raises(RtdeRefused, match=error):
         opened(desk, Requests(("timestamp",), inputs=[("input_int_register_24",)]))
@@ -157,14 +157,14 @@ def test_refusals(request_class: type[State], reply: State, error: str) -> None:
     ],
 )
 def test_what_is_not_answered_is_said(request_class: type[State], awaited: str) -> None:
-    desk = Desk()
+    desk = ScriptedRtde()
     desk.answers[request_class] = lambda request: []
     with pytest.raises(LinkTimeout, match=rf"waited 0.05 s for {awaited} in vain"):
         opened(desk, Requests(("timestamp",)), 0.05)
 
 
 def test_a_start_that_yields_no_data_is_noticed() -> None:
-    desk = Desk()
+    desk = ScriptedRtde()
     desk.answers[StartRequest] = lambda request: [StartReply(accepted=True)]
     with pytest.raises(LinkTimeout, match=r"waited 0.05 s for data packages in vain"):
         opened(desk, Requests(("timestamp",)), 0.05)
@@ -172,7 +172,7 @@ def test_a_start_that_yields_no_data_is_noticed() -> None:
 
 def test_text_and_data_in_place_of_any_reply(caplog: pytest.LogCaptureFixture) -> None:
     """PolyScope X says "SafetySetup has not been confirmed yet" on each connect, and data may come before a reply."""
-    desk = Desk()
+    desk = ScriptedRtde()
     plan = Requests(("timestamp",), inputs=[("input_int_register_24",)])
 
     def after_text(request: Any) -> list[State]:
@@ -192,7 +192,7 @@ def test_text_and_data_in_place_of_any_reply(caplog: pytest.LogCaptureFixture) -
 
 
 def test_protocol_1(caplog: pytest.LogCaptureFixture) -> None:
-    desk = Desk()
+    desk = ScriptedRtde()
     desk.protocols = {1}
     plan = Requests(("timestamp", "actual_q"), 50.0)
     with caplog.at_level(logging.WARNING):
@@ -208,7 +208,7 @@ def test_protocol_1(caplog: pytest.LogCaptureFixture) -> None:
 
 
 def test_data_packages_that_do_not_fit() -> None:
-    desk = Desk()
+    desk = ScriptedRtde()
     plan = Requests(("timestamp",))
     opened(desk, plan)
     protocol = RtdeProtocol(plan)
@@ -248,13 +248,13 @@ def test_a_recording_that_begins_late_goes_on_with_another_recipe() -> None:
 
 
 def test_the_transport_is_disconnected_when_the_dialogue_fails() -> None:
-    desk = Desk()
+    desk = ScriptedRtde()
     desk.lacks = {"timestamp"}
     transport = RtdeTransport(desk, Requests(("timestamp",)))
     with pytest.raises(NoSuchVariable):
         transport.open(1.0)
     assert desk._closed
-    refused = Desk(ConnectFailed("refused"))
+    refused = ScriptedRtde(ConnectFailed("refused"))
     with pytest.raises(ConnectFailed):
         RtdeTransport(refused, Requests(("timestamp",))).open(1.0)
 

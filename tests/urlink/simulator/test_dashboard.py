@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.urlink.interfaces.dashboard_desk import FIRMWARES, play, protective_stop, stepped, wait
+from tests.fakes.dashboard import FIRMWARES, play, protective_stop, stepped, wait
 from urlink.interfaces.dashboard.commands import COMMANDS, NOT_IN_REMOTE_CONTROL
 from urlink.interfaces.enums import SafetyMode
 from urlink.simulator import Demonstration

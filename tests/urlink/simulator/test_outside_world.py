@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 import urlink
 from linkcore.errors import BadValue
 from linkcore.wire.http import HttpResponse
-from tests.served import OneAfterAnother
+from tests.fakes.server import OneAfterAnother
 from urlink.simulator import Controller, Still
 from urlink.simulator.urscript.builtins.remote_procedures import parse_answer
 from urlink.simulator.urscript.errors import Fault

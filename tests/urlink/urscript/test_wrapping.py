@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linkcore.errors import BadValue
-from tests.urlink.line import START_PLACE
+from tests.fakes.line import START_PLACE
 from urlink.firmware import Firmware
 from urlink.urscript.wrapping import LARGEST, Permission, StartPlace, grant, program, wrap
 

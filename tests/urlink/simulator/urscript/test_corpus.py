@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from tests.fakes.world import NotedWorld
 from tests.urlink.simulator.urscript.corpus import programs
-from tests.urlink.simulator.urscript.standin import StandIn
 from urlink.firmware import Firmware
 from urlink.simulator.urscript import Execution, compile_script
 
@@ -25,7 +25,7 @@ def test_every_program_compiles_and_runs(version: str) -> None:
         count += 1
         # What runs is the same on each of them; to compile is what differs.
         if version == "5.11":
-            world = StandIn(version)
+            world = NotedWorld(version)
             execution = Execution(script, world)
             for _ in range(CYCLES):
                 execution.advance()

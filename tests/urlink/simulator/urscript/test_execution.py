@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.urlink.simulator.urscript.standin import StandIn, run
+from tests.fakes.world import NotedWorld, run
 from urlink.firmware import NEWEST, Firmware
 from urlink.simulator.urscript import Execution, ProgramError, compile_script
 from urlink.simulator.urscript.builtins import find
@@ -12,7 +12,7 @@ from urlink.simulator.urscript.builtins import find
 FIRMWARE = Firmware(5, 11)
 
 
-def start(text: str, world: StandIn) -> Execution:
+def start(text: str, world: NotedWorld) -> Execution:
     return Execution(compile_script(text, world.firmware), world)
 
 
@@ -76,7 +76,7 @@ def test_what_does_not_compile_says_where(text: str, line: int, column: int, mes
 
 
 def test_stopping_ends_the_motion_and_the_sockets() -> None:
-    world = StandIn()
+    world = NotedWorld()
     world.sockets.peers[1] = [b""]
     execution = start("socket_open('h', 1)\nmovej([0,0,0,0,0,0])\ntextmsg('never')", world)
     for _ in range(2):
@@ -92,7 +92,7 @@ def test_stopping_ends_the_motion_and_the_sockets() -> None:
 
 
 def test_a_secondary_program_leaves_the_arm_and_the_sockets_alone() -> None:
-    world = StandIn()
+    world = NotedWorld()
     world.sockets.peers[1] = [b""]
     world.sockets.open("socket_0", "h", 1)
     run("sec f():\n  set_standard_digital_out(1, True)\nend", world)
@@ -100,7 +100,7 @@ def test_a_secondary_program_leaves_the_arm_and_the_sockets_alone() -> None:
 
 
 def test_connecting_gives_up() -> None:
-    world = StandIn("3.4")
+    world = NotedWorld("3.4")
     assert run("textmsg(socket_open('h', 0))", world, cycles=1000).notes == [
         "0 open socket_0 h:0",
         "250 close socket_0",
@@ -111,7 +111,7 @@ def test_connecting_gives_up() -> None:
 
 def test_a_peer_that_sends_without_end_does_not_end_the_program() -> None:
     """Reading from it takes time, so that the loop is not one in which no time passes."""
-    world = StandIn()
+    world = NotedWorld()
     world.sockets.peers[1] = [b"x" * 100_000]
     text = """
 thread reader():
@@ -132,7 +132,7 @@ textmsg(n)
 
 
 def test_a_popup_waits_until_it_is_closed() -> None:
-    world = StandIn()
+    world = NotedWorld()
     execution = start("popup('x', blocking=True)\ntextmsg('on')", world)
     for _ in range(5):
         execution.advance()
@@ -235,7 +235,7 @@ def test_a_function_that_only_works_something_out(text: str, statements: str, sa
 )
 def test_what_fails_in_it_says_where(text: str, statement: str, place: str) -> None:
     program = f"gain = 2\n{text}{statement}\n"
-    execution = start(program, StandIn())
+    execution = start(program, NotedWorld())
     execution.advance()
     assert execution.error is not None
     line = program.splitlines()[execution.error.line - 1]
@@ -244,7 +244,7 @@ def test_what_fails_in_it_says_where(text: str, statement: str, place: str) -> N
 
 def test_a_function_that_returns_nothing() -> None:
     assert run(f"{NOTHING}textmsg(nothing(1))\n").notes[0].endswith("textmsg one")
-    execution = start(f"{NOTHING}x = [nothing(2)]\n", StandIn())
+    execution = start(f"{NOTHING}x = [nothing(2)]\n", NotedWorld())
     execution.advance()
     assert execution.error is not None
     assert "none cannot be in a list" in str(execution.error)
@@ -268,6 +268,6 @@ def test_a_function_that_returns_nothing() -> None:
 def test_an_index_that_is_none(where: str, statement: str, error: str) -> None:
     text = where.format(statement.replace("\n", "\n  ") if "def" in where else statement)
     text = f"numbers = [1, 2]\nbox = struct(size=1)\n{text}\n"
-    execution = start(text, StandIn())
+    execution = start(text, NotedWorld())
     execution.advance()
     assert error in str(execution.error)

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 import pytest
 
-from tests.urlink.simulator.urscript.standin import StandIn, run
+from tests.fakes.world import NotedWorld, run
 from urlink.firmware import Firmware
 from urlink.simulator.urscript import Execution, ProgramError, compile_script
 from urlink.simulator.urscript.errors import (
@@ -308,7 +308,7 @@ def test_what_frames_hold_is_bounded() -> None:
 def test_memory_stays_small() -> None:
     text = "\n".join(f"x{i} = make_list({MAX_ELEMENTS - 1}, random())\nsync()" for i in range(400))
     script = compile_script(text, FIRMWARE)
-    world = StandIn()
+    world = NotedWorld()
     tracemalloc.start()
     try:
         execution = Execution(script, world)
@@ -329,14 +329,14 @@ def test_a_long_expression_counts_as_more_than_one_instruction() -> None:
 
 
 def test_strings_that_are_read_are_bounded() -> None:
-    world = StandIn()
+    world = NotedWorld()
     world.sockets.peers[1] = [b"x" * (5 * MAX_STRING)]
     text = "socket_open('h', 1)\n" + "textmsg(str_len(socket_read_string()))\n" * 2
     assert [note.split()[2] for note in run(text, world).notes if "textmsg" in note] == [str(MAX_STRING)] * 2
 
 
 def test_the_end_of_all_is_the_end() -> None:
-    world = StandIn()
+    world = NotedWorld()
     execution = Execution(compile_script("x = 1 / 0", FIRMWARE), world)
     execution.advance()
     assert execution.is_over

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from tests.urlink.simulator.urscript.standin import StandIn, run
+from tests.fakes.world import NotedWorld, run
 from urlink.firmware import Firmware
 from urlink.simulator.urscript import ProgramError, Script, compile_script
 from urlink.simulator.urscript.builtins import FAMILIES
@@ -70,7 +70,7 @@ SUMS: st.SearchStrategy[Sum] = st.recursive(
 
 def evaluate(text: str) -> list[str]:
     """The magnitude of a value, to all its digits, and how the program ended."""
-    world = StandIn()
+    world = NotedWorld()
     world.payload = math.nan
     run(f"def f():\n  set_payload(norm({text}))\nend\n", world)
     return [repr(world.payload), world.notes[-1]]
@@ -250,7 +250,7 @@ nan = nan[1]
 @pytest.mark.property
 @given(NAMES, st.lists(VALUES, max_size=6), st.sampled_from(["1.8", "3.4", "5.11"]))
 def test_any_call_of_a_built_in_function_works_or_is_an_error(name: str, values: list[str], firmware: str) -> None:
-    world = StandIn(firmware)
+    world = NotedWorld(firmware)
     world.sockets.peers[1] = [b"(x)", b"rest\n"]
     try:
         run(f"{BEGINNING}\ntextmsg({name}({', '.join(values)}))", world, cycles=20)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.urlink.simulator.urscript.standin import StandIn, run
+from tests.fakes.world import NotedWorld, run
 from urlink.simulator.urscript import ProgramError
 
 FOLDER = Path(__file__).parent / "programs"
@@ -22,7 +22,7 @@ def trace(name: str) -> list[str]:
     text = (FOLDER / f"{name}.script").read_text(encoding="utf-8")
     settings = [line.split(maxsplit=3) for line in text.splitlines() if line.startswith("#! ")]
     firmware = next((words[2] for words in settings if words[1] == "firmware"), "5.11")
-    world = StandIn(firmware)
+    world = NotedWorld(firmware)
     for words in settings:
         if words[1] == "peer":
             world.sockets.peers[int(words[2])] = eval(words[3], {})

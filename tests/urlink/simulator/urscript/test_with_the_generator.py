@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from tests.urlink.simulator.urscript.standin import StandIn
+from tests.fakes.world import NotedWorld
 from urlink.kinematics import Arm
 from urlink.models import MODELS
 from urlink.simulator.robot.generator import MotionGenerator
@@ -14,9 +14,9 @@ from urlink.simulator.robot.sources import HOME, Setpoint
 from urlink.simulator.urscript import Execution, compile_script
 
 
-def play(text: str, seconds: float = 20.0) -> tuple[StandIn, list[Sequence[float]], Execution]:
+def play(text: str, seconds: float = 20.0) -> tuple[NotedWorld, list[Sequence[float]], Execution]:
     """The stand-in with a real motion generator, its joint positions cycle by cycle, and the execution."""
-    world = StandIn()
+    world = NotedWorld()
     generator = MotionGenerator(Arm("UR5e"), Setpoint(list(HOME), [0.0] * 6, [0.0] * 6))
     generator.tcp = world.tcp
     world.motion = generator  # type: ignore[assignment]

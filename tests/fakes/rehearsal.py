@@ -13,7 +13,7 @@ from typing import Any
 
 from linkcore.errors import ConnectionLost
 from linkcore.handle import Phase
-from tests.urlink.stand_in import StandIn
+from tests.fakes.controller import ScriptedController
 from tests.waiting import until
 from urlink.interfaces.enums import RobotMode, RobotModeCB2, SafetyMode
 from urlink.interfaces.realtime.packets import RealtimeState
@@ -47,7 +47,7 @@ class Inputs:
         self.written.put(dict(values))
 
 
-class Rehearsal(StandIn):
+class Rehearsal(ScriptedController):
     """Each `tick` is one state of the robot; `q` is where its arm is, and what is sent to it is read by `word`."""
 
     def __init__(

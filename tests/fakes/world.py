@@ -1,4 +1,4 @@
-"""A controller for programs to run in, that writes down what they ask of it."""
+"""The world of a program in URScript (`urlink.simulator.urscript.world`), which notes what the program asks of it."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ def short(values: Sequence[float] | None) -> str:
     return "-" if values is None else "[" + ",".join(f"{value:g}" for value in values) + "]"
 
 
-class StandInMove:
+class NotedMove:
     """Is over after a number of cycles."""
 
-    def __init__(self, world: StandIn, cycles: int) -> None:
+    def __init__(self, world: NotedWorld, cycles: int) -> None:
         self._world = world
         self._end = world.cycle + cycles
 
@@ -37,10 +37,10 @@ class StandInMove:
         return self._world.cycle >= self._end
 
 
-class StandInMotion:
-    """Each movement takes the cycles that it is told to, and puts the arm at its goal at once."""
+class NotedMotion:
+    """Each movement takes a number of cycles by its kind, and puts the arm at its goal at once."""
 
-    def __init__(self, world: StandIn) -> None:
+    def __init__(self, world: NotedWorld) -> None:
         self._world = world
         self.is_standing = True
 
@@ -48,57 +48,57 @@ class StandInMotion:
     def waypoint(self) -> Sequence[float] | None:
         return None
 
-    def _begin(self, cycles: int, text: str) -> StandInMove:
+    def _begin(self, cycles: int, text: str) -> NotedMove:
         self._world.note(text)
-        return StandInMove(self._world, cycles)
+        return NotedMove(self._world, cycles)
 
-    def movej(self, q: Sequence[float], a: float, v: float, t: float, r: float) -> StandInMove:
+    def movej(self, q: Sequence[float], a: float, v: float, t: float, r: float) -> NotedMove:
         self._world.q_target = list(q)
         return self._begin(3, f"movej {short(q)} a={a:g} v={v:g} t={t:g} r={r:g}")
 
-    def movel(self, pose: Sequence[float], a: float, v: float, t: float, r: float) -> StandInMove:
+    def movel(self, pose: Sequence[float], a: float, v: float, t: float, r: float) -> NotedMove:
         if pose[2] > 2.0:
             raise Unreachable("out of reach")
         return self._begin(4, f"movel {short(pose)} a={a:g} v={v:g} t={t:g} r={r:g}")
 
-    def movep(self, pose: Sequence[float], a: float, v: float, r: float) -> StandInMove:
+    def movep(self, pose: Sequence[float], a: float, v: float, r: float) -> NotedMove:
         return self._begin(4, f"movep {short(pose)} a={a:g} v={v:g} r={r:g}")
 
-    def movec(self, via: Sequence[float], to: Sequence[float], a: float, v: float, r: float, mode: int) -> StandInMove:
+    def movec(self, via: Sequence[float], to: Sequence[float], a: float, v: float, r: float, mode: int) -> NotedMove:
         return self._begin(5, f"movec {short(via)} {short(to)} a={a:g} v={v:g} r={r:g} mode={mode}")
 
-    def servoj(self, q: Sequence[float], t: float, lookahead_time: float, gain: float) -> StandInMove:
+    def servoj(self, q: Sequence[float], t: float, lookahead_time: float, gain: float) -> NotedMove:
         self._world.q_target = list(q)
         return self._begin(1, f"servoj {short(q)} t={t:g} lookahead_time={lookahead_time:g} gain={gain:g}")
 
-    def servoc(self, pose: Sequence[float], a: float, v: float, r: float) -> StandInMove:
+    def servoc(self, pose: Sequence[float], a: float, v: float, r: float) -> NotedMove:
         return self._begin(2, f"servoc {short(pose)} a={a:g} v={v:g} r={r:g}")
 
-    def speedj(self, qd: Sequence[float], a: float, t: float | None) -> StandInMove:
+    def speedj(self, qd: Sequence[float], a: float, t: float | None) -> NotedMove:
         return self._begin(2, f"speedj {short(qd)} a={a:g} t={t}")
 
-    def speedl(self, xd: Sequence[float], a: float, t: float | None, a_rot: float) -> StandInMove:
+    def speedl(self, xd: Sequence[float], a: float, t: float | None, a_rot: float) -> NotedMove:
         return self._begin(2, f"speedl {short(xd)} a={a:g} t={t} aRot={a_rot:g}")
 
-    def stopj(self, a: float) -> StandInMove:
+    def stopj(self, a: float) -> NotedMove:
         return self._begin(2, f"stopj a={a:g}")
 
-    def stopl(self, a: float, a_rot: float) -> StandInMove:
+    def stopl(self, a: float, a_rot: float) -> NotedMove:
         return self._begin(2, f"stopl a={a:g} aRot={a_rot:g}")
 
     def direct_torque(
         self, dynamics: Dynamics, motors: Motors, torque: FloatArray, friction: Sequence[float]
-    ) -> StandInMove:
+    ) -> NotedMove:
         return self._begin(1, f"direct torque {short(torque.tolist())} friction={short(friction)}")
 
     def release(self) -> None:
         self._world.note("release")
 
 
-class StandInSockets:
-    """Peers that answer as they are told to."""
+class NotedSockets:
+    """Sockets of a program, with peers that send what the test has put."""
 
-    def __init__(self, world: StandIn) -> None:
+    def __init__(self, world: NotedWorld) -> None:
         self._world = world
         self._states: dict[str, State] = {}
         self._buffers: dict[str, bytearray] = {}
@@ -147,7 +147,7 @@ class StandInSockets:
             self.close(name)
 
 
-class StandIn:
+class NotedWorld:
     """A controller at a firmware, with an arm that obeys at once.
 
     Attributes:
@@ -178,8 +178,8 @@ class StandIn:
         self.modbus = ModbusSignals(lambda: self.cycle * self.period)
         self.has_popup = False
         self.signals = Signals()
-        self.motion = StandInMotion(self)
-        self.sockets = StandInSockets(self)
+        self.motion = NotedMotion(self)
+        self.sockets = NotedSockets(self)
 
     def note(self, text: str) -> None:
         self.notes.append(f"{self.cycle} {text}")
@@ -257,13 +257,13 @@ class StandIn:
         self.note(f"popup {title}: {text} warning={is_warning} error={is_error} blocking={is_blocking}")
 
 
-def run(text: str, world: StandIn | None = None, cycles: int = 200) -> StandIn:
+def run(text: str, world: NotedWorld | None = None, cycles: int = 200) -> NotedWorld:
     """Let a program run to its end, or for so many cycles; how it ended is the last note.
 
     Raises:
         ScriptError: it does not compile.
     """
-    world = world or StandIn()
+    world = world or NotedWorld()
     execution = Execution(compile_script(text, world.firmware), world)
     for _ in range(cycles):
         outputs = world.signals.digital_outputs

@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 from collections.abc import Callable
 
-from tests.served import OneAfterAnother
+from tests.fakes.server import OneAfterAnother
 from urlink.interfaces.dashboard.commands import GREETING
 from urlink.simulator import Controller, Still
 
@@ -37,7 +37,7 @@ def play(host: Controller) -> None:
     assert host.pendant.play()
 
 
-class Desk(OneAfterAnother):
+class ScriptedDashboard(OneAfterAnother):
     """Greets, and answers each line as `answer` says, which is called in the desk's thread.
 
     Attributes:

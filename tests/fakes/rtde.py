@@ -7,7 +7,7 @@ from typing import Any
 
 from linkcore.wire.framing import Framer
 from linkcore.wire.packet import State
-from tests.linkcore.script import ScriptedTransport
+from tests.fakes.link import ScriptedTransport
 from urlink.interfaces.rtde.framing import REQUEST_SIZES, RtdeBoundary
 from urlink.interfaces.rtde.packets import (
     ControllerVersionReply,
@@ -34,7 +34,7 @@ from urlink.interfaces.rtde.variables import IN_USE, INPUTS, NOT_FOUND, OUTPUTS
 Answer = Callable[[Any], list[State]]
 
 
-class Desk(ScriptedTransport):
+class ScriptedRtde(ScriptedTransport):
     """A controller that has all variables but those that it `lacks`; `held` inputs are in use.
 
     `answers` replaces what it says to a class of request. `asked` is what it was asked, `written` name -> value of the

@@ -1,4 +1,4 @@
-"""A controller whose every word the test says: what commands it, over scripted transports."""
+"""A controller whose every packet the test sends, and what commands it, over scripted transports."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from linkcore.handle import Handle
 from linkcore.streaming.connection_life import Backoff
 from linkcore.streaming.stream import Stream
 from linkcore.threads import CallbackThread
-from tests.linkcore.script import ScriptedTransport
-from tests.urlink.line import START_PLACE
+from tests.fakes.line import START_PLACE
+from tests.fakes.link import ScriptedTransport
 from tests.waiting import until
 from urlink.commanding.channel import CommandChannel
 from urlink.commanding.interlock import Interlock, Policy
@@ -33,8 +33,8 @@ from urlink.urscript.wrapping import StartPlace, finish_marker, start_marker
 AT_ONCE = Backoff(first=0, most=0)
 
 
-class StandIn:
-    """Says what `state`, `key`, `text` and `exception` are told to say; `sent` is what it was sent."""
+class ScriptedController:
+    """`state`, `key`, `text` and `exception` send a packet each; `sent` holds the commands that were sent to it."""
 
     def __init__(
         self,
@@ -92,7 +92,7 @@ class StandIn:
         self.primary.close()
         self.realtime.close()
 
-    def __enter__(self) -> StandIn:
+    def __enter__(self) -> ScriptedController:
         return self
 
     def __exit__(self, *exc: object) -> None:
@@ -102,7 +102,7 @@ class StandIn:
     def sent(self) -> list[str]:
         return [data.decode() for data in self.slow.sent]
 
-    # -- what it says --------------------------------------------------------------------------------
+    # -- what it sends -------------------------------------------------------------------------------
 
     def state(
         self,
@@ -135,7 +135,7 @@ class StandIn:
             self.fast.put(bytes(RealtimeState(self.firmware, **fields)))
 
     def clear(self, **options: Any) -> None:
-        """A state in which all is well, heard by the interlock on both interfaces."""
+        """A state in which all is well, and which the interlock has received on both interfaces."""
         self.state(**options)
         self.monitor.listen(closely=True)
         until(lambda: self.monitor.refusal(is_stop=True) is None)
