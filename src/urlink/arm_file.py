@@ -1,7 +1,7 @@
 """What was identified of one arm, as a file that the simulator takes: `sim://ur5e?like=arm.json`.
 
 The file is JSON. Each number has its value and the interval that holds it with 99 %; in place of what the recording
-does not tell stands the motion that would tell it, and the simulator takes what is known of the model.
+does not show stands the motion that would show it, and the simulator takes what is known of the model.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ SIDES = 2.576
 
 @dataclasses.dataclass(frozen=True)
 class Estimate:
-    """One number, or nothing if the recording does not tell it.
+    """One number, or nothing if the recording does not show it.
 
     Attributes:
         value: nan if it is not known.
         low, high: the interval that holds it with 99 %, if what the model leaves is noise.
-        needs: the motion that would tell it; "" if it is known.
+        needs: the motion that would show it; "" if it is known.
     """
 
     value: float
@@ -58,12 +58,12 @@ class Estimate:
 
     @classmethod
     def unknown(cls, needs: str) -> Estimate:
-        """Of what the recording does not tell, and what would."""
+        """Of what the recording does not show; `needs`: the motion that would."""
         return cls(math.nan, math.nan, math.nan, needs)
 
     @property
     def is_known(self) -> bool:
-        """Whether the recording tells it."""
+        """Whether the recording shows it."""
         return not self.needs
 
 
@@ -74,7 +74,7 @@ class ArmFile:
     Attributes:
         model: name of the arm.
         estimates: name, as in `urlink.parameters`, -> one estimate, or one for each joint or axis.
-        calibration: the DH table; None if the recording does not tell it.
+        calibration: the DH table; None if the recording does not show it.
         tcp: (6,) of the tool, with the calibration.
         torque_r2, current_r2: (6,) the part of the variance that the model explains.
     """

@@ -68,7 +68,7 @@ class Bound(NamedTuple):
 _LEAST = 1e-3
 
 #: The largest limit of the tool's speed that the safety configuration takes (the vendor's manuals, Robot limits). Data
-#: sheets have typical speeds of 1 to 2 m/s, which are no limits.
+#: sheets have typical speeds of 1 to 2 m/s, which are not limits.
 TOOL_SPEED = Bound(5.0, "m/s", _LEAST)
 #: A guess: more than any wrist turns, at 6.3 rad/s.
 TOOL_TURN = Bound(number("largest_tool_turn"), "rad/s", _LEAST)

@@ -145,7 +145,7 @@ class Control:
         """The dashboard server, or the Robot API of PolyScope X.
 
         Raises:
-            LocalError: a simulated controller that was told to serve neither.
+            LocalError: a simulated controller that serves neither.
             Closed: the robot was closed before it was used.
         """
         if not self._ports.keys() & {"dashboard", "robot_api"}:
@@ -162,7 +162,7 @@ class Control:
         """The gripper on the flange.
 
         Raises:
-            LocalError: a simulated controller that was told not to serve its port.
+            LocalError: a simulated controller that does not serve its port.
             Closed: the robot was closed before it was used.
         """
         known = self._gripper.made
@@ -186,7 +186,7 @@ class Control:
         """The serial line in the tool connector.
 
         Raises:
-            LocalError: a controller without one, or a simulated one that was told not to serve its port.
+            LocalError: a controller without one, or a simulated one that does not serve its port.
             Closed: the robot was closed before it was used.
         """
         known = self._serial.made

@@ -2,7 +2,7 @@
 
 On both the tool turns evenly about one axis, from its orientation at the beginning to that at the end, as it moves on.
 That a controller does the same between two poses is what its users see; that it does so on an arc, where the
-orientation of the point between does not count, is said of ``movec`` with the mode 0, "unconstrained".
+orientation of the point between does not count, is documented for ``movec`` with the mode 0, "unconstrained".
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ class Curve(Protocol):
 
     Attributes:
         start, end: the poses at both ends, m and rad.
-        length: of the way of the tool's centre, m.
-        turn: the angle by which the tool turns on the way, rad; not counted is how far an arc carries it along.
+        length: of the path of the tool's centre, m.
+        turn: the angle by which the tool turns on the path, rad; not counted is how far an arc carries it along.
     """
 
     start: list[float]
@@ -36,10 +36,10 @@ class Curve(Protocol):
     turn: float
 
     def pose(self, part: float) -> list[float]:
-        """Where the tool is after a part of the way, 0 to 1: m, and rotation vector in rad."""
+        """Where the tool is after a part of the path, 0 to 1: m, and rotation vector in rad."""
 
     def part(self, position: Sequence[float]) -> float:
-        """The part of the way at which the tool is closest to a position (3, m), 0 to 1."""
+        """The part of the path at which the tool is closest to a position (3, m), 0 to 1."""
 
 
 class Line:
@@ -53,12 +53,12 @@ class Line:
         self.turn = math.hypot(*self._rotation)
 
     def pose(self, part: float) -> list[float]:
-        """Where the tool is after a part of the way."""
+        """Where the tool is after a part of the path."""
         position = [a + part * way for a, way in zip(self.start[:3], self._way, strict=True)]
         return position + _rotated(self.start, self._rotation, part)
 
     def part(self, position: Sequence[float]) -> float:
-        """The part of the way at which the tool is closest to a position."""
+        """The part of the path at which the tool is closest to a position."""
         if self.length == 0.0:
             return 0.0
         along = _dot(_minus(position[:3], self.start[:3]), self._way) / (self.length * self.length)
@@ -70,7 +70,7 @@ class Arc:
 
     Args:
         start: the pose at the beginning.
-        via: a pose on the way, of which only the position counts.
+        via: a pose on the path, of which only the position counts.
         end: the pose at the end.
         is_fixed: the tool is held fast to the path and turns along with it. Then its orientation at the end follows
             from that at the beginning, and that of `end` does not count.
@@ -97,7 +97,7 @@ class Arc:
         self.turn = math.hypot(*self._rotation)
 
     def pose(self, part: float) -> list[float]:
-        """Where the tool is after a part of the way."""
+        """Where the tool is after a part of the path."""
         cosine, sine = math.cos(part * self._angle), math.sin(part * self._angle)
         position = [c + cosine * x + sine * y for c, x, y in zip(self._centre, self._arm, self._across, strict=True)]
         if self._carried is None:
@@ -107,7 +107,7 @@ class Arc:
         return position + turned[3:]
 
     def part(self, position: Sequence[float]) -> float:
-        """The part of the way at which the tool is closest to a position."""
+        """The part of the path at which the tool is closest to a position."""
         angle = self._angle_of(position)
         if angle > self._angle:
             # Beyond the end: the end that is closer.

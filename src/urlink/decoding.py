@@ -46,9 +46,9 @@ def decode(
         other packages.
 
     Raises:
-        PacketError: the bytes are no such packets, a packet is cut off, or is shorter than the
+        PacketError: the bytes are not such packets, a packet is cut off, or is shorter than the
             firmware's layout; says which, both sizes and the offset in `data`.
-        BadVersion: `firmware` is no version, or one that nothing is known about.
+        BadVersion: `firmware` is not a version, or one that nothing is known about.
         BadValue: no such interface.
 
     >>> from urlink.packets import RealtimeState

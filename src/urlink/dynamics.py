@@ -64,7 +64,7 @@ class Dynamics:
 
     Raises:
         UnknownModel: no arm is called that.
-        BadValue: a payload that is no mass, a negative inertia, or vectors of another size.
+        BadValue: a payload that is not a mass, a negative inertia, or vectors of another size.
     """
 
     __slots__ = ("_arm", "_bodies", "_gravity", "_rotors")
@@ -249,7 +249,7 @@ class Dynamics:
         inertias = self._inertias(frames)
         velocity: _Spatial[Number] = (none, none, none, none, none, none)
         gx, gy, gz = gravity
-        # An arm in a field of gravity is pressed as one whose base accelerates the other way.
+        # An arm in a field of gravity is pressed as one whose base accelerates in the opposite direction.
         acceleration: _Spatial[Number] = (none, none, none, none - gx, none - gy, none - gz)
         forces = []
         axes = _axes(frames)

@@ -77,7 +77,7 @@ class ScriptError(RemoteError):
     Attributes:
         line: in the source as it was given, from 1.
         column: in that line, as the controller counts.
-        text: the controller's words, such as "compile_error_name_not_found:txtmsg:".
+        text: the controller's text, such as "compile_error_name_not_found:txtmsg:".
     """
 
     def __init__(self, line: int, column: int, text: str) -> None:

@@ -223,7 +223,7 @@ def known_firmware(text: str | Firmware) -> Firmware:
     """The firmware, if the table has a row for it.
 
     Raises:
-        BadVersion: it is no version, or one that is older than every row.
+        BadVersion: it is not a version, or one that is older than every row.
     """
     firmware = Firmware.parse(text)
     release_of(firmware)

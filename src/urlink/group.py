@@ -233,10 +233,10 @@ class Group:
         return GroupStream(self._life("stream"), streams, self._names, self._stopping)
 
     def stop(self, acceleration: float = 2.0, *, wait: bool | float = False) -> None:
-        """Brake all arms, at `acceleration` in rad/s²; each is told, also where another one cannot be.
+        """Brake all arms, at `acceleration` in rad/s²; each is sent the stop, also where another one cannot be.
 
         Raises:
-            LinkError: what the first of those said that could not be told.
+            LinkError: that of the first one to which the stop could not be sent.
         """
         check_wait(wait)
         stops: list[Motion] = []

@@ -42,7 +42,7 @@ class Identity:
 
     Attributes:
         firmware: its version; where it did not say, the oldest that sends such states.
-        said_so: whether the firmware is the controller's own word.
+        said_so: whether the firmware was reported by the controller.
         model: name of the arm, such as "UR5e"; None where no configuration came.
         dh_table: its Denavit-Hartenberg parameters as calibrated; None where they did not come.
     """
@@ -97,9 +97,9 @@ def described_identity(said: Mapping[str, Any]) -> Identity:
     """The identity that `Identity.description` has stored in a recording.
 
     Raises:
-        BadRecording: it names no firmware, its model is no text, or what it has under ``dh_table`` are no DH
+        BadRecording: it names no firmware, its model is not a text, or what it has under ``dh_table`` are no DH
             parameters.
-        BadVersion: the firmware is no version.
+        BadVersion: the firmware is not a version.
     """
     firmware, model, written = said.get("firmware"), said.get("model"), said.get("dh_table")
     if not isinstance(firmware, str):
@@ -156,7 +156,7 @@ def identify(host: str, port: int, timeout: float) -> Identity:
 
     Raises:
         ConnectFailed: nobody answers there.
-        ConnectionLost: it closed the connection before it said who it is.
+        ConnectionLost: it closed the connection before it identified itself.
         LinkTimeout: silent, or not done within `timeout` seconds.
         WrongPeer: something else is talking.
     """
@@ -214,7 +214,7 @@ class Introduction:
             try:
                 packet = self._protocol.decode(frame)
             except PacketError:
-                continue  # one bad packet is no reason not to know the others
+                continue  # the other packets are still of use after a bad one
             if isinstance(packet, RobotState):
                 self._state = self._state or packet
                 # They are in one state, the first, if they are sent at all.
@@ -232,9 +232,9 @@ class Introduction:
         """Who it is.
 
         Raises:
-            ConnectionLost: it closed the connection before it said so.
-            LinkTimeout: it has not said so.
-            WrongPeer: it is no controller.
+            ConnectionLost: it closed the connection before it sent its version.
+            LinkTimeout: it has not sent its version.
+            WrongPeer: it is not a controller.
         """
         protocol, state = self._protocol, self._state
         firmware = protocol.firmware or (None if state is None else infer(state.sizes))

@@ -2,7 +2,7 @@
 
 Links and joints have the names and frames of `urlink.urdf`, whose geometry, limits, masses and inertias are here too.
 What URDF has no place for comes with it: the inertia of each rotor, as `armature`, and the friction of motors and gears
-(`urlink.motors`), as `frictionloss` and `damping`. Shapes are those of URDF: they follow the geometry and are no
+(`urlink.motors`), as `frictionloss` and `damping`. Shapes are those of URDF: they follow the geometry and are not
 likeness of the arm, nor a hull of it.
 """
 

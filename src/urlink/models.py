@@ -6,7 +6,7 @@ Which figure comes from where:
   UR30 the `default_kinematics.yaml` of the vendor's ROS description (`ur_description`). The rows of UR5 and
   UR5e also stand in the configuration packets of controllers. A real arm differs from its row by a factory
   calibration of up to a few millimetres, which it sends in its kinematics packet.
-- **Position and speed limits**: the user manuals, by way of `joint_limits.yaml` of `ur_description`, without
+- **Position and speed limits**: the user manuals, through `joint_limits.yaml` of `ur_description`, without
   that file's narrower elbow, which is a planner's choice and not a property of the arm.
 - **Link masses and centres of mass**: the same article; for UR15, UR18, UR30 and wrist 3 of UR20 the
   `physical_parameters.yaml` of `ur_description`. Those of UR3e and UR5e explain the currents that simulated controllers
@@ -18,8 +18,8 @@ Which figure comes from where:
 - **Acceleration limits** are not published. The figures are what controllers report in their configuration
   packet: a CB2 UR5 for the CB arms, a simulated UR5e for the others. For any model but those two they are an
   approximation.
-- **UR7e and UR12e** have the lengths and masses of UR5e and UR10e. They are said to report the robot types of those,
-  so an arm cannot be told from its successor by what it sends.
+- **UR7e and UR12e** have the lengths and masses of UR5e and UR10e. They are reported to have the robot types of those,
+  so an arm cannot be distinguished from its successor by what it sends.
 - **UR18 and UR8 Long**: the lengths are those that the package ur-analytic-ik (0.1.0.post3) computes with. UR8 Long
   has no `physical_parameters.yaml`: shoulder and wrists are those of UR15, whose meshes it is drawn with, and the arm
   links are those of the vendor's ur10g-1750, which is drawn with the meshes of UR8 Long.

@@ -1,7 +1,7 @@
 """The numbers of robots that nobody publishes, each with what backs it: one table, `parameters.tsv`.
 
 A row has the name, what it is of (an arm, a size of joint, or nothing in particular), the value, the interval in which
-it lies for all that is known, the unit, the evidence, the source in words, and the module that stands on it:
+it lies for all that is known, the unit, the evidence, the source as text, and the module that stands on it:
 
 - **log**: bytes or a log of a real or of the vendor's simulated arm show it;
 - **document**: the vendor says so;
@@ -41,7 +41,7 @@ class Parameter:
         low, high: the interval in which it lies; None where no number is known.
         unit: "" for a ratio, and where there is none.
         evidence: what backs it.
-        source: that in words.
+        source: that as text.
         used: the module below `urlink` that stands on it.
     """
 

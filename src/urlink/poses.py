@@ -93,7 +93,7 @@ def invert(pose: ArrayLike) -> FloatArray:
 
 
 def interpolate(first: ArrayLike, second: ArrayLike, fraction: ArrayLike) -> FloatArray:
-    """Between two poses: the position on a straight line, the rotation about one axis, the short way round.
+    """Between two poses: the position on a straight line, the rotation about one axis, by at most 180 degrees.
 
     That is the path of `movel`, and URScript's interpolate_pose.
 
@@ -174,7 +174,7 @@ def from_matrix(matrix: ArrayLike) -> FloatArray:
     """The (..., 6) poses of (..., 4, 4) homogeneous matrices.
 
     Raises:
-        BadValue: not such matrices, or one whose upper left part is no rotation.
+        BadValue: not such matrices, or one whose upper left part is not a rotation.
     """
     given = rigid.rows(matrix, (4, 4), "homogeneous matrices")
     _check_rotations(given[..., :3, :3])
@@ -201,7 +201,7 @@ def matrix_to_rotvec(matrix: ArrayLike) -> FloatArray:
     """The (..., 3) rotation vectors, rad, of (..., 3, 3) rotation matrices.
 
     Raises:
-        BadValue: not matrices of that shape, or one that is no rotation.
+        BadValue: not matrices of that shape, or one that is not a rotation.
     """
     given = rigid.rows(matrix, (3, 3), "rotation matrices")
     _check_rotations(given)

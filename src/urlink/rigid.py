@@ -5,7 +5,7 @@ a float or an array of n floats, one for each of n transforms. The same formulas
 call into numpy, which would take longer than the arithmetic, and a thousand cost as many calls as one.
 
 Rotations come in and go out as rotation vectors, as Universal Robots writes them: the direction is the axis, the length
-is the angle in rad. Conversions go by way of the unit quaternion, taken from its largest component, so that they keep
+is the angle in rad. Conversions go through the unit quaternion, taken from its largest component, so that they keep
 their precision at every angle, 0 and pi included.
 """
 
@@ -59,7 +59,7 @@ Rigid = tuple[Number, Number, Number, Number, Number, Number, Number, Number, Nu
 Six = tuple[Number, Number, Number, Number, Number, Number]
 Quaternion = tuple[Number, Number, Number, Number]
 
-# What most callers give comes first: whether a list is a `Sequence` takes ten times as long to tell.
+# What most callers give comes first: whether a list is a `Sequence` takes ten times as long to find out.
 _LISTS = (list, tuple, Sequence)
 _ROWS = (*_LISTS, np.ndarray)
 
@@ -107,7 +107,7 @@ def rows(values: ArrayLike, shape: tuple[int, ...], what: str) -> FloatArray:
     """An array of finite float64 whose last dimensions are `shape`.
 
     Raises:
-        BadValue: it has another shape, or holds what is no finite number. The message names the first such row.
+        BadValue: it has another shape, or holds what is not a finite number. The message names the first such row.
     """
     expected = f"{what} must have the shape (..., {', '.join(map(str, shape))}) and hold finite numbers"
     try:

@@ -70,7 +70,7 @@ def connect(options: ConnectOptions) -> Robot:
         silence: seconds without a packet after which a stream counts as disconnected.
         require_enable: whether `robot.safety.enable()` has to be called before the arm can be moved: "never",
             "on_startup" (once) or "always" (at first and after every stop).
-        stale_after: seconds without a word of the robot after which motions end with `NotRunning`, and new ones are
+        stale_after: seconds without a packet of the robot after which motions end with `NotRunning`, and new ones are
             refused.
         start_timeout: seconds that a program that was uploaded has to begin. One that begins later finds nobody who
             lets it go on, and ends without moving the arm.
@@ -155,7 +155,7 @@ def assemble(
     """A robot on the network, with what commands it.
 
     Args:
-        known: what it has said of itself; None to ask.
+        known: its identity, if known; None to ask.
 
     Raises:
         RemoteError: nobody, or somebody else, is there.
@@ -352,7 +352,7 @@ class Robot(AnswersForeignNames):
             raise
         return recorder
 
-    # -- what it is told -----------------------------------------------------------------------------
+    # -- commands -----------------------------------------------------------------------------------
 
     @property
     def safety(self) -> Safety:
@@ -440,7 +440,7 @@ class Robot(AnswersForeignNames):
                 it. None does not wait.
 
         Raises:
-            BadValue: a number out of range, or what this firmware cannot be told; nothing was sent.
+            BadValue: a number out of range, or what this firmware cannot be set to; nothing was sent.
             NotRunning: the robot does not run, or nothing is known of it; nothing was sent.
             NotConfirmed: the robot does not show it. The likely cause is in the message: an e-Series in local control.
             LocalError: in a callback that was subscribed with ``inline=True``, unless `confirm` is None.
@@ -448,9 +448,9 @@ class Robot(AnswersForeignNames):
         self._commanded().settings.payload(mass, cog, inertia, confirm, transition_time)
 
     def set_gravity(self, acceleration: Sequence[float]) -> None:
-        """Tell which way is up, for an arm on a wall, a ceiling or a base that moves; motion goes on.
+        """Set which direction is up, for an arm on a wall, a ceiling or a base that moves; motion goes on.
 
-        The controller holds the arm up by this: with a wrong one, the arm gives way or jumps, or stops with a safety
+        The controller holds the arm up by this: with a wrong one, the arm sags or jumps, or stops with a safety
         stop. No state shows it, so it is not confirmed, and in local control an e-Series ignores it.
 
         Args:
@@ -495,12 +495,12 @@ class Robot(AnswersForeignNames):
                 input("move the arm, then press Enter")
 
         The payload has to be right (`set_payload`), or the arm drifts. Whatever ends the block ends freedrive; where
-        this computer is not heard any more, the program on the robot does so by itself.
+        nothing arrives from this computer any more, the program on the robot does so by itself.
 
         Args:
             axes: six of 0 and 1, x, y, z, rx, ry, rz of the frame: the free ones; None for all. From 5.10 on.
             frame: "base", "tool" (where the tool is now), or a (6,) pose in the base frame.
-            watchdog: seconds without a word of this computer after which the arm stands.
+            watchdog: seconds without a message from this computer after which the arm stands.
             link: see `Motions.follow`.
 
         Raises:
@@ -558,7 +558,7 @@ class Robot(AnswersForeignNames):
 
     def zero_force_sensor(self) -> None:
         """Take what the force at the TCP is now for zero, from 3.0 on. Nothing should touch the tool then; nothing
-        tells when it has happened, which is within a few cycles.
+        shows when it has happened, which is within a few cycles.
 
         Raises:
             LocalError: firmware before 3.0.

@@ -39,7 +39,7 @@ class RobotClock:
         return self._relation().to_local(time, self._latency)
 
     def to_controller(self, time: float) -> float:
-        """The time of the controller, s, at a monotonic time of this computer, s; `to_local` the other way."""
+        """The time of the controller, s, at a monotonic time of this computer, s; `to_local` is the inverse."""
         return self._relation().to_peer(time, self._latency)
 
     @property

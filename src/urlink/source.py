@@ -113,7 +113,7 @@ def networked(
 
     Args:
         tcp: what its bytes come by.
-        known: what it has said of itself already.
+        known: its identity, if it is known already.
     """
     suffix, timeout, silence = "_readonly" if options.read_only else "", options.timeout, options.silence
     last: list[Identity] = [] if known is None else [known]

@@ -50,7 +50,7 @@ def to_urdf(arm: Arm | Model | str, *, name: str | None = None, shapes: bool = F
         arm: an `Arm`, which may be calibrated, or the name of a model, or a `Model`.
         name: of the robot in the file; by default that of the model, in lower case.
         shapes: give the links cylinders and spheres, so that viewers have something to draw. They follow the geometry
-            and are no likeness of the arm, nor a hull of it.
+            and are not a likeness of the arm, nor a hull of it.
 
     Returns:
         XML; write it to a file with the ending `.urdf`.

@@ -24,7 +24,7 @@ def numbers(values: ArrayLike, name: str) -> FloatArray:
     """A copy of `values` as float64.
 
     Raises:
-        BadValue: they are no numbers, or no regular array of them.
+        BadValue: they are not numbers, or not a regular array of them.
     """
     if isinstance(values, (str, bytes)):
         raise BadValue(f"{name} is {values!r}; expected numbers")

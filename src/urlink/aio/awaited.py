@@ -39,7 +39,7 @@ T = TypeVar("T")
 class AwaitedPart(AnswersForeignNames, Generic[B]):
     """A robot, or a part of one such as `robot.motion`, with methods that are awaited.
 
-    An attribute that is no method is read at once. One that would have to wait, because its stream is not open yet,
+    An attribute that is not a method is read at once. One that would have to wait, because its stream is not open yet,
     raises `LocalError`; ``await robot.call(lambda: robot.safety.cause)`` waits for it.
 
     Args:

@@ -90,7 +90,7 @@ class CommandChannel:
         Args:
             text: whole lines; the last newline may be left out.
             is_stop: it can only bring the arm to rest. An arm that nobody has enabled can move all the same, by a
-                program that went on while it could not be heard, and can then be stopped.
+                program that went on while nothing could be received from it, and can then be stopped.
             replaces: it is a program that replaces the one that runs, and with it what was given up and was not taken
                 back.
             claim: called in the section, whenever it has been decided that the text may leave; what it raises keeps
@@ -237,7 +237,7 @@ class CommandChannel:
 
 
 class _Text:
-    """A text on its way out; `rest` is what has not left."""
+    """A text that is being sent; `rest` is what has not left."""
 
     def __init__(self, data: bytes) -> None:
         self.rest = memoryview(data)

@@ -55,7 +55,7 @@ class Status(NamedTuple):
 
     @property
     def cause(self) -> str | None:
-        """The stop that it tells of, in words, or None."""
+        """The stop that it reports, as text, or None."""
         if self.safety_mode is not None and self.safety_mode not in _MAY_MOVE:
             name = self.safety_mode.name.replace("_", " ").lower()
             return name if "stop" in name or name in ("violation", "fault") else f"safety mode {name}"
@@ -105,25 +105,25 @@ class Interlock:
         self._is_enabled = False  # since it was closed last
         self._policy = _known(policy)
 
-    # -- what is heard ---------------------------------------------------------------------------
+    # -- what is received -----------------------------------------------------------------------
 
     def expect(self, source: str) -> None:
-        """From now on this source has to be heard too."""
+        """From now on this source has to report too."""
         self._sources.setdefault(source, _Source())
 
     def forget(self, source: str) -> None:
-        """This source need not be heard after all."""
+        """This source need not report after all."""
         self._sources.pop(source, None)
         self._look()
 
     def hear(self, source: str, status: Status, at: float) -> LinkError | None:
-        """A source said something at the time `at`. The error that ends all motions, if that has closed it."""
+        """A source reported something at the time `at`. The error that ends all motions, if that has closed it."""
         heard = self._sources.setdefault(source, _Source())
         heard.status, heard.heard, heard.absence = status.over(heard.status), at, None
         return self._look()
 
     def amend(self, source: str, status: Status, at: float) -> LinkError | None:
-        """As `hear`, of what is only a part of its word: without effect before the whole has been heard."""
+        """As `hear`, of what is only a part of its report: without effect before the whole has been received."""
         heard = self._sources.get(source)
         return None if heard is None or heard.status is None else self.hear(source, status, at)
 
@@ -158,27 +158,27 @@ class Interlock:
     # -- what follows from it ----------------------------------------------------------------------
 
     def is_expected(self, source: str) -> bool:
-        """The source has to be heard, or was heard already."""
+        """The source has to report, or has reported already."""
         return source in self._sources
 
     def has_word(self, source: str) -> bool:
-        """The source has said something, or its connection is lost."""
+        """The source has reported, or its connection is lost."""
         heard = self._sources.get(source)
         return heard is not None and (heard.status is not None or heard.absence is not None)
 
     def has_heard_since(self, since: float) -> bool:
-        """Every source has said something after that time, and there is one."""
+        """Every source has reported after that time, and there is one."""
         return bool(self._sources) and all(heard.heard > since for heard in self._sources.values())
 
     @property
     def statuses(self) -> list[Status]:
-        """What each source said last on its present connection, the newest first."""
+        """What each source reported last on its present connection, the newest first."""
         heard = sorted(self._sources.values(), key=lambda each: each.heard, reverse=True)
         return [each.status for each in heard if each.status is not None]
 
     @property
     def cause(self) -> str | None:
-        """The stop that holds, in words, or None."""
+        """The stop that holds, as text, or None."""
         return next((cause for heard in self._sources.values() if heard.status and (cause := heard.status.cause)), None)
 
     def absence(self, now: float) -> NotRunning | None:

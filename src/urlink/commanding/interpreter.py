@@ -107,7 +107,7 @@ class Interpreter(Program):
             its number.
 
         Raises:
-            BadValue: it is no statement; nothing was sent.
+            BadValue: it is not a statement; nothing was sent.
             StatementDiscarded: it does not compile, or the program is not in interpreter mode.
             SafetyStop, NotRunning: the arm may not be moved now; nothing was sent.
             LinkTimeout: with `wait`, it was not over in time; it goes on.
@@ -211,7 +211,7 @@ class Interpreter(Program):
         finally:
             self._dialogue.close()
 
-    # -- what is said ----------------------------------------------------------------------------------
+    # -- what is reported -----------------------------------------------------------------------------
 
     def _hand_over(self, line: str, reason_within: float = _REASON, take_back: TakeBack[Any] | None = None) -> int:
         """A statement, through the interlock; its number.
@@ -243,7 +243,7 @@ class Interpreter(Program):
         return reply.number
 
     def _ask(self, word: str) -> int:
-        """The number that one of the words is answered by."""
+        """The number with which the controller answers a command word."""
         if self._life.error is not None:
             raise self._life.error
         return parse_reply(self._dialogue.ask(word, _REPLY)).number
@@ -341,7 +341,7 @@ class Interpreters:
                 interpreter.wait(0)
                 raise RemoteError(f"{interpreter.name} was over before it began")
             try:
-                # It may not be in the mode yet, which is no failure.
+                # It may not be in the mode yet, which is not a failure.
                 interpreter._hand_over("sync()", reason_within=0.0)
                 return
             except StatementDiscarded:

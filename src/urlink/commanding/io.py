@@ -155,7 +155,7 @@ class IO(AnswersForeignNames):
     def set_flag(self, number: int, on: bool) -> None:
         """Set flag 0 to 31, which programs can read; but not the one that lets programs begin (31, see `connect`).
 
-        The robot shows flags nowhere, so nothing tells whether it was set.
+        The robot shows flags nowhere, so whether it was set cannot be read.
         """
         self._settings.flag(number, on)
 

@@ -28,7 +28,7 @@ __all__ = ["SafetyMonitor"]
 
 #: Seconds that an interface has for its first state.
 _FIRST_WORD = 2.0
-#: Seconds within which every working interface is heard again, also over a connection that is made anew. The slowest
+#: Seconds within which every working interface reports again, also over a connection that is made anew. The slowest
 #: sends ten times a second; the rest is for a computer that others keep busy.
 _NEXT_WORD = 0.5
 
@@ -96,7 +96,7 @@ class SafetyMonitor:
 
     @contextlib.contextmanager
     def decision(self) -> Iterator[Interlock]:
-        """The interlock, to be asked or changed; whoever waits for news is told afterwards."""
+        """The interlock, to be asked or changed; whoever waits for news is notified afterwards."""
         with self._section:
             yield self._interlock
         self._wake()
@@ -133,7 +133,7 @@ class SafetyMonitor:
     # -- waiting for news ----------------------------------------------------------------------------
 
     def listen(self, closely: bool = False) -> None:
-        """Listen, if not done yet, and wait for the first word; `closely` on the real-time interface too.
+        """Listen, if not done yet, and wait for the first report; `closely` on the real-time interface too.
 
         Raises:
             RemoteError: the first connection could not be made.
@@ -144,7 +144,7 @@ class SafetyMonitor:
             if name not in self._listening:
                 self._begin_to_listen(name)
             elif self._section.may_wait and not self._is(is_expected):
-                # Another thread has begun to listen just now, and waits for the first word too.
+                # Another thread has begun to listen just now, and waits for the first report too.
                 self.wait_for(is_expected, _FIRST_WORD)
 
     def _begin_to_listen(self, name: str) -> None:
@@ -156,9 +156,9 @@ class SafetyMonitor:
             interlock.expect(name)
 
     def await_news(self, moves: bool) -> None:
-        """Where something is in the way, wait for the next word of every source: the last one may be overtaken.
+        """Where motions are refused, wait for the next report of every source: the last one may be overtaken.
 
-        So who has just switched the arm on, and was told so by the dashboard, need not wait himself; and a program that
+        So who has just switched the arm on, and has the dashboard's answer, need not wait himself; and a program that
         was held up reads first what has come meanwhile.
         """
         began = self.clock()
@@ -179,7 +179,7 @@ class SafetyMonitor:
         """Wait until the interlock is such; False when time is up, or the robot was closed.
 
         Raises:
-            LocalError: in a thread that would have to hear the news itself.
+            LocalError: in a thread that would have to receive the news itself.
         """
         until = time.monotonic() + timeout
         news: SimpleQueue[None] = SimpleQueue()
@@ -201,18 +201,18 @@ class SafetyMonitor:
 
     @property
     def is_connected(self) -> bool:
-        """What is listened to is connected; the interlock hears of a loss a moment later than others may."""
+        """What is listened to is connected; the interlock is notified of a loss a moment later than others may."""
         names = tuple(self._listening)
         return all(self._connections[name].state is ConnectionState.CONNECTED for name in names)
 
-    # -- who is told ---------------------------------------------------------------------------------
+    # -- notifications -------------------------------------------------------------------------------
 
     def on_close(self, hook: _Stop) -> None:
-        """Call `hook` at once when the interlock closes, in the thread that heard of it, which it must not keep."""
+        """Call `hook` at once when the interlock closes, in the thread that received it, which it must not block."""
         self._hooks.append(hook)
 
     def on_silence(self, hook: Callable[[float], object]) -> None:
-        """Call `hook` with the seconds for which the robot has said nothing, once they are too many; as `on_close`."""
+        """Call `hook` with the seconds for which the robot has sent nothing, once they are too many; as `on_close`."""
         self._silence_hooks.append(hook)
 
     def on_stop(self, callback: _Stop) -> Callable[[], None]:
@@ -225,7 +225,7 @@ class SafetyMonitor:
 
         return remove
 
-    # -- what is heard -------------------------------------------------------------------------------
+    # -- what is received ---------------------------------------------------------------------------
 
     def _subscribe(self, name: str) -> None:
         connection = self._connections[name]
@@ -308,7 +308,7 @@ class SafetyMonitor:
     # -- its end -------------------------------------------------------------------------------------
 
     def close(self) -> None:
-        """Listen no more, and let nothing through. Users are not told: it is no stop of the robot."""
+        """Listen no more, and let nothing through. Users are not notified: it is not a stop of the robot."""
         self.is_closed = True
         self._stop_callbacks.clear()
         for name, listening in tuple(self._listening.items()):

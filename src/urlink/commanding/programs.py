@@ -1,6 +1,6 @@
 """The programs that this robot object runs on the controller: its messages, turned into events of their handles.
 
-The controller tells of a program by name: PROGRAM_XXX_STARTED and PROGRAM_XXX_STOPPED, whatever ended it. Each program
+The controller reports a program by name: PROGRAM_XXX_STARTED and PROGRAM_XXX_STOPPED, whatever ended it. Each program
 here has a name of its own, so these messages also say which preempted which. A program that was executed to its end
 reports that by a `textmsg` (`urlink.urscript.wrapping`). Whether CB2 sends the key messages is not known: there a
 program has begun with its first `textmsg`, and is over once the program flag in the robot mode data is cleared.
@@ -104,13 +104,13 @@ class Programs:
     """Sends programs, and keeps account of those that are not over.
 
     Args:
-        primary: the connection whose messages tell of programs.
+        primary: the connection whose messages report programs.
         channel: sends their texts.
-        monitor: tells when the interlock closes.
+        monitor: notifies when the interlock closes.
         section, callbacks: of the robot.
         start_timeout: seconds within which a program has to begin and be permitted.
         start_place: where it finds its permission; with an empty one no program waits, however late it begins.
-        who: tells who the controller is.
+        who: the identity of the controller.
         clock: seconds that only grow.
     """
 
@@ -144,7 +144,7 @@ class Programs:
         self._subscriptions: MadeOnce[list[Subscription]] = MadeOnce()
         self._mode: RobotModeData | None = None
         self._has_keys = False  # this controller sends key messages
-        #: name of the program that was told to stop, until the controller reports that it has
+        #: name of the program that was sent a stop, until the controller reports that it has
         self._stopping: str | None = None
         self._told = -math.inf  # when it was
         #: name of the program that was given up and that the controller may keep, paused by a stop of the robot
@@ -247,7 +247,7 @@ class Programs:
         Raises:
             SafetyStop: a stop holds, so no program is taken. It is stopped once the stop is over, if it is still there.
             NotRunning: nothing is known of the robot, so it cannot be stopped from here.
-            RemoteError: it could not be told.
+            RemoteError: it could not be sent.
         """
         newest = self._newest()
         if newest is None or newest.life is not life:
@@ -327,13 +327,13 @@ class Programs:
         for run in self._pending():
             if run.sent < event.received.monotonic:
                 what = f"the connection was lost while {run.life.name} ran; {self._what_if(run)}{why}"
-                # A motion ends as by the interlock, which hears of it too, a moment before or after this.
+                # A motion ends as by the interlock, which receives it too, a moment before or after this.
                 run.life.fail(NotRunning(what) if run.is_motion else ConnectionLost(what))
         if event.state in (ConnectionState.IDLE, ConnectionState.CLOSED):  # given up: listen anew if asked
             self._subscriptions.take()
 
     def hear(self, packet: State) -> None:
-        """The primary interface has said something."""
+        """The primary interface has sent a packet."""
         if isinstance(packet, RobotState):
             mode = packet.robot_mode_data
             if mode is not None:
@@ -424,14 +424,14 @@ class Programs:
     def _stop_kept(self, mode: RobotModeData) -> None:
         """Stop the program that was given up during a stop, now that the stop is over: `play` would let it go on.
 
-        Also once more the one that was told to stop and has not: an e-Series in local control ignores what it is sent.
+        Once more also the one that was sent a stop and goes on: an e-Series in local control ignores what it is sent.
         """
         now = self._clock()
         if self._kept is None and self._has_keys and now - self._told > _IGNORED:
             self._kept = self._stopping
         is_clear = self._kept is not None and self._monitor.refusal(is_stop=True) is None
         was_clear, self._was_clear = self._was_clear, is_clear
-        # By the second state without a stop: which program runs by the first one is told behind it.
+        # By the second state without a stop: which program runs by the first one is reported behind it.
         if not (is_clear and was_clear):
             return
 
@@ -451,7 +451,7 @@ class Programs:
             _log.info("%s, which was given up, was not stopped yet: %s", self._kept, error)
 
     def _was_missed(self, begun: float) -> bool:
-        """It was over before a state could show it, and no key message tells: the flag has been down for too long."""
+        """It was over before a state could show it, and no key message reports it: its flag is down too long."""
         return not self._has_keys and self._clock() - begun > _FLAG_LAG
 
     def _check_time(self) -> None:
@@ -493,7 +493,7 @@ class Programs:
         run.life.begin(self._clock())
 
     def _replace(self, name: str, successor: _Run | None) -> None:
-        """A program has begun: those sent before it are over, whether told so or not."""
+        """A program has begun: those sent before it are over, whether that was reported or not."""
         for run in self._pending():
             if run is successor:
                 return
@@ -515,7 +515,7 @@ class Programs:
             self._end(run)
 
     def _end(self, run: _Run) -> None:
-        """The controller has ended a program; why follows from what was heard before."""
+        """The controller has ended a program; why follows from what was received before."""
         report = run.life.happened(Event.REPORT)
         if report and report.error is not None:
             run.life.fail(report.error)
@@ -534,7 +534,7 @@ class Programs:
 
     def _interlock_closed(self, error: LinkError) -> None:
         if isinstance(error, SafetyStop):
-            self._kept = self._stopping  # the controller may have been stopped before it was told
+            self._kept = self._stopping  # it may have stopped before the stop was sent
         for run in self._pending():
             # After a stop begins only what was asked for anew.
             is_held = not run.has_begun and run.wrapped.permission is not None and isinstance(error, SafetyStop)

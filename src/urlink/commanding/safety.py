@@ -26,12 +26,12 @@ class Safety(AnswersForeignNames):
 
     @property
     def mode(self) -> SafetyMode | None:
-        """The safety mode as heard last; None if it is not known, and on CB2, which does not say it."""
+        """The safety mode as reported last; None if it is not known, and on CB2, which does not report it."""
         return next((each.safety_mode for each in self._statuses() if each.safety_mode is not None), None)
 
     @property
     def robot_mode(self) -> RobotMode | RobotModeCB2 | None:
-        """The robot mode as heard last, in the numbers of the generation; None if it is not known."""
+        """The robot mode as reported last, in the numbers of the generation; None if it is not known."""
         return next((each.robot_mode for each in self._statuses() if each.robot_mode is not None), None)
 
     @property
@@ -86,9 +86,9 @@ class Safety(AnswersForeignNames):
         """Wait until no stop holds and the robot runs; whether it is enabled is not asked.
 
         Raises:
-            BadValue: `timeout` is no number of seconds.
+            BadValue: `timeout` is not a number of seconds.
             LocalError: in a callback that was subscribed with ``inline=True``, which would wait for itself.
-            LinkTimeout: it still was not so after `timeout` seconds; says what is in the way.
+            LinkTimeout: it still was not so after `timeout` seconds; the message names what prevents it.
             Closed: the robot was closed meanwhile.
         """
         self._wait(lambda interlock: interlock.blocked(self._monitor.clock()), timeout)
@@ -98,12 +98,12 @@ class Safety(AnswersForeignNames):
 
         Raises:
             BadValue, LocalError: as `wait_until_clear`.
-            LinkTimeout: they still were not after `timeout` seconds; says what is in the way.
+            LinkTimeout: they still were not after `timeout` seconds; the message names what prevents it.
         """
         self._wait(lambda interlock: interlock.refusal(self._monitor.clock()), timeout)
 
     def wait_for_stop(self, timeout: float) -> LinkError | None:
-        """The stop that holds, or the first to be heard of within `timeout` seconds; else None.
+        """The stop that holds, or the first to be reported within `timeout` seconds; else None.
 
         Raises:
             BadValue, LocalError: as `wait_until_clear`.
@@ -124,9 +124,9 @@ class Safety(AnswersForeignNames):
     def on_stop(self, callback: Callable[[LinkError], object]) -> Callable[[], None]:
         """Call back when a stop arrives, with the error that motions end with.
 
-        That is a `SafetyStop`, or `NotRunning` where the robot stopped running or can no longer be heard. It is called
-        in the robot's thread for callbacks, and may command the robot and wait. It is no way to make the arm stop: by
-        then it has.
+        That is a `SafetyStop`, or `NotRunning` where the robot stopped running or nothing is received from it any
+        more. It is called in the robot's thread for callbacks, and may command the robot and wait. It is not for
+        stopping the arm: by then it has stopped.
 
         Returns:
             what takes the callback away again.

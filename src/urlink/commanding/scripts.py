@@ -91,7 +91,7 @@ class Scripts:
         return program
 
     def send_line(self, line: str) -> None:
-        """Send one line as it is, such as ``set speed 0.5``; what the controller makes of it is not told.
+        """Send one line as it is, such as ``set speed 0.5``; what the controller makes of it is not reported.
 
         It goes through the interlock as programs do, since it may move the arm. It asks nobody before it does, and has
         no answer: where the controller hangs, this returns, and the line **may still be carried out** when it goes on.

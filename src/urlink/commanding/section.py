@@ -41,7 +41,7 @@ class Section:
 
     @property
     def may_wait(self) -> bool:
-        """The current thread can wait for what a robot says: it is not the one that has to hear it."""
+        """The current thread can wait for what a robot says: it is not the one that has to receive it."""
         return not any(reads_here() for reads_here in self._reads_here)
 
     def check_waiting(self) -> None:

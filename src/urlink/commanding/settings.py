@@ -72,7 +72,7 @@ class Settings:
     Args:
         channel: sends them.
         primary, realtime: the connections whose states show them.
-        who: tells who the controller is.
+        who: the identity of the controller.
         section: of the robot.
         is_remote: asks whether an e-Series is in remote control; None if that cannot be found out. It must be quick.
         start_place: where programs find their permission; users may not set its flags.
@@ -145,7 +145,7 @@ class Settings:
             turn = (info.tcp_offset_Rx, info.tcp_offset_Ry, info.tcp_offset_Rz)
             return [each for each in (*place, *turn) if each is not None] or None
 
-        # As matrices: of two rotation vectors that turn the same way, one may go the longer way round.
+        # As matrices: of two rotation vectors of one rotation, one may turn by more than 180 degrees.
         echo = Echo(CartesianInfo, shown, lambda values: _close(to_matrix(values), wanted))
         self.apply(text, "the tool centre point", echo if self.firmware >= _SHOWS_TCP else None, confirm)
 
@@ -192,8 +192,8 @@ class Settings:
             values: the same as RTDE inputs; None where there are none.
 
         Raises:
-            BadValue: `confirm` is no number of seconds.
-            LocalError: this is the thread that would have to hear it.
+            BadValue: `confirm` is not a number of seconds.
+            LocalError: this is the thread that would have to receive it.
             NotRunning: the robot does not run, or nothing is known of it; nothing was sent.
             NotConfirmed: the robot does not show it in time.
             RemoteError: it could not be sent.

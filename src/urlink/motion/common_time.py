@@ -1,7 +1,7 @@
 """One time for several arms: it begins for all at once, and passes as slowly as for the slowest.
 
 Of trajectories, whose set-points are made here, it is a function of this computer's clock. Each arm's states have a
-time of its own controller, which `RobotClock` converts, so it does not matter how long they were on their way. A
+time of its own controller, which `RobotClock` converts, so it does not matter how long they took to arrive. A
 program whose states do not come, or that is paused, halts it for all.
 
 Of streams, whose points are in programs on the robots, it is the pace of each program (`urlink.urscript.buffering`): no
@@ -172,7 +172,7 @@ class CommonPace:
             if not busy or (self._rate == 0.0 and not are_led):
                 self._rate, self._local, self._wanted, self._holds = 0.0, local, 0.0, True
             elif self._holds:
-                # Later, so that all are told in time.
+                # Later, so that all receive it in time.
                 self._local, self._holds = max(local, now) + _LEAD, False
             elif local > self._local:
                 self._rate, self._local = self.at(local), local
@@ -223,7 +223,7 @@ class MemberPace:
         return self._place + (rate * since if self.is_led else 0.0)
 
     def look(self, time: float, now: float, place: float, rate: float, *, is_led: bool, is_idle: bool) -> float:
-        """What its program is to be told: seconds of the stream per second of the program.
+        """What its program is to be sent: seconds of the stream per second of the program.
 
         Args:
             time: of a state, s of the controller.

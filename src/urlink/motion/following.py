@@ -67,7 +67,7 @@ class Tolerances:
     """How far the arm may be from its trajectory.
 
     Attributes:
-        path: rad, in any joint, on the way; None for no limit.
+        path: rad, in any joint, before the end; None for no limit.
         goal: rad, in any joint, at the end.
         goal_time: seconds after the end within which it has to arrive, in the time of the trajectory.
         start: rad, in any joint, between the arm and the first point.
@@ -85,7 +85,7 @@ class Tolerances:
         """As a user gives them.
 
         Raises:
-            BadValue: one is no number in its range.
+            BadValue: one is not a number in its range.
         """
         return cls(
             None if path_tolerance is None else check_number(path_tolerance, "path_tolerance", 1e-6, 100.0),

@@ -167,7 +167,7 @@ class Freedrive(LinkedBlock):
         context: the robot.
         axes: (6,) of the frame that are free; None for all.
         frame: (6,) pose in the base frame.
-        watchdog: s without a word from this computer after which the robot ends freedrive.
+        watchdog: s without a message from this computer after which the robot ends freedrive.
         open_link: opens the link to the program.
 
     Raises:

@@ -29,12 +29,12 @@ _SAME_TIME = 1e-6
 #: s within which the ways of all arms onto other points have been found. Chosen: two take a few ms; if it takes longer,
 #: some arms go over later.
 _PLANNING = 0.01
-#: s within which the handle hears of the end of a stream, and the reason of it.
+#: s within which the handle is notified of the end of a stream, and the reason of it.
 _REASON = 1.0
 
 
 class GroupMotion(Motion):
-    """A motion of several arms under way. It is over when that of each arm is; what ends one before its time ends all.
+    """A motion of several arms that runs. It is over when that of each arm is; what ends one before its time ends all.
 
     Attributes:
         motions: those of the arms, in the order of the group.
@@ -75,7 +75,7 @@ class GroupStream(GroupMotion):
     """A stream of points for several arms; made by `Group.stream`, open in a ``with`` block.
 
     As `PointStream`, but each call has the points of all arms. They begin at the same moment, and none goes ahead of
-    another: all pass as slowly as the slowest, and stand on their ways while one has no points, or is paused.
+    another: all pass as slowly as the slowest, and stand on their paths while one has no points, or is paused.
 
     Attributes:
         motions: the streams of the arms.

@@ -82,7 +82,7 @@ class Impedance(LinkedBlock):
         """Draw the arm to a target from now on, at any rate: 10 or 500 a second, or one for all.
 
         The program goes to each in as long as the last ones took to come, so it is about one interval behind, and never
-        faster than 0.7 of the largest speed. Orientations are approached the short way.
+        faster than 0.7 of the largest speed. Orientations are approached by the shorter rotation.
 
         Args:
             target: (6,) rad of the joints; or, with the frame "base" or "tool", the pose of the TCP in the base frame.
@@ -134,7 +134,7 @@ class _Words:
     """The dialogue with the program: each state is answered with the target, or with the gains or the posture.
 
     Attributes:
-        target, posture: (6,) said last; None before.
+        target, posture: (6,) sent last; None before.
         gains: stiffness and damping, (6,) each; may be set by any thread.
         has_posture: whether the program takes one.
     """

@@ -5,7 +5,7 @@ at some position. If the target lies beyond that, the joint is pushed towards it
 until the largest acceleration is reached, and then brakes. The longer the push, the further away it comes to rest, so
 the length of the push is the root of a growing function. If the push would reach the largest speed, the joint keeps
 that speed for as long as needed. That makes at most seven segments of constant jerk: up, hold, down, cruise, down,
-hold, up. If the target lies the other way, all of it is mirrored.
+hold, up. If the target lies in the other direction, all of it is mirrored.
 
 Braking is the same with the speed in place of the position: the acceleration grows, is held, and dies away.
 
@@ -53,7 +53,7 @@ def root(function: Callable[[float], float], low: float, high: float, precision:
         middle = 0.5 * (low + high)
         at_middle = function(middle)
         x = middle - (middle - low) * at_middle / math.sqrt(at_middle * at_middle - at_low * at_high)
-        # If the root is below the middle, x is above the middle, and the other way round.
+        # If the root is below the middle, x is above the middle, and vice versa.
         for place, value in ((middle, at_middle), (x, function(x))):
             if value < 0.0:
                 low, at_low = place, value
@@ -207,7 +207,7 @@ def _after(x: float, v: float, a: float, jerk: float, t: float) -> tuple[float, 
 
 
 def _brake(v: float, a: float, limit: JointLimit) -> tuple[_Segment, _Segment, _Segment]:
-    """The fastest way to rest, at any position."""
+    """The fastest motion to rest, at any position."""
     most, jerk = limit.acceleration, limit.jerk
     # The direction follows from the speed that remains when the acceleration dies away at once.
     if v + 0.5 * a * abs(a) / jerk > 0.0:

@@ -195,7 +195,7 @@ class _Holding:
 
 
 class HeldSpeed(Motion):
-    """A speed for longer than `UNLED`: the robot brakes by itself that long after the last word of this computer.
+    """A speed for longer than `UNLED`: the robot brakes by itself that long after the last message from this computer.
 
     Args:
         context: the robot.

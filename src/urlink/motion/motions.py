@@ -151,7 +151,7 @@ class Motions(AnswersForeignNames):
         """Move the tool along the circle through one pose to another, both in the base frame (`movec`).
 
         Args:
-            via: (6,) position in m, and rotation vector in rad, on the way; its orientation has no effect.
+            via: (6,) position in m, and rotation vector in rad, on the arc; its orientation has no effect.
             to: (6,) where it ends.
             speed: m/s.
             acceleration: m/s².
@@ -190,7 +190,7 @@ class Motions(AnswersForeignNames):
         Args:
             waypoints: `Joint`, `Linear` and `Circular`, each with a blend, and optionally a speed and acceleration.
             speed, acceleration: m/s and m/s² of the tool on lines and arcs.
-            joint_speed, joint_acceleration: rad/s and rad/s² of the joint that moves furthest, on the way to a `Joint`.
+            joint_speed, joint_acceleration: rad/s and rad/s² of the joint that moves furthest, towards a `Joint`.
             wait: see `Motions`.
 
         Raises:
@@ -305,8 +305,8 @@ class Motions(AnswersForeignNames):
             trajectory: what to follow; its first point is near the arm, and it is at rest at both ends.
             low_bandwidth: send it point by point, and let the robot interpolate, instead of streaming it at the
                 controller's rate; from 3.0 on.
-            path_tolerance: rad by which any joint may be off on the way; None for no limit. The lag of the arm at speed
-                is part of it.
+            path_tolerance: rad by which any joint may be off before the end; None for no limit. The lag of the arm at
+                speed is part of it.
             goal_tolerance: rad by which any joint may be off at the end.
             goal_time: seconds after the end within which the arm must be there, in the time of the trajectory.
             start_tolerance: rad between any joint and the first point; and after a pause, between any joint and where
@@ -432,8 +432,8 @@ class Motions(AnswersForeignNames):
             buffer: s of points that the program holds, at most 256 of them. The arm moves on for so long if this
                 program hangs; the watchdog may end that sooner.
             acceleration, jerk: rad/s² and rad/s³, of all joints or (6,) of each: of the braking where no point is left,
-                and of the way onto points that came late or replace others.
-            watchdog: seconds without a word from this computer, which answers each state, after which the program
+                and of the path onto points that came late or replace others.
+            watchdog: seconds without a message from this computer, which answers each state, after which the program
                 brakes and ends.
             lookahead_time, gain: see `follow`.
             link: see `follow`. With "rtde" other registers are held than by other motions: `input_int_register_30` to
@@ -473,7 +473,7 @@ class Motions(AnswersForeignNames):
             acceleration: rad/s² of the joint whose speed changes most, or m/s² and rad/s² of the tool, for every change
                 of speed and for braking.
             timeout: seconds for which a speed holds.
-            watchdog: seconds without a word from this computer after which the robot brakes.
+            watchdog: seconds without a message from this computer after which the robot brakes.
             link: see `follow`.
         """
         check_choice(frame, "frame", get_args(FrameName))
@@ -566,8 +566,8 @@ class Motions(AnswersForeignNames):
                 ...
                 pressing.set_wrench([0, 0, -20, 0, 0, 0])
 
-        Whatever ends the block ends the mode: an exception, `close`, a stop. If no more words of this computer arrive,
-        the program on the robot ends it by itself.
+        Whatever ends the block ends the mode: an exception, `close`, a stop. If no more messages from this computer
+        arrive, the program on the robot ends it by itself.
 
         Args:
             frame: "base", "tool" (as the tool is now), or a (6,) pose in the base frame; only its axes have an effect.
@@ -579,7 +579,7 @@ class Motions(AnswersForeignNames):
                 direction of movement in the x-y plane.
             damping: 0 to 1; the controller's default is 0.005. From 3.5 on.
             gain: 0 to 2; a smaller one is steadier on hard objects. From 5.0 on.
-            watchdog: seconds without a word from this computer after which the robot ends the mode.
+            watchdog: seconds without a message from this computer after which the robot ends the mode.
             link: see `follow`.
 
         Raises:
@@ -674,7 +674,7 @@ class Motions(AnswersForeignNames):
             posture_stiffness: Nm/rad of springs in the joints, beside those of the tool, to the posture of the target
                 (`Impedance.send`); None for 0.5. They decide where the tool is free to turn, and in singular poses.
             friction_compensation: whether the controller compensates the friction of the joints.
-            watchdog: seconds without a word from this computer, which answers each state, after which the robot ends
+            watchdog: seconds without a message from this computer, which answers each state, after which the robot ends
                 it. It may be longer than your program is ever busy: what the arm does meanwhile is bounded anyway.
             link: see `follow`.
 
@@ -742,7 +742,7 @@ class Motions(AnswersForeignNames):
     ) -> Motion:
         """A motion that is one short program: it is sent once, and the controller executes it.
 
-        After a pause one that has a goal would be led back onto its way to it.
+        After a pause one that has a goal would be led back onto its path to it.
         """
         context = self._context
         life = self._life(name)

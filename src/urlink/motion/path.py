@@ -130,7 +130,7 @@ class Circular(Waypoint):
     """A movement of the tool along the circle through one pose to another, in the base frame.
 
     Args:
-        via: (6,) m and rad, on the way; its orientation has no effect.
+        via: (6,) m and rad, on the arc; its orientation has no effect.
         to: (6,) m and rad, where it ends.
         blend: m from there at which the next movement may begin.
         speed: m/s; None for that of the path.
@@ -374,7 +374,7 @@ class _Planner:
 
 
 def _counted(curve: Curve) -> float:
-    """Length, m, of a straight way that takes as long as the curve."""
+    """Length, m, of a straight path that takes as long as the curve."""
     return max(curve.length, _RADIAN * curve.turn)
 
 

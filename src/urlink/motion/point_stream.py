@@ -171,7 +171,7 @@ class PointStream(LinkedBlock):
             s on the clock of the stream from which it holds.
 
         Raises:
-            BadValue: the arm could not follow them, they are past, or no way within the limits leads onto them; the
+            BadValue: the arm could not follow them, they are past, or no path within the limits leads onto them; the
                 old points stay.
             LocalError, LinkError: as for `append`.
         """

@@ -250,7 +250,7 @@ class Servo(LinkedBlock):
         Args:
             joint: number of the joint, 0 to 5.
             amplitude: rad of the movement, with its sign.
-            duration: s for the way there and back; measuring takes half a second more.
+            duration: s for the movement there and back; measuring takes half a second more.
 
         Returns:
             s from a state to the one in which the arm is at the set-point that answered it.

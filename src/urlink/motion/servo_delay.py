@@ -36,7 +36,7 @@ def measure(
         send: sends a set-point (6, rad).
         joint: number of the joint.
         amplitude: rad of the movement, with its sign.
-        duration: s for the way there and back.
+        duration: s for the movement there and back.
 
     Returns:
         s from a state to the one in which the arm is at the set-point that answered it.

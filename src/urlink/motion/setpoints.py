@@ -59,7 +59,7 @@ def dated(word: bytes, date: int, pauses: int = 0) -> bytes:
     Args:
         word: what to do is its end.
         date: cycles; comes after it.
-        pauses: of the program, so far: set-points after a pause are told from those before.
+        pauses: of the program, so far: set-points after a pause are distinguished from those before.
     """
     if pauses and len(word) == WORD_SIZE and word.endswith(_FOLLOW_BYTES):
         word = word.removesuffix(_FOLLOW_BYTES) + (WAIT + pauses).to_bytes(4, "big")

@@ -42,7 +42,7 @@ _SLOWEST, _FURTHEST, _FURTHEST_TOOL = 0.01, (3.0,) * 6, (0.5,) * 3 + (1.5,) * 3
 #: The part of its largest torque that springs and dampers of a joint may have; and how many times as much, at most,
 #: brakes it. Chosen: so that what brakes is always more than what drives.
 _SHARE, _BRAKING = 0.5, 4.0
-#: Of the tool, if nothing else is said: N/m and Nm/rad, N and Nm, m and rad. Chosen: as much as the vendor's torques
+#: Of the tool, if nothing else is given: N/m and Nm/rad, N and Nm, m and rad. Chosen: as much as the vendor's torques
 #: can hold at half of the reach of a UR5e.
 _TOOL_STIFFNESS, _TOOL_FORCE, _TOOL_ERROR = (
     (500.0,) * 3 + (30.0,) * 3,
@@ -51,7 +51,7 @@ _TOOL_STIFFNESS, _TOOL_FORCE, _TOOL_ERROR = (
 )
 #: N and Nm at most.
 _STRONGEST = (200.0,) * 3 + (30.0,) * 3
-#: Nm/rad to the posture if nothing else is said, and at most; rad/s of a joint under springs of the tool at most.
+#: Nm/rad to the posture if nothing else is given, and at most; rad/s of a joint under springs of the tool at most.
 #: Chosen: some hundredths of what springs of the tool are; and near a singular pose a joint turns far while the tool
 #: moves little.
 _POSTURE, _TIGHTEST, _TURNING = 0.5, (200.0,) * 6, 1.5
@@ -67,7 +67,7 @@ class Softness:
         frame: of the springs.
         stiffness, damping, torque, speed, error, force, posture_stiffness: (6,) or one for all; None for the default.
         friction_compensation: whether the controller compensates the friction of the joints.
-        watchdog: s without a word from this computer after which the robot ends it.
+        watchdog: s without a message from this computer after which the robot ends it.
     """
 
     frame: FrameName

@@ -7,7 +7,7 @@ second that passes adds one, up to a ceiling:
 - one period of the set-points and `EARLY`, as long as they are sent regularly;
 - after a late one, additionally its lateness (at most `LATE`, unless another bound is given), for the set-points that
   follow it at once. Meanwhile the program on the robot goes on at its last speed
-  (`urlink.urscript.streaming`), so catching up is no jump. The first set-point that is on time again drops
+  (`urlink.urscript.streaming`), so catching up is not a jump. The first set-point that is on time again drops
   the rest.
 """
 

@@ -1,7 +1,7 @@
 """The dialogue with a program that holds points (`urlink.urscript.buffering`): what it is sent, and where it is.
 
-Two curves are told apart. That of the points begins where the arm rests, and each point is reached at its own time. The
-arm is on it, but where the points came too late, or were replaced: then a way leads from where it is to a moment of
+There are two curves. That of the points begins where the arm rests, and each point is reached at its own time. The
+arm is on it, but where the points came too late, or were replaced: then a path leads from where it is to a moment of
 that curve, and takes the time that it needs. The clock of the stream shows the time on the curve of the points; it
 stands while the arm brakes and rests for want of points.
 
@@ -50,7 +50,7 @@ _WORD, _REPORT = struct.Struct(f">{WORD}i"), struct.Struct(f">{REPORTED}i")
 _STOP_WORD = _WORD.pack(STOP, *[0] * (WORD - 1))
 #: s without a report after which a program counts as one that goes through no points, for others. Chosen: five reports.
 _UNHEARD = 0.1
-#: Difference of two paces that is not told while points are waiting to be sent.
+#: Difference of two paces that is not sent while points are waiting to be sent.
 _SAME_PACE = 1e-3
 #: Cycles, and s, that a cut takes to the program at first, and s at most: each that comes too late doubles the time.
 _AHEAD, _WAY, _LONGEST_WAY = 6, 0.01, 1.0
@@ -164,7 +164,7 @@ class StreamFeed:
         self.mark: Mark | None = None
         self.pace: MemberPace | None = None
         self._clock = ProgramClock(cycle)
-        #: the pace of the program; those that it is to have, up to the newest; that which it was told, by the last word
+        #: the pace of the program; those that it is to have, up to the newest; that which it was sent, by the last word
         self._pace, self._paces = 1.0, deque([1.0] * (AHEAD + 1), AHEAD + 1)
         self._told, self._has_told = 1.0, True
         self._begin = Rest("the stream")
@@ -321,7 +321,7 @@ class StreamFeed:
 
         Raises:
             LinkTimeout: the arm does not come to rest before the first point.
-            ToleranceExceeded: no way leads onto the points from where the arm has braked to.
+            ToleranceExceeded: no path leads onto the points from where the arm has braked to.
         """
         with self._section:
             self._pass(self._clock.passed(state, now)[1])
@@ -445,7 +445,7 @@ class StreamFeed:
             self._is_open = False
             if found is not None:
                 self._last = dataclasses.replace(self._last, ends=time)
-                # The controller has braked it along its way: what is behind it is left out.
+                # The controller has braked it along its path: what is behind it is left out.
                 self._may_skip = True
                 assert self.mark is not None
                 if not self._queue:  # it was cleared, or is past its last point
@@ -550,7 +550,7 @@ class StreamFeed:
         """What replaces the tail, or cuts it off; nothing changes before it is called.
 
         Raises:
-            BadValue: no way within the limits leads onto the points.
+            BadValue: no path within the limits leads onto the points.
         """
         now = self._place(self.margin)
         if not self._is_open:

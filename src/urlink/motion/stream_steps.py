@@ -1,4 +1,4 @@
-"""The steps of a stream: polynomials from a moment of the arm to a point, the braking after the last, and the way back.
+"""The steps of a stream: polynomials from a moment of the arm to a point, braking after the last, and the path back.
 
 The program on the robot computes the same ones (`urlink.urscript.buffering`): so it is known here where the arm brakes,
 without a report of it. `Aim` is a point that is to be reached, and `onto` leads from one curve through points onto
@@ -34,8 +34,8 @@ _SLACK = 1e-6
 _RESTING = 1e-6
 #: rad, rad/s and rad/s² by which a moment may differ from the one in which a step begins.
 _SAME = 1e-6
-#: Times that are tried for a way back onto the points: each longer than the one before by this factor, until `_LONGEST`
-#: s. Chosen: the way takes at most an eighth longer than it has to.
+#: Times that are tried for a path back onto the points: each longer than the one before by this factor, until
+#: `_LONGEST` s. Chosen: the path takes at most an eighth longer than it has to.
 _LONGER, _LONGEST = 1.125, 20.0
 #: The powers of the time in a position, a speed and an acceleration, for six coefficients.
 _POWERS = np.arange(6.0)
@@ -175,7 +175,7 @@ class Bounds:
     Args:
         model: its limits of position, speed and acceleration hold for the points; None if the arm is not known.
         speeds: (6,) rad/s of its joints.
-        limits: of what the stream adds: the braking, and the ways back onto the points.
+        limits: of what the stream adds: the braking, and the paths back onto the points.
     """
 
     def __init__(self, model: Model | None, speeds: Sequence[float], limits: Sequence[JointLimit]) -> None:
@@ -258,7 +258,7 @@ class Bounds:
         """Number of the first of these that is within the limits of what the stream adds."""
         q, qd, qdd, qddd = _sampled(np.array([way.rows for way in ways]), np.array([way.length for way in ways]))
         hard, sharp = self._own
-        # Where the points themselves are harder, at the ends of a way, so is it.
+        # Where the points themselves are harder, at the ends of a path, so is it.
         hard = np.maximum(hard, np.maximum(np.abs(qdd[:, :1]), np.abs(qdd[:, -1:])))
         slack = 1.0 + _SLACK
         is_within = (
@@ -270,7 +270,7 @@ class Bounds:
         return int(np.argmax(is_within)) if is_within.any() else None
 
 
-#: Factor between the times that are tried for a way onto other points.
+#: Factor between the times that are tried for a path onto other points.
 _LATER = 1.25
 
 
@@ -331,7 +331,7 @@ def onto(bounds: Bounds, curve: Sequence[Aim], here: JointMoment, time: float, s
         shortest: s that a step takes at least.
 
     Raises:
-        BadValue: its points are past, or no way within the limits leads onto it.
+        BadValue: its points are past, or no path within the limits leads onto it.
     """
     places: list[tuple[Aim, list[Aim]]] = []
     at = max(time + 2.0 * shortest, curve[0].time)

@@ -58,7 +58,7 @@ class Teaching:
         self._triggers = triggers
         #: closed when the block is left; None outside of it
         self._open: contextlib.ExitStack | None = None
-        # An input that is on, or a button that is not held, in the first state is no event.
+        # An input that is on, or a button that is not held, in the first state is not an event.
         self._was_on, self._was_held = True, False
         self._kept_at = -math.inf
 

@@ -34,7 +34,7 @@ def read_points(path: Path) -> tuple[list[FloatArray], int]:
     """Times (n,), positions (n, 6), and velocities and accelerations if there are any; and the line of point 0.
 
     Raises:
-        BadValue: the file cannot be read, or is no such table.
+        BadValue: the file cannot be read, or is not such a table.
     """
     try:
         text = path.read_text(encoding="utf-8-sig")

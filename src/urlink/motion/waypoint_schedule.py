@@ -26,7 +26,7 @@ __all__ = ["Schedule"]
 
 #: s; waypoints that are closer in time count as one.
 _CLOSEST = 1e-3
-#: s for the rest of the way, if set-points were missed until all waypoints were past.
+#: s for the rest of the path, if set-points were missed until all waypoints were past.
 _LATE = 0.1
 #: How often waypoints are postponed, and by which fraction of the time before the first of them: up to 400 times that.
 _PUT_OFF, _LATER = 16, 0.45

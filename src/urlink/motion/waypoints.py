@@ -79,7 +79,7 @@ class WaypointServer(Following):
             BadValue: the arm is not at the beginning of the trajectory.
             ConnectionLost: the program has sent nothing for too long.
             LinkTimeout: the arm does not come to rest.
-            ProgramStopped: the program has sent something that is no request.
+            ProgramStopped: the program has sent something that is not a request.
             ToleranceExceeded: the arm is too far from the trajectory.
         """
         passed, scaled = self._clock.passed(state, now)
