@@ -273,7 +273,7 @@ def dissect(data: bytes, interface: Interface, firmware: Firmware | None) -> Ite
 
 
 def _stray(stretch: Stretch, interface: Interface, firmware: Firmware | None) -> PacketPiece:
-    """Bytes that are no whole packet."""
+    """Bytes that are not a whole packet."""
     if stretch.expected is None:
         return PacketPiece(stretch.offset, stretch.data, "no packet", error="these bytes belong to no packet")
     cut_off = f"cut off: expected {stretch.expected} bytes, got {len(stretch.data)}"

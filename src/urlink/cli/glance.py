@@ -1,4 +1,4 @@
-"""What the monitor knows at one moment, to be shown as a picture, or as a line of text where stdout is no terminal."""
+"""What the monitor knows at one moment, as a picture, or as a line of text where stdout is not a terminal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`urlink exercise`, `identify` and `compare`: a motion to record, what it tells, and the simulator beside it."""
+"""`urlink exercise`, `identify` and `compare`: a motion to record, what it shows, and the simulator beside it."""
 
 from __future__ import annotations
 

@@ -130,7 +130,7 @@ def _keys() -> Iterator[int]:
     """The terminal, set to send single keys without showing them; restored afterwards.
 
     Raises:
-        LocalError: stdin is no terminal, or this system has no termios.
+        LocalError: stdin is not a terminal, or this system has no termios.
     """
     try:
         import termios

@@ -90,7 +90,7 @@ def _realtime(state: RealtimeState) -> Reading:
         speed=_numbers(state.tcp_speed_actual),
         force=_numbers(state.tcp_force),
         robot_mode=_name(state.robot_mode),
-        # In the status of newer firmware there are stops of their own which the mode does not tell apart.
+        # In the status of newer firmware there are stops of their own which the mode does not distinguish.
         safety_mode=_name(state.safety_mode if state.safety_status is None else state.safety_status),
         program=_name(state.program_state),
         speed_scaling=state.speed_scaling,

@@ -51,7 +51,7 @@ class Flags(IntFlag):
 
 
 class RTDEControlInterface(ControlBlocks):
-    """Commands a robot. A method that moves the arm waits for the end, unless `asynchronous`, and tells if it came.
+    """Commands a robot. A method that moves the arm waits for its end, unless `asynchronous`; returns if it came.
 
     Args:
         hostname: address of the robot.

@@ -150,7 +150,7 @@ class Recording:
             BadRecording: the recording does not hold them.
         """
         channel = self._channel("realtime", RealtimeProtocol, RealtimeState)
-        # Who recorded fewer packets than the robot sends has said how many.
+        # Who recorded fewer packets than the robot sends has recorded how many.
         rate = self._info("realtime").get("rate")
         if isinstance(rate, (int, float)) and 0 < rate < float("inf"):
             periods: tuple[float, ...] = (1.0 / rate,)

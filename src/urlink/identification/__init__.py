@@ -1,4 +1,4 @@
-"""Identification: what a recording tells of the arm that was recorded, each number with its interval."""
+"""Identification: what a recording shows of the arm that was recorded, each number with its interval."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["identify"]
 
 
 def identify(samples: Samples, model: str | None = None) -> ArmFile:
-    """Identify everything that samples tell of an arm.
+    """Identify everything that samples show of an arm.
 
     Args:
         model: name of the arm; None for that which the recording says.

@@ -1,9 +1,9 @@
 """The calibration of an arm from joint positions and the poses of its TCP, as a controller computes them.
 
-Six DH parameters are no good coordinates for three joint axes that are parallel but for some mrad (see
+Six DH parameters are not good coordinates for three joint axes that are parallel but for some mrad (see
 `urlink.kinematics.geometry`), so the links are fitted in the parameters of Hayati and Mirmirani, in which small changes
 of the arm are small changes of the numbers; the DH table that a controller would send follows from the joint axes. What
-the poses do not tell, such as which part of the flange belongs to the tool, stays as published.
+the poses do not show, such as which part of the flange belongs to the tool, stays as published.
 """
 
 from __future__ import annotations

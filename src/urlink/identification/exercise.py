@@ -148,7 +148,7 @@ def plan(arm: Arm, start: FloatArray, tcp: FloatArray, swing: float = SWING, joi
         arm: with its calibration, if it is known.
         start: (6,) rad, where the arm stands.
         tcp: (6,) pose of the TCP in the frame of the flange.
-        swing: rad to either side. Less than 0.1 does not tell the calibration.
+        swing: rad to either side. Less than 0.1 does not show the calibration.
         joint: that alone swings, 0 to 5; None for each alone and then all of them together.
 
     Raises:

@@ -27,13 +27,13 @@ _ACCELERATION = 0.3
 _SPEED = 0.1
 #: Nm by which the moment of a joint has to vary to show its torque constant.
 _MOMENT = 0.05
-#: kg: a payload whose mass is not known as well is not told by the motion.
+#: kg: a payload whose mass is not known as well is not shown by the motion.
 _MASS = 0.5
 
 
 @dataclass(frozen=True)
 class JointFit:
-    """What moments and currents tell.
+    """What moments and currents show.
 
     Attributes:
         payload: kg.
@@ -68,7 +68,7 @@ class JointFit:
 
 
 def fit_joints(model: Model, columns: Mapping[str, FloatArray]) -> JointFit:
-    """Fit what moments and currents tell.
+    """Fit what moments and currents show.
 
     Args:
         model: of the arm.

@@ -17,7 +17,7 @@ __all__ = ["clock_drift", "noise", "start_rate", "tracking_lag"]
 
 #: s that an arm needs to settle after a movement.
 _SETTLING = 0.3
-#: Rows of one rest that tell something of it.
+#: Rows of one rest that show something of it.
 _ROWS = 8
 #: s of time between two rows up to which a ramp of 0.16 s shows.
 _FINE = 0.05
@@ -50,7 +50,7 @@ def noise(samples: Samples, coulomb: FloatArray) -> dict[str, Estimate]:
     """Standard deviations, by the names of the table of parameters, and the offset of the force at rest.
 
     Args:
-        coulomb: (6,) A, by which stiction is told.
+        coulomb: (6,) A, by which stiction is recognised.
     """
     rests = list(_rests(samples))
     needs = f"two rests of {_SETTLING} s and more"
@@ -82,7 +82,7 @@ def start_rate(samples: Samples) -> Estimate:
     """1/s with which the scaling of a program rises from 0, by the fastest joint of each movement from rest.
 
     On a ramp of rate r the speed is a r² t³ / 2 under an acceleration of a, and a (t - 1 / 2 r) after it. The end of
-    the ramp is told by where the later line meets zero, the begin by the cube root of the earlier speeds.
+    the ramp is found by where the later line meets zero, the begin by the cube root of the earlier speeds.
     """
     times, rest = samples["timestamp"], samples.is_rest
     if np.median(np.diff(times)) > _FINE:
@@ -101,7 +101,7 @@ def start_rate(samples: Samples) -> Estimate:
     rates_ = np.array(rates)
     middle = float(np.median(rates_))
     spread = 1.4826 * float(np.median(np.abs(rates_ - middle)))
-    # In which part of a cycle, of 2 or 8 ms, the ramp begins is not told: half of one in the 80 ms that it costs.
+    # In which part of a cycle, of 2 or 8 ms, the ramp begins is not shown: half of one in the 80 ms that it costs.
     unsure = 0.5 * float(np.clip(np.median(np.diff(times)), 0.002, 0.008)) * middle * middle
     found = Estimate.around(middle, spread / np.sqrt(len(rates)))
     return Estimate(middle, float(found.low - unsure), float(found.high + unsure))

@@ -198,7 +198,7 @@ class AnalogDomain(OpenInt):
 
 
 class RobotType(OpenInt):
-    """Arm, by size; the firmware's generation tells UR5 from UR5e."""
+    """Arm, by size; the firmware's generation distinguishes UR5 from UR5e."""
 
     UR5 = 1
     UR10 = 2

@@ -19,7 +19,7 @@ __all__ = [
     "interface_of",
 ]
 
-#: Real-time interface: the size and nothing else. No byte tells the type of packet.
+#: Real-time interface: the size and nothing else. No byte holds the type of packet.
 REALTIME = Header(size=Int32sb)
 
 #: Primary and secondary interface, packages and sub-packages alike. The size counts the header.

@@ -13,7 +13,7 @@ from linkcore.errors import BadValue, LocalError, PacketError, WrongPeer
 
 __all__ = ["WORDS", "InterpreterProtocol", "Reply", "parse_reply", "statement_line"]
 
-#: Words that are no statements.
+#: Words that are not statements.
 WORDS = (
     "skipbuffer",
     "abort",
@@ -48,7 +48,7 @@ def statement_line(text: str) -> str:
     """A statement as one line: line ends in it, which mean nothing in URScript, become blanks, and comments go.
 
     Raises:
-        BadValue: no text, nothing but comments, a control character, a word that is no statement, or too long.
+        BadValue: no text, nothing but comments, a control character, a word that is not a statement, or too long.
 
     >>> statement_line("movej(\\n  q)  # there")
     'movej( q)'

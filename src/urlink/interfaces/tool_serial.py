@@ -19,7 +19,7 @@ from linkcore.net.transport import TcpTransport
 
 __all__ = ["ToolSerial"]
 
-#: What is said where the port is refused.
+#: The message where the port is refused.
 _NEEDED = (
     "the tool's serial line is served by a URCap: the vendor's RS485 daemon, on PolyScope X the Tool Comm Forwarder; "
     "no other URCap, such as that of a gripper, may use the line"
@@ -30,8 +30,8 @@ class ToolSerial:
     """The bytes of the RS485 line in the tool connector. Connects when it is first used; threads take turns.
 
     The line is set by `robot.io.set_tool_communication`. Nothing of it is interlocked: what is mounted there does what
-    it is told, also in a stop. Whoever is connected to the port shares the line with this computer: whose bytes come
-    then is not known.
+    it is commanded, also in a stop. Whoever is connected to the port shares the line with this computer: whose bytes
+    come then is not known.
 
     All methods that use the line raise
 

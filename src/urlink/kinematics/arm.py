@@ -382,7 +382,7 @@ class Arm:
         wrist = target[9] - d6 * target[2], target[10] - d6 * target[5], target[11] - d6 * target[8]
         distance, furthest = math.dist(wrist, (0.0, 0.0, d1)), math.hypot(abs(a2) + abs(a3) + d5, d4)
         if distance > furthest:
-            # Nothing is closer to the base than a centimetre: 1.5 m are no 1.5 mm.
+            # Nothing is closer to the base than a centimetre: 1.5 m are not meant as 1.5 mm.
             asked = other_unit(distance, "m", 0.01, furthest)
             why = (
                 f"its wrist would be {distance:.3f} m from the shoulder, and comes {furthest:.3f} m far at most{asked}"

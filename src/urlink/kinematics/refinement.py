@@ -147,7 +147,7 @@ def _error(flange: Rigid[Number], target: Rigid[Number]) -> Six[Number]:
 
 
 def _cosine(flange: Rigid[Number], target: Rigid[Number]) -> Number:
-    """Cosine of the angle between two orientations; the sine alone cannot tell half a turn from none."""
+    """Cosine of the angle between two orientations; the sine alone cannot distinguish half a turn from none."""
     a00, a01, a02, a10, a11, a12, a20, a21, a22, _, _, _ = flange
     b00, b01, b02, b10, b11, b12, b20, b21, b22, _, _, _ = target
     trace = a00 * b00 + a01 * b01 + a02 * b02 + a10 * b10 + a11 * b11 + a12 * b12 + a20 * b20 + a21 * b21 + a22 * b22

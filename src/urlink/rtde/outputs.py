@@ -142,7 +142,7 @@ class OutputStream(Stream[T]):
         self.close()
 
     def description(self) -> dict[str, Any]:
-        """The recipe, which a recording needs, since it may begin after the controller has told it; connects for that.
+        """The recipe, which a recording needs, since it may begin after the controller has sent it; connects for that.
 
         Raises:
             RemoteError, LocalError, Closed: as `start`.

@@ -1,4 +1,4 @@
-"""General-purpose registers by number: what a program on the controller and a client tell each other.
+"""General-purpose registers by number: what a program on the controller and a client send each other.
 
 A client writes input registers, which the program reads by `read_input_integer_register(n)`; the program writes output
 registers by `write_output_integer_register(n, value)`, which a client reads. The numbers are those of URScript.

@@ -99,7 +99,7 @@ class Controller:
             the robot at a certain moment.
         scaling: how the speed scaling of programs behaves, where that is not known or to be tried.
         like: what was identified of an arm, which this one is then: model, calibration, TCP and payload, motors, lag,
-            noise, and the ramp of programs, as far as the recording told them.
+            noise, and the ramp of programs, as far as the recording shows them.
         scene: a file of bodies around the arm, which the adapter for its ending opens, such as urlink-mujoco `.xml`.
 
     Attributes:

@@ -48,7 +48,7 @@ def greeting(state: ControllerState, kind: str) -> list[bytes]:
     """The packages at the beginning of a connection on the primary or secondary interface.
 
     Version message, message 12 from 3.3, and on the primary interface package 24 from 3.10 and 5.4: so captured on
-    3.3, 3.10 and 5.4 and on the secondary interface of 5.12. (A capture of 5.11 that is said to be of the primary
+    3.3, 3.10 and 5.4 and on the secondary interface of 5.12. (A capture of 5.11 that is reported to be of the primary
     interface has no package 24.) Older firmware was not captured: that it sends the version message alone is a guess.
     """
     firmware = state.firmware

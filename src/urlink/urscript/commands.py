@@ -51,7 +51,7 @@ _TARGET_PAYLOAD = Since("5.10")
 
 #: s; longer is a mistake. m/s²; another length has another unit. Chosen: a base that moves is accelerated by less.
 _LONGEST_TRANSITION, _GRAVITIES = 60.0, (5.0, 15.0)
-#: kg. No arm lifts it; it tells kilograms from grams.
+#: kg. No arm lifts it; it distinguishes kilograms from grams.
 _HEAVIEST = 100.0
 
 
@@ -178,7 +178,7 @@ def payload(
         transition_time: s over which the controller goes over to it.
 
     Raises:
-        BadValue: a number out of range, or what this firmware cannot be told.
+        BadValue: a number out of range, or what this firmware cannot be set to.
     """
     weight = number(mass, "payload mass", 0.0, _HEAVIEST, "kg")
     seconds = number(transition_time, "transition_time", 0.0, _LONGEST_TRANSITION, "s")

@@ -30,7 +30,7 @@ TOP, _RAMP = 0.9, 0.7
 _LONGEST = 0.25
 #: 1/s: the aim follows its ramp as a critically damped second order does.
 _ROUNDING = 40.0
-#: s in which gains have gone two thirds of the way to what was said.
+#: s in which gains have reached two thirds of the change that was sent.
 _BLENDING = 0.1
 #: rad in all joints together, in one cycle: no arm is as fast, but a person may have moved one while it was paused.
 _MOVED = 0.03

@@ -42,7 +42,7 @@ def streaming(
     """Follow set-points, one per cycle, and brake where they stay away.
 
     While one is late the arm goes on at the speed that came with the last, ever slower, and rests after `coasting`
-    seconds, or when the watchdog's time is up, if that is sooner. The speed is told, and not derived from the last two
+    seconds, or when the watchdog's time is up, if that is sooner. The speed is sent, and not derived from the last two
     positions: where set-points come only every tenth cycle, a difference between positions holds mostly what the
     program itself went on by, and so it would go on in a direction that is not wanted any more. No set-point is
     followed faster than the joints can move: where it is further away, it is approached at their largest speed. So

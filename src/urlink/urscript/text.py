@@ -48,7 +48,7 @@ def boolean(value: object, what: str = "value") -> str:
     Raises:
         BadValue: it is neither.
     """
-    # numpy's own booleans are no bool.
+    # numpy's own booleans are not of type bool.
     if isinstance(value, bool) or type(value).__name__ in ("bool_", "bool"):
         return "True" if value else "False"
     raise BadValue(f"{what} is {value!r}; expected True or False")

@@ -18,7 +18,7 @@ from .text import each, indented, integer, lines, number, quoted
 
 __all__ = ["ARRIVED", "BEAT", "FADING", "HELD", "NO_MORE", "interpolating", "numbers_of_point"]
 
-#: Lines of the program that are no number of a point.
+#: Lines of the program that are not the number of a point.
 BEAT, ARRIVED, HELD = -1, -2, -3
 #: The number of the answer after the last waypoint.
 NO_MORE = -1
@@ -56,7 +56,7 @@ def interpolating(
 
     Args:
         host: address at which the robot reaches this computer.
-        token: by which it tells that it is the program that is waited for.
+        token: by which it shows that it is the program that is waited for.
         is_quintic: waypoints have accelerations.
         lookahead_time, gain: of ``servoj``.
         deceleration: rad/s² with which it brakes.

@@ -1,4 +1,4 @@
-"""A user's source, checked and wrapped so that its end can be told from a stop.
+"""A user's source, checked and wrapped so that its end can be distinguished from a stop.
 
 A program says by itself when it begins and when it comes to its end: its first and last statement are a `textmsg`.
 What the user wrote stands between as a function that is called, so that its own `return` is an end too, while
@@ -188,7 +188,7 @@ def _read(source: str) -> list[str]:
     """The lines of a source.
 
     Raises:
-        BadValue: it is no text that could be a program.
+        BadValue: it is not a text that could be a program.
     """
     if not isinstance(source, str):
         raise BadValue(f"a program is text; got {type(source).__name__}")

@@ -4,7 +4,7 @@ The first three are loops by words (`links.word_loop`): they go on as long as wo
 brake where none has come for the watchdog's time, where the link ends, or where they are told to. Should the program be
 stopped by something else, the controller ends the mode with it.
 
-Since when a controller has each function is told by the URScript manual and by public drivers
+Since when a controller has each function is documented in the URScript manual and by public drivers
 (docs/protocols/urscript.md).
 """
 

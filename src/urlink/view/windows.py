@@ -26,7 +26,7 @@ FIELDS: Mapping[str, tuple[str, ...]] = {
     "pose": ("tool_vector_actual", "actual_TCP_pose"),
     "force": ("tcp_force", "actual_TCP_force"),
     "robot": ("robot_mode",),
-    # In the status of newer firmware there are stops of their own which the mode does not tell apart.
+    # In the status of newer firmware there are stops of their own which the mode does not distinguish.
     "safety": ("safety_status", "safety_mode"),
     "program": ("program_state", "runtime_state"),
     "speed": ("speed_scaling",),

@@ -439,7 +439,7 @@ class Dashboard:
         line = command_line(command, argument)
 
         def stays(reply: str) -> bool:
-            # In local mode the controller wants to be connected to anew; and what is no reply that is known may be the
+            # In local mode the controller wants to be connected to anew; and what is not a known reply may be the
             # reply to something else.
             return not is_last if command.match(reply) else command.is_refusal(reply)
 

@@ -1,7 +1,7 @@
 """The dashboard server (29999), sans-IO: lines of text in and out, and the meaning of the replies.
 
 A greeting, then one line of reply to each line of command. A reply does not say which command it answers: only the
-order tells. After a reply that did not come, the connection must not be used again.
+order decides. After a reply that did not come, the connection must not be used again.
 Source: docs/protocols/dashboard.md, section Lines.
 """
 
@@ -131,7 +131,7 @@ class DashboardProtocol:
 
     @property
     def is_in_step(self) -> bool:
-        """Greeted, nothing asked that was not answered, and nothing said that was not asked."""
+        """Greeted, every question answered, and nothing sent that was not asked for."""
         return self.is_greeted and not self._is_asked and not self._rest
 
     def ask(self, text: str) -> bytes:
@@ -139,7 +139,7 @@ class DashboardProtocol:
 
         Raises:
             BadValue: the text is not one line of bounded length.
-            LocalError: this connection is not in step, so the next line to come might be no answer to this.
+            LocalError: this connection is not in step, so the next line to come might not be the answer to this.
         """
         line = encode_line(text)
         if not self.is_in_step:
@@ -185,7 +185,7 @@ class DashboardProtocol:
 
 
 def _text(line: bytes) -> str:
-    """A reply as text. It should be ASCII; what is no text is kept as escapes, so that a person can see it."""
+    """A reply as text. It should be ASCII; what is not text is kept as escapes, so that a person can see it."""
     return line.decode("utf-8", "backslashreplace").strip()
 
 

@@ -87,7 +87,7 @@ def _mode(path: str, words: str = "{}", names: Mapping[str, str] = MappingProxyT
     return (ApiRequest("GET", path, reply="mode", words=words, names=names, since=(10, 12)),)
 
 
-#: name of the dashboard's command -> the requests for it, by firmware. "resume" is no command there.
+#: name of the dashboard's command -> the requests for it, by firmware. "resume" is not a command there.
 REQUESTS: Mapping[str, tuple[ApiRequest, ...]] = MappingProxyType(
     {
         # Powering on may take more than 10 s.

@@ -53,7 +53,7 @@ def parse_programs(text: str) -> tuple[StoredProgram, ...]:
     """What the list of programs says.
 
     Raises:
-        PacketError: it is no such list.
+        PacketError: it is not such a list.
     """
     listed = _object(text).get("programs")
     if not isinstance(listed, list):
@@ -65,7 +65,7 @@ def parse_uploaded(text: str) -> str | None:
     """The name that a program was given; None where the answer does not say it.
 
     Raises:
-        PacketError: it is no such answer.
+        PacketError: it is not such an answer.
     """
     name = _object(text).get("programName") if text else None
     return name if isinstance(name, str) else None
@@ -75,7 +75,7 @@ def program_name(content: bytes) -> str:
     """The name of a program, which stands in its file: `program.programInformation.name`.
 
     Raises:
-        PacketError: the file is no JSON with a name there.
+        PacketError: the file is not JSON with a name there.
     """
     said: Any = _object(content.decode("utf-8", "backslashreplace"))
     for key in ("program", "programInformation", "name"):
@@ -137,7 +137,7 @@ def parse_form(content_type: str, body: bytes) -> tuple[str, bytes]:
     """The name and the content of the one file of a form.
 
     Raises:
-        PacketError: it is no such form.
+        PacketError: it is not such a form.
     """
     found = _BOUNDARY.fullmatch(content_type)
     if found is None:

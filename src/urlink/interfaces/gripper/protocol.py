@@ -124,7 +124,7 @@ class GripperProtocol:
         """The reply, once it is whole; no bytes say that nothing more has come for `settling`.
 
         Raises:
-            WrongPeer: this is no gripper.
+            WrongPeer: this is not a gripper.
         """
         self._rest = (self._rest + data).lstrip()
         if len(self._rest) > LONGEST:

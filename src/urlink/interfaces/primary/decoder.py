@@ -1,6 +1,6 @@
 """Whole packages of the primary and secondary interface to typed states.
 
-The layouts of sub-packages and messages are told by the firmware, where it is known, and by sizes. Sizes grew from
+The layouts of sub-packages and messages follow from the firmware, where it is known, and from sizes. Sizes grew from
 release to release, and the first builds of a release may still send the size of the one before
 (docs/protocols/primary.md, sections Robot state and Robot messages).
 """

@@ -1,7 +1,7 @@
 """The primary and secondary interface (30001, 30002, 30011, 30012), sans-IO.
 
 Bytes to robot states, robot messages and the other packages. The version message that a controller sends on connecting
-tells the layouts of what follows; until then the sizes do (docs/protocols/primary.md, section Version message).
+determines the layouts of what follows; until then the sizes do (docs/protocols/primary.md, section Version message).
 
 A package begins with its size and its type (docs/protocols/primary.md, section Framing). In step the size is believed,
 after a look at what a lie would break. Out of step only what proves itself is believed: a robot state whose
@@ -162,8 +162,8 @@ def _add_up(buffer: bytes | bytearray, at: int, size: int) -> tuple[bool, int]:
 
     Returns:
         ``(is_sum, need)``: if `need` bytes from `at` on are in the buffer, it holds; with fewer it is undecided. Where
-        there are too many of them to tell, the need reaches beyond the state: the header behind it has to tell. They
-        do not add up if the need is 0.
+        there are too many of them to decide, the need reaches beyond the state: the header behind it decides. They do
+        not add up if the need is 0.
     """
     part, stop = at + _HEAD.size, at + size
     last = len(buffer) - _SIZE.size

@@ -206,7 +206,7 @@ class KinematicsInfo(SubPackage):
 
 @packet(header=PACKAGE, type=5)
 class LaserPointer(SubPackage):
-    """What the oldest CB2 controllers sent as type 5, told by its size."""
+    """What the oldest CB2 controllers sent as type 5, recognised by its size."""
 
     pointer: Vector = wire(Float64b[3], "", "obsolete laser pointer; 1000, 1000, 1000 in the capture", until="1.6")
 

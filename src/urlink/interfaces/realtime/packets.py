@@ -15,7 +15,7 @@ from ..headers import REALTIME
 __all__ = ["RealtimeState"]
 
 # CB2 and later controllers share the offsets up to 396 and from 684 on, and order what is between differently. No byte
-# tells which order it is, only the length: up to 812 bytes it is this one.
+# shows which order it is, only the length: up to 812 bytes it is this one.
 _CB2_ORDER = [
     "time",
     "q_target",
@@ -107,7 +107,7 @@ class RealtimeState(State):
         """How this controller codes `digital_input_bits`: "integer", "double", or None.
 
         Public decoders disagree and the only real packets have every input off, which looks the
-        same in both, so None: not to be told.
+        same in both, so None: they cannot be distinguished.
         """
         at = self._layout.places["digital_input_bits"].offset
         raw = int.from_bytes(self._data[at : at + 8], "big")

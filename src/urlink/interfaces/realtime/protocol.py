@@ -46,7 +46,7 @@ class RealtimeBoundary:
     Args:
         learnt: called with the size, each time it is another.
 
-    The size alone is no proof when looking for a lost boundary: integer-coded digital bits can spell it, in every
+    The size alone is not a proof when looking for a lost boundary: integer-coded digital bits can spell it, in every
     packet anew. A place is believed if it has the connection's size and goes on in time, or if it is followed by a
     packet of the same size and of a later time.
     """
@@ -197,7 +197,7 @@ class RealtimeProtocol:
         return self._any.tails
 
     def _learn(self, size: int) -> None:
-        """The frame boundary has learnt the size of this connection's packets, and the size tells the layout."""
+        """The frame boundary has learnt the size of this connection's packets, and the size determines the layout."""
         if self.cycles is None:
             self.cycles = MissedCycles(_moment, periods_of(size), time=_STAMP.unpack_from, size=size, is_uniform=True)
         if all(layout.size != size for layout in RealtimeState.LAYOUTS.all):

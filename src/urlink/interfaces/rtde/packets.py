@@ -74,7 +74,7 @@ def join_names(names: Sequence[str]) -> str:
 def split_names(text: str) -> tuple[str, ...]:
     """The names, or types, in such a list.
 
-    Real clients put blanks around names, and end the list with a comma: what follows it is no name.
+    Real clients put blanks around names, and end the list with a comma: what follows it is not a name.
 
     >>> split_names("timestamp, actual_q,")
     ('timestamp', 'actual_q')

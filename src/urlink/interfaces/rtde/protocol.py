@@ -62,7 +62,7 @@ _log = logging.getLogger(__name__)
 
 #: The output that is the controller's clock, s.
 CLOCK = "timestamp"
-#: Cycles between two data packages that are told apart: a frequency may be as low as the user likes.
+#: Cycles between two data packages that are distinguished: a frequency may be as low as the user likes.
 _SLOWEST = 1e9
 
 _LEVELS = {
@@ -153,7 +153,7 @@ class RtdeProtocol:
 
     Attributes:
         protocol: the version that holds.
-        controller: what the controller said of itself, or None so far.
+        controller: what the controller reported of itself, or None so far.
         recipe: of the data packages, or None so far.
         left_out: outputs that the controller lacks.
         claims: the recipes of the inputs, in the order of the plan.

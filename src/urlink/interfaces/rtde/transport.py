@@ -19,7 +19,7 @@ __all__ = ["RtdeDialogue", "RtdeTransport"]
 
 
 class RtdeDialogue:
-    """What is said as a connection begins, until the first data package, sans-IO.
+    """What is sent and received as a connection begins, until the first data package, sans-IO.
 
     Args:
         plan: what is asked for.

@@ -2,8 +2,8 @@
 
 Known from the vendor's documents and from clients that run against real controllers:
 
-- names are trimmed, and what follows a trailing comma is no name; unknown names read NOT_FOUND, held inputs IN_USE, and
-  such a recipe is refused with the number 0, or under protocol 1 with the word alone;
+- names are trimmed, and what follows a trailing comma is not a name; unknown names read NOT_FOUND, held inputs IN_USE,
+  and such a recipe is refused with the number 0, or under protocol 1 with the word alone;
 - output packages come in every floor(rate / frequency)-th cycle; a second output recipe replaces the first;
 - input recipes count from 1 in the order of the requests, refused ones too (a client counts on that); there are 255;
 - data packages are taken before a start and without an output recipe; those that are longer than their recipe as far

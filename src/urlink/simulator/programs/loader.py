@@ -1,7 +1,7 @@
 """From the lines that clients send to programs that run (docs/protocols/urscript.md, Sending a program).
 
 A program begins with `def` or `sec` in the first column and ends with `end` in the first column; every other line is a
-program by itself, or one of a few commands that are no URScript.
+program by itself, or one of a few commands that are not URScript.
 
 The programs of one client begin in the order in which they came. Short ones are compiled at once, as many in a cycle as
 cost no more than `BUDGET`. A long one can take up to a second, during which the clock would stand still, so it is

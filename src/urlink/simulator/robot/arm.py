@@ -68,7 +68,7 @@ class SimulatedArm:
         self.payload_inertia: Sequence[float] = (0.0,) * 6
         #: from one payload (mass, centre, inertia) to another, over how many s, and how many of them are over
         self._transition: tuple[Sequence[float], Sequence[float], float, float] | None = None
-        #: (3,) m/s² in the base frame, upwards: what the controller has been told
+        #: (3,) m/s² in the base frame, upwards: what the controller has been set to
         self.gravity: Sequence[float] = (0.0, 0.0, GRAVITY)
         self.is_powered = True
         self.external_force: Sequence[float] = _ZERO

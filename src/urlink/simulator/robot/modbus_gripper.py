@@ -10,7 +10,7 @@ from .gripper import SimulatedGripper
 
 __all__ = ["ModbusGripper", "crc"]
 
-#: Its address; the first register of what it is told and of what it tells; how many of each.
+#: Its address; the first register of what is written and of what is read; how many of each.
 _SLAVE, _TOLD, _TELLS, _COUNT = 9, 0x03E8, 0x07D0, 3
 _READ_HOLDING, _READ_INPUT, _WRITE_ONE, _WRITE = 0x03, 0x04, 0x06, 0x10
 #: Exceptions: a function, an address, a number of registers that there is not.
@@ -91,7 +91,7 @@ class ModbusGripper:
         return bytes((_SLAVE, function | 0x80, why))
 
     def _tell(self) -> None:
-        """Have the gripper do what it was told: action request, 0, 0, position, speed, force."""
+        """Have the gripper do what was written: action request, 0, 0, position, speed, force."""
         values = {name: self._told[0] >> bit & 1 for name, bit in _ACTION.items()}
         self._gripper.exchange(values | {"POS": self._told[3], "SPE": self._told[4], "FOR": self._told[5]}, ())
 

@@ -1,8 +1,8 @@
 """A world of bodies in which a simulated arm stands, by something that computes them: an adapter, or your own object.
 
 Contacts (`surroundings`) are forces of a place; a scene has things that move, and a state. Once in each cycle of the
-controller it is told where the arm goes and says what acts on it. The controller leads the arm in every mode: in
-freedrive, force mode and under direct torque it gives way to what the scene said a cycle ago.
+controller it receives where the arm goes and returns what acts on it. The controller leads the arm in every mode: in
+freedrive, force mode and under direct torque it yields to what the scene returned a cycle ago.
 """
 
 from __future__ import annotations

@@ -97,7 +97,7 @@ class RpcHandle:
 
 
 class MemberName(str):
-    """The name of a struct's member among the indices of an assignment; a string is no index."""
+    """The name of a struct's member among the indices of an assignment; a string is not an index."""
 
     __slots__ = ()
 

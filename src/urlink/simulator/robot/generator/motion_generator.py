@@ -260,7 +260,7 @@ class MotionGenerator:
             lookahead_time, gain: s and 1; zero on firmware that does not have them.
 
         Raises:
-            BadValue: an argument is no such number.
+            BadValue: an argument is not such a number.
         """
         end = checked(q, "joint positions")
         seconds = _not_negative(t, "a time")
@@ -290,7 +290,7 @@ class MotionGenerator:
         """Change the joint speeds to `qd` rad/s, the one that changes most by `a` rad/s², and keep them.
 
         Raises:
-            BadValue: an argument is no such number.
+            BadValue: an argument is not such a number.
         """
         return self._begin(JointSpeed(checked(qd, "joint speeds"), self._at_most(a), self._time(t)))
 
@@ -299,7 +299,7 @@ class MotionGenerator:
         it. Without an `a_rot` above zero, `a` is taken for both.
 
         Raises:
-            BadValue: an argument is no such number.
+            BadValue: an argument is not such a number.
         """
         return self._begin(self._tool_speed(checked(xd, "a tool speed"), a, a_rot, self._time(t)))
 
@@ -315,7 +315,7 @@ class MotionGenerator:
         """Brake the tool along its direction by `a` m/s² and `a_rot` rad/s²; over at rest.
 
         Raises:
-            BadValue: an argument is no such number.
+            BadValue: an argument is not such a number.
         """
         return self._begin(self._tool_speed(_REST, a, a_rot, None))
 

@@ -125,7 +125,7 @@ def parse_answer(body: bytes, what: str, charge: Charge) -> Any:
         charge: counts the work and the memory of the program.
 
     Raises:
-        Fault: it is no answer, says that the method has failed, or holds what no value of URScript can be.
+        Fault: it is not an answer, says that the method has failed, or holds what cannot be a value of URScript.
     """
     from xmlrpc.client import Fault as RemoteFault
     from xmlrpc.client import loads
