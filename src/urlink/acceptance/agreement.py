@@ -1,7 +1,7 @@
 """Checks of one interface by another: the same quantities, in the same cycle of the controller.
 
-Which packets are of one cycle is told by noisy values that are the same to the last bit, since the clocks of two
-interfaces may begin at other times. That every controller sends the same bits on both is a guess, which the test tells.
+Which packets are of one cycle is recognised by noisy values that are the same to the last bit, since the clocks of two
+interfaces may begin at other times. That every controller sends the same bits on both is a guess, which the test states.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ class _Joined(NamedTuple):
 
     Attributes:
         own, other: the numbers, (n,).
-        offset: s, by which the other's clock is ahead; None where it was not told by values.
+        offset: s, by which the other's clock is ahead; None where it does not follow from values.
     """
 
     own: NDArray[np.intp]
@@ -193,7 +193,7 @@ def _agree(evidence: Evidence) -> Measured:
 
 
 def _odd_one(name: str, said: Mapping[str, str], tried: Sequence[str]) -> str:
-    """Which interface is the odd one, where a third tells, and what is wrong."""
+    """Which interface is the odd one, where a third decides, and what is wrong."""
     each = next((each for each in _FIELDS if each.realtime == name), None)
     first = next(iter(said.values()))
     if each is None or each.primary is None or len(tried) < 2:

@@ -23,11 +23,11 @@ __all__ = ["ARRIVALS", "moments"]
 _MASTERBOARD, _EUROMAP = 3, (0, 12, 16)
 #: The last release of CB3, which has no row of its own.
 _LAST_CB3 = Firmware(3, 15)
-#: Came below which nothing is said about their rate.
+#: Came below which their rate is not judged.
 _FEWEST = 10
 #: s for which this computer may be held up before what comes late is its own doing.
 _HELD_UP = 0.03
-#: s by which the stamp of a packet may be off, and the doubt about a drift beyond which nothing is said of it.
+#: s by which the stamp of a packet may be off, and the doubt about a drift beyond which it is not judged.
 _STAMPED, _MOST_DOUBT = 4e-4, 2e-3
 
 

@@ -1,7 +1,7 @@
 """The bundle: what a run leaves, in one file that others can judge anew.
 
 A ZIP archive of the logbook, the requirements with the limits of this run, and a manifest with the SHA-256 of both,
-whose own is the digest of the bundle. What tells whose robot it is, as far as it is known where it stands, is
+whose own is the digest of the bundle. What shows whose robot it is, as far as it is known where it stands, is
 overwritten with as many x: serial numbers, names of programs, network addresses. The calibration of the arm is kept:
 positions cannot be judged without it.
 """
@@ -42,7 +42,7 @@ _PROGRAM = "PROGRAM_XXX"
 _UNNAMED = "<unnamed>"
 #: Bytes below which a name is overwritten only where it is known to stand, since others may look like it.
 _SHORT = 4
-#: Programs of the test itself, which are no secret.
+#: Programs of the test itself, which are not secret.
 _OWN = re.compile(r"^(urlink|sleeps|goes_on|in_local|broken|accept)")
 
 
@@ -52,7 +52,7 @@ class Bundle(NamedTuple):
     Attributes:
         evidence: to be judged.
         requirements: with the limits of the run.
-        site: whose cell it is, as its own requirement file said.
+        site: whose cell it is, by its own requirement file.
         digest: SHA-256 of the manifest, in hexadecimal digits.
         recording: the bytes of all connections, a recording as `urlink.load` takes it.
     """

@@ -122,7 +122,7 @@ class Evidence:
         path: of the logbook.
 
     Attributes:
-        identity: what the controller said of itself; None where it was never asked.
+        identity: what the controller reported of itself; None where it was never asked.
         notes: in the order in which they were made.
         wires: every connection, in both directions.
 
@@ -159,7 +159,7 @@ class Evidence:
 
     @property
     def firmware(self) -> Firmware | None:
-        """The controller's firmware; None where it never said so."""
+        """The controller's firmware; None where it never reported it."""
         return None if self.identity is None else self.identity.firmware
 
     def said(self, step: str) -> list[Note]:
@@ -222,7 +222,7 @@ def _names(sent: Wire) -> tuple[str, ...]:
         frame = data[at : at + max(size, 3)]
         is_started = is_started or frame[2:3] == b"S"
         if frame[2:3] == b"O" and not names:
-            # Under protocol 2 a frequency comes first, whose first byte is no letter.
+            # Under protocol 2 a frequency comes first, whose first byte is not a letter.
             request = decode_request(frame, 1 if frame[3:4].isalpha() else 2)
             assert isinstance(request, OutputsRequest)
             names = split_names(request.names)

@@ -20,7 +20,7 @@ from .logbook import Logbook
 
 __all__ = ["listen"]
 
-#: What the dashboard is not asked: it ends the connection, and it would tell which arm this is.
+#: What the dashboard is not asked: it ends the connection, and it would show which arm this is.
 _NOT_ASKED = ("quit", "get serial number")
 _TIMEOUT = 5.0
 #: s between two looks at the clock.

@@ -32,7 +32,7 @@ class Logbook:
     Args:
         path: a file that does not exist yet.
         ports: name of each port of the controller -> its number.
-        info: what is said of each channel, beside its name.
+        info: what describes each channel, beside its name.
 
     Raises:
         BadRecording: the file exists, or cannot be made.
@@ -49,7 +49,7 @@ class Logbook:
         self._notes = self._writer.add_channel({"name": NOTES})
 
     def note(self, step: str, **said: Any) -> None:
-        """Write down that something was done, or answered. JSON can hold what is said; NaN becomes null."""
+        """Write down that something was done, or answered. JSON can hold what is noted; NaN becomes null."""
         self._writer.write(Kind.BYTES, self._notes, Stamp.now(), strict_json({"step": step, **said}).encode())
 
     def __enter__(self) -> Logbook:

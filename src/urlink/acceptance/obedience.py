@@ -1,4 +1,4 @@
-"""Checks of what a controller does when it is told something: settings, programs, claims, connections."""
+"""Checks of what a controller does when it is commanded: settings, programs, claims, connections."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ class Person(Protocol):
         """Ask for it, and wait until it is done; False if it is not."""
 
     def holds(self) -> bool:
-        """The arm may move, where no digital input tells it."""
+        """The arm may move, where no digital input shows it."""
 
 
 def is_held_by(person: Person, dead_man: int | None) -> Callable[[RealtimeState], bool]:
@@ -62,7 +62,7 @@ class AtTheTerminal:
         return sys.stdin.readline().strip() == ""
 
     def holds(self) -> bool:
-        """A terminal does not tell that a key is held: a digital input has to."""
+        """A terminal does not report that a key is held: a digital input has to."""
         return False
 
 

@@ -68,7 +68,7 @@ def _verdict(
     except NotTried as reason:
         return Verdict(required, "not tried", None, str(reason))
     except BadValue as error:
-        # Such as a position that is no number, which is named elsewhere.
+        # Such as a position that is not a number, which is named elsewhere.
         return Verdict(required, "not tried", None, f"it cannot be judged: {error}")
     # Not "greater than": a value that is not a number is not held.
     return Verdict(required, "held" if found.value <= required.limit else "not held", *found)

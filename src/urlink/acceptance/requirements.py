@@ -90,7 +90,7 @@ _MOST = 6
 
 
 def counted(wrong: Sequence[str], otherwise: str) -> Measured:
-    """How many things are wrong, and which; `otherwise` is said where none is."""
+    """How many things are wrong, and which; `otherwise` is the text where none is."""
     if not wrong:
         return Measured(0.0, otherwise)
     more = f"; and {len(wrong) - _MOST} more" if len(wrong) > _MOST else ""

@@ -63,7 +63,7 @@ def run(
         timeout: s, for a connection to be made.
 
     Returns:
-        what in the logbook tells where this was: the addresses of both sides.
+        what in the logbook shows where this was: the addresses of both sides.
 
     Raises:
         BadAddress, BadValue: no such address, or one of a recording.

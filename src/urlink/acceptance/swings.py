@@ -38,7 +38,7 @@ __all__ = ["SWINGS", "contradictions", "rows_of", "swing"]
 #: A row of one arm that gives no interval, and is not of joints that were measured, is taken within this factor: the
 #: widest that such a row names in its source.
 _FACTOR = 1.5
-#: The current of wrist 3 is mostly friction, of which the model tells less: by so much less its rest counts.
+#: The current of wrist 3 is mostly friction, of which the model explains less: by so much less its rest counts.
 _WRIST_3 = 0.1
 #: The part of an end of an interval by which the fit of a quiet arm may be beside it, whose own interval has no width.
 _ROUNDING = 1e-6
@@ -189,10 +189,10 @@ def _alone(evidence: Evidence) -> Measured:
 
 @lru_cache(maxsize=1)
 def _identified(evidence: Evidence) -> tuple[_Swings, ArmFile]:
-    """What the stage tells of the arm.
+    """What the stage shows of the arm.
 
     Raises:
-        NotTried: it tells nothing, and why.
+        NotTried: it shows nothing, and why.
     """
     swings, known = _Swings(evidence), evidence.identity
     if not swings.joints:

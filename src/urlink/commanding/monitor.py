@@ -67,7 +67,7 @@ class SafetyMonitor:
 
     Attributes:
         clock: the same.
-        is_closed: `close` was called; there will be no news.
+        is_closed: `close` was called; no packet will come any more.
     """
 
     def __init__(
