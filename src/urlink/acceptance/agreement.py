@@ -1,7 +1,7 @@
 """Checks of one interface by another: the same quantities, in the same cycle of the controller.
 
 Which packets are of one cycle is recognised by noisy values that are the same to the last bit, since the clocks of two
-interfaces may begin at other times. That every controller sends the same bits on both is a guess, which the test states.
+interfaces may begin at other times. That every controller sends the same bits on both is a guess, which the test tries.
 """
 
 from __future__ import annotations
