@@ -164,7 +164,7 @@ class GroupStream(GroupMotion):
 
         Raises:
             BadValue: not for each arm; they end at different times; or an arm could not follow them. The old points of
-                all arms stay; but if the word came to one robot so late that it cannot go over any more, after others
+                all arms stay; but if it came to one robot so late that it cannot go over any more, after others
                 have, the stream of all is cleared.
             LocalError, LinkError: as for `append`.
         """
@@ -209,11 +209,11 @@ class GroupStream(GroupMotion):
                 refused.append((name, error))
         if not refused:
             return max(times)
-        name, error = refused[0]
+        name, reason = refused[0]
         if times:
             self.clear()
-            raise BadValue(f"the points of all arms were cleared: the word came too late to {name}: {error}") from error
-        raise error
+            raise BadValue(f"all points of all arms were cleared: it came too late to {name}: {reason}") from reason
+        raise reason
 
     def wait_until_dry(self, timeout: float = 60.0) -> None:
         """Wait until all arms have come to the end of their points, and rest.
