@@ -431,7 +431,7 @@ def test_where_a_word_comes_too_late_to_one_all_are_cleared() -> None:
         route = both.sim.network.route(both.sim.here, both.right.computer)
         route.latency, quick = 0.3, route.latency
         soon = [beside(path, 0.0) for path in both.dense(1.0)]
-        with pytest.raises(BadValue, match=r"cleared: the word came too late to 192\.168\.0\.101: "):
+        with pytest.raises(BadValue, match=r"cleared: it came too late to 192\.168\.0\.101: "):
             stream.replace(0.0, soon)
         route.latency = quick
         stream.wait_until_dry()
