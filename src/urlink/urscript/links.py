@@ -145,7 +145,7 @@ def word_loop(
     """
     if isinstance(link, ReverseSocket):
         # Reading waits, so a thread of its own moves the arm.
-        kind, shared, take, follow = "thread", _SHARED, _TAKE_SHARED, _over_socket(link)
+        kind, shared, take, follow = "thread", _SHARED, _TAKE_SHARED, _over_socket(link, firmware, watchdog)
     else:
         kind, shared, take, follow = (
             "def",
@@ -209,6 +209,8 @@ def word_loop(
 _SLOWEST = 1_000_000_000
 #: Numbers of a word.
 _WORD = 14
+#: Seconds for which a read waits for one.
+_READ = 2.0
 #: The variables by which the thread that reads the socket hands words to the one that moves the arm.
 _SHARED = f"""
     target = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
@@ -229,25 +231,36 @@ _TAKE_SHARED = """
 """
 
 
-def _over_socket(link: ReverseSocket) -> str:
-    """Connect, and hand over what comes until the link ends."""
+def _over_socket(link: ReverseSocket, firmware: Firmware, watchdog: float) -> str:
+    """Connect, and hand over what comes until the link ends.
+
+    A read that has waited for `_READ` s is tried again until the watchdog's time is over; one that returns sooner
+    without a word finds the connection closed.
+    """
+    most_silent, cut = int(watchdog / _READ) + 1, round(firmware.rate * _READ / 2)
     return f"""
         if socket_open({quoted(link.host)}, {integer(link.port, 1, 65535)}):
           {introduction(link.token)}
           servo_thread = run servo()
           reading = True
+          silent = 0
           while reading:
+            since = cycle
             word = socket_read_binary_integer({_WORD})
             if word[0] < {_WORD}:
-              if not starved:
-                textmsg({quoted(LINK_ENDED)})
+              silent = silent + 1
+              if starved or silent >= {most_silent} or cycle - since < {cut}:
+                if not starved:
+                  textmsg({quoted(LINK_ENDED)})
+                end
+                reading = False
               end
-              reading = False
             elif starved:
               reading = False
             elif word[13] == {STOP}:
               reading = False
             else:
+              silent = 0
               date_read = word[14]
 {indented(_keep_quickest("date_read"), 14)}
               if not (word[13] == {WAIT}):

@@ -19,7 +19,7 @@ from urlink.firmware import Firmware
 from urlink.motion.setpoints import WAIT_WORD, dated, setpoint
 from urlink.robot import Robot
 from urlink.simulator import Controller, Still
-from urlink.urscript.links import STARVED, ReverseSocket
+from urlink.urscript.links import LINK_ENDED, STARVED, ReverseSocket
 from urlink.urscript.streaming import jogging, streaming
 from urlink.urscript.yielding import force_mode, freedrive
 
@@ -85,6 +85,47 @@ def test_old_speeds_are_obeyed_for_one_watchdog_time(version: str) -> None:
     assert STARVED in bench.said
     # As long at the last speed as at the old ones, and a tenth of a second for changes of speed.
     assert 0.0 < bench.q_actual[5] - before < 3.0 * WATCHDOG * SPEED
+
+
+def followed(firmware: Firmware, watchdog: float) -> Bench:
+    """A program that has had a set-point in each cycle of a second."""
+    bench = Bench(streaming(firmware, LINK, speeds=[3.0] * 6, watchdog=watchdog), firmware)
+    bench.run(5, lambda: bench.say(WAIT_WORD))
+    bench.run(firmware.rate, lambda: bench.say(setpoint(turned(0.0), STILL)))
+    return bench
+
+
+@pytest.mark.parametrize("firmware", [*map(Firmware.parse, FIRMWARES)], ids=str)
+@pytest.mark.parametrize("watchdog", [WATCHDOG, 1.9, 3.0, 5.0, 10.0])
+def test_silence_ends_a_program_after_the_time_of_its_watchdog(firmware: Firmware, watchdog: float) -> None:
+    """Longer than a read of the program waits, which is 2 s, too."""
+    bench = followed(firmware, watchdog)
+    bench.run(round((watchdog - 0.05) * firmware.rate))
+    assert bench.said == []
+    bench.run(round(0.1 * firmware.rate))
+    assert bench.said == [STARVED]
+    bench.run(3 * firmware.rate)
+    assert bench.execution.is_over
+
+
+@pytest.mark.parametrize("firmware", [*map(Firmware.parse, FIRMWARES)], ids=str)
+@pytest.mark.parametrize("watchdog", [WATCHDOG, 5.0])
+def test_a_closed_connection_ends_a_program_at_once(firmware: Firmware, watchdog: float) -> None:
+    bench = followed(firmware, watchdog)
+    bench.sockets.is_open = False
+    bench.run(round(0.3 * firmware.rate))
+    assert bench.said == [LINK_ENDED]
+    assert bench.execution.is_over
+
+
+@pytest.mark.parametrize("watchdog", [WATCHDOG, 5.0])
+def test_a_program_that_is_told_nothing_at_first_ends_too(watchdog: float) -> None:
+    firmware = Firmware(5, 11)
+    bench = Bench(streaming(firmware, LINK, speeds=[3.0] * 6, watchdog=watchdog), firmware)
+    bench.run(5, lambda: bench.say(WAIT_WORD))
+    bench.run(round(max(watchdog, 2.0) + 2.0) * firmware.rate)
+    assert bench.said == [LINK_ENDED]
+    assert bench.execution.is_over
 
 
 class Yielding(Bench):
