@@ -4,7 +4,7 @@ A simulated e-Series controller in a process of its own. Both follow the same da
 accelerations for the next two and a half seconds, a point every 50 ms, each chunk off by its own 3 mrad at most, as
 policies contradict themselves. `robot.motion.stream` replaces its tail by each chunk. The other loop does what examples
 of ur_rtde do: it sends the point that is due by ``servoJ(q, 0, 0, 0.05, 0.1, 300)``, and goes over to the next chunk
-when that is there.
+when that is there. With `--simulated` the stream is in simulated time, so that it does not matter what else runs here.
 
 Speeds, accelerations and jerks are those of the joint's target positions, by differences of 10 ms; errors are those
 between the arm and what the policy means, on the clock of the stream or of this computer, without the part that an even
@@ -12,6 +12,7 @@ lag explains.
 
     python benchmarks/chunks.py                     # 60 s each; the second needs ur_rtde
     python benchmarks/chunks.py --output FILE       # writes the figures, and the last seconds of both
+    python benchmarks/chunks.py --simulated         # the stream alone
 """
 
 from __future__ import annotations
@@ -149,10 +150,13 @@ def figures(rows: list[tuple[float, float]], seconds: float) -> dict[str, Any]:
 
 
 def measure(name: str, seconds: float) -> dict[str, Any]:
-    with (
-        simulated("UR5e", "5.11", *HOST) as address,
-        urlink.connect(address, stale_after=20.0, silence=30.0, reverse_peer="127.0.0.1") as robot,
-    ):
+    with simulated("UR5e", "5.11", *HOST) as address:
+        return follow(name, address, seconds, stale_after=20.0, silence=30.0, reverse_peer="127.0.0.1")
+
+
+def follow(name: str, address: str, seconds: float, **options: Any) -> dict[str, Any]:
+    """Figures of one of both."""
+    with urlink.connect(address, **options) as robot:
         robot.motion.move_joints(READY, 2.0, 10.0).wait()
         rows: list[tuple[float, float]] = []
         with robot.realtime.subscribe(lambda state: rows.append((state.time, float(state.q_target[5])))):
@@ -164,12 +168,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="10 s instead of 60 s")
     parser.add_argument("--output", type=Path, help="write the figures as JSON")
+    parser.add_argument("--simulated", action="store_true", help="the stream alone, in simulated time")
     options = parser.parse_args()
     seconds = 10.0 if options.quick else 60.0
     found = {}
-    for name in ("stream", "servoJ"):
+    for name in ("stream",) if options.simulated else ("stream", "servoJ"):
         try:
-            found[name] = measure(name, seconds)
+            if options.simulated:
+                with urlink.simulated_time(1):
+                    found[name] = follow(name, "sim://ur5e?firmware=5.11", seconds)
+            else:
+                found[name] = measure(name, seconds)
         except ImportError:
             print(f"{name:8} needs ur_rtde")
             continue

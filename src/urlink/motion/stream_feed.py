@@ -50,6 +50,8 @@ _WORD, _REPORT = struct.Struct(f">{WORD}i"), struct.Struct(f">{REPORTED}i")
 _STOP_WORD = _WORD.pack(STOP, *[0] * (WORD - 1))
 #: s without a report after which a program counts as one that goes through no points, for others. Chosen: five reports.
 _UNHEARD = 0.1
+#: Cycles without a state, from which on a report may be older than the state that comes next.
+_GAP = 2
 #: Difference of two paces that is not sent while points are waiting to be sent.
 _SAME_PACE = 1e-3
 #: Cycles, and s, that a cut takes to the program at first, and s at most: each that comes too late doubles the time.
@@ -173,6 +175,8 @@ class StreamFeed:
         self._words = self._heard = self._epoch = self._head = 0
         #: s on the steps since the first state, as far as states show it, and at the last report
         self._passed = self._reported = 0.0
+        #: s of which no state came, before the newest
+        self._unseen = 0.0
         self._report = _Report(0, 0, 0, 0, 0.0, RESTING)
         #: the steps from the present one on that were sent
         self._steps: deque[_Sent] = deque()
@@ -283,10 +287,12 @@ class StreamFeed:
     @property
     def ahead(self) -> float:
         """s of the steps that were sent and not passed."""
-        if not self._steps:
-            return 0.0
-        here = self._last.until + self._report.passed + self._passed - self._reported
-        return max(self._steps[-1].until - here, 0.0)
+        return max(self._steps[-1].until - self._here, 0.0) if self._steps else 0.0
+
+    @property
+    def _here(self) -> float:
+        """s of all steps that were passed."""
+        return self._last.until + self._report.passed + self._passed - self._reported
 
     def end(self, error: Exception) -> None:
         """Nothing is sent any more."""
@@ -324,7 +330,9 @@ class StreamFeed:
             ToleranceExceeded: no path leads onto the points from where the arm has braked to.
         """
         with self._section:
-            self._pass(self._clock.passed(state, now)[1])
+            seconds = self._clock.passed(state, now)[1]
+            self._pass(seconds)
+            self._unseen = seconds if seconds > _GAP * self._cycle else 0.0
             self._words += 1
             self._received += received
             while len(self._received) >= _REPORT.size:
@@ -412,6 +420,8 @@ class StreamFeed:
 
     def _take(self, report: _Report) -> None:
         time, found = self.time, None
+        has_moved = self._report.phase == report.phase == MOVING
+        here = self._here if has_moved else 0.0
         if self._found is not None and report.words > self._found[0]:
             if report.phase == RESTING:
                 found = self._found[1]
@@ -429,6 +439,8 @@ class StreamFeed:
                 self._take_back(cut)
         while self._steps and self._steps[0].number <= report.base:
             self._last = self._steps.popleft()
+        if has_moved and 0.0 < here - self._here <= self._unseen:
+            self._reported -= here - self._here  # it is from before this computer stood still
         if self._cut is not None or self.mark is None:
             return
         is_closed = report.phase in (RESTING, BRAKING)
