@@ -195,6 +195,18 @@ class TestDry:
         wanted = np.array([wave(i * stream.period).q for i in range(len(path))])
         assert np.abs(path - wanted).max() < 2e-6
 
+    def test_a_report_of_before_it_was_frozen_is_not_one_of_now(self) -> None:
+        stream = Streamed(E_SERIES, buffer=0.5)
+        stream.append(waves(0.05, 3.0))
+        stream.until(lambda: stream.feed.time > 0.5)
+        for _ in range(11):  # one more than the words from one report to the next
+            before, cycles = stream.feed.time, stream.bench.cycle
+            stream.run(50, is_frozen=True)
+            stream.run()
+            passed = (stream.bench.cycle - cycles) * stream.period
+            assert stream.feed.time - before == pytest.approx(passed, abs=2 * stream.period)
+            stream.run(10)
+
 
 class TestReplaced:
     @pytest.mark.matrix(5)
