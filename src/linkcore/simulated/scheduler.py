@@ -254,11 +254,6 @@ class Scheduler:
             del waiters[number]
             self.make_ready(task)
 
-    def wake_all(self, waiters: deque[Task]) -> None:
-        """Make all that wait ready."""
-        while waiters:
-            self.make_ready(waiters.popleft())
-
     def call_at(self, when: float, call: Callable[[], object]) -> None:
         """Call something at a simulated time, between two steps of the tasks. It must not wait."""
         self._numbers += 1

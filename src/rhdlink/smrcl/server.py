@@ -10,7 +10,6 @@ import logging
 import math
 import os
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 from linkcore.errors import BadValue, Closed
 from linkcore.net.loop import Connection, Handler, SelectorLoop
@@ -26,9 +25,6 @@ from .plan import Failure
 from .profile import Profile, find_profile
 from .robot_conf import RobotConf
 from .robot_link import PluginLink, RobotLink, open_link
-
-if TYPE_CHECKING:
-    pass
 
 __all__ = ["PORT", "MissionServer"]
 

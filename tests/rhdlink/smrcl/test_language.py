@@ -32,9 +32,8 @@ from rhdlink.smrcl.syntax import (
     TextLiteral,
     VariableName,
     WaitFor,
-    write_expression,
-    write_line,
 )
+from tests.rhdlink.smrcl.written import write_expression, write_line
 
 PARSER = Parser(frozenset(COMMANDS))
 

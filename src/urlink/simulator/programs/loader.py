@@ -187,11 +187,6 @@ class ProgramLoader:
         """Whether programs wait for the next cycle, other than for a compilation."""
         return any(queue.texts and queue.compilation is None for queue in self._queues)
 
-    @property
-    def is_compiling(self) -> bool:
-        """Whether a long program is being compiled in a thread."""
-        return self._compilation is not None
-
     def open(self) -> ProgramQueue:
         """The queue of a new client."""
         return ProgramQueue(self)
