@@ -42,6 +42,7 @@ def view(address: str, topics: set[str], messages: int) -> tuple[dict[str, Any],
     return advertised, found
 
 
+@pytest.mark.real_time
 def test_the_arm_moves_in_the_viewer() -> None:
     pytest.importorskip("foxglove", reason=WHY)
     pytest.importorskip("websockets", reason=WHY)
@@ -86,6 +87,7 @@ def test_the_arm_moves_in_the_viewer() -> None:
     assert stamp.sec * 10**9 + stamp.nanosec == found["/realtime"][0][0]
 
 
+@pytest.mark.real_time
 def test_the_command(capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("foxglove", reason=WHY)
     with FoxgloveServer("other", port=0) as other:
