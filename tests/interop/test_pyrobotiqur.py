@@ -8,6 +8,8 @@ from urlink.simulator import Controller, Still
 
 pyrobotiqur = pytest.importorskip("pyrobotiqur", reason="nox -s interop installs it")
 
+pytestmark = pytest.mark.real_time
+
 
 def test_it_activates_grips_and_lets_go() -> None:
     with Controller("UR5e", "5.11", motion=Still()) as controller:

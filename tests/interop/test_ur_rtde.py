@@ -20,6 +20,8 @@ dashboard_client = pytest.importorskip(
     "dashboard_client", reason="ur_rtde is not installed; `nox -s interop` installs it where there is a wheel of it"
 )
 
+pytestmark = pytest.mark.real_time
+
 PATH = "/programs/wait.urp"
 FILES = {PATH: "def wait():\n  sleep(30.0)\nend\n"}
 

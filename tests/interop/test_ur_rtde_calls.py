@@ -16,6 +16,8 @@ from urlink.simulator import Controller, Still
 
 pytest.importorskip("rtde_control", reason="ur_rtde is not installed; `nox -s interop` installs it where it can be had")
 
+pytestmark = pytest.mark.real_time
+
 #: ur_rtde has the standard ports built in; an address for each process of the tests keeps them apart.
 PROGRAM = Path(__file__).with_name("ur_rtde_program.py")
 HOST = f"127.30.1.{4 + int(os.environ.get('PYTEST_XDIST_WORKER', 'gw0')[2:])}"

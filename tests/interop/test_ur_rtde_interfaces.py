@@ -30,6 +30,8 @@ from urlink.simulator.rtde_variables import OUTPUT_VALUES
 
 pytest.importorskip("rtde_control", reason="ur_rtde is not installed; `nox -s interop` installs it where it can be had")
 
+pytestmark = pytest.mark.real_time
+
 #: ur_rtde has the standard ports built in; an address for each process of the tests keeps them apart.
 HOST = f"127.30.0.{4 + int(os.environ.get('PYTEST_XDIST_WORKER', 'gw0')[2:])}"
 FLAG_UPLOAD_SCRIPT, FLAG_UPPER_RANGE_REGISTERS = 1, 8

@@ -29,6 +29,8 @@ from urlink.simulator import Controller, Demonstration
 
 urx = pytest.importorskip("urx", reason="urx is not installed; `nox -s interop` installs it")
 
+pytestmark = pytest.mark.real_time
+
 #: Three of the control box, a configurable one, and one of the tool.
 INPUTS = (0, 2, 7, 9, 17)
 #: rad; elbow up, tool down.

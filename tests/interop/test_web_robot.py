@@ -16,6 +16,8 @@ from urlink.simulator import Controller
 pytest.importorskip("fastapi")
 pytest.importorskip("httpx2")
 
+pytestmark = pytest.mark.real_time
+
 EXAMPLE = Path(__file__).parents[2] / "examples" / "web_robot.py"
 HOME = [0.0, -1.5, 1.5, -1.5, -1.5, 0.0]
 
