@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import importlib
 import math
 from typing import Any
 
@@ -23,6 +25,10 @@ from urlink.urdf import to_urdf
 EVERY = pytest.mark.parametrize("name", MODELS)
 BOTH = pytest.mark.parametrize("is_calibrated", [False, True], ids=["published", "calibrated"])
 ROWS = 300
+
+# The first import of MuJoCo starts a process, which looks for glfw: before any test, since each is to start none.
+with contextlib.suppress(ImportError):
+    importlib.import_module("mujoco")
 
 
 def postures(seed: int) -> np.ndarray:
