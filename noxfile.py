@@ -183,7 +183,8 @@ def adapters(session: nox.Session, adapter: str) -> None:
 )
 def lerobot(session: nox.Session, release: str) -> None:
     """Try the adapter for LeRobot with today's release, and with the last one for CPython 3.11; torch takes 4 GB."""
-    session.install("-e", f".{EXTRAS}", "-e", "./adapters/lerobot", release, "torch==2.10.*", *group("tests"))
+    ours = ("-e", f".{EXTRAS}", "-e", "./adapters/lerobot", "-e", "./adapters/mujoco")
+    session.install(*ours, release, "torch==2.10.*", *group("tests"))
     folder = "adapters/lerobot"
     session.run("pytest", f"--confcutdir={folder}", *(session.posargs or [f"{folder}/tests"]))
 
