@@ -32,8 +32,8 @@ from rhdlink.smrcl.syntax import (
     Negate,
     NumberLiteral,
     VariableName,
-    write_expression,
 )
+from tests.rhdlink.smrcl.written import write_expression
 
 LIBRARY = ctypes.util.find_library("m")
 pytestmark = pytest.mark.skipif(LIBRARY is None, reason="there is no C library to compare with")
