@@ -17,8 +17,8 @@ from linkcore.text import printable
 from ..client import connect
 from ..plugins.turtle import SmrTurtle, Turtle
 from ..smrcl.mission import Mission, MissionRun
-from ..smrcl.outbox import Said
 from ..smrcl.profile import PROFILES
+from ..smrcl.recipients import Said
 from ..smrcl.robot_conf import RobotConf, read_robot_conf
 from ..smrcl.robot_link import ClientLink, PluginLink, RobotLink
 from ..smrcl.server import PORT, MissionServer

@@ -27,9 +27,9 @@ from .effects import Hook, MissionEffects
 from .expressions import LineFault
 from .interpreter import MissionLimits, ScriptInterpreter
 from .motion.topoint import NoWay
-from .outbox import Outbox, Said
 from .plan import Failure, MissionPlan, Run, split_lines
 from .profile import SOUND, Profile
+from .recipients import Outbox, Said
 from .robot_conf import RobotConf
 from .vehicle import Vehicle
 

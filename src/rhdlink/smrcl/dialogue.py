@@ -1,7 +1,7 @@
 """The server side of a mission: commands from clients instead of a file, as MRC takes them on its port.
 
 Lines of text, each with at most 255 characters. Some words are answered at once (`eval`, `getevent`, `beginplan`, ...);
-everything else is a command, which is queued and executed when it is its turn. What becomes of a command is told by
+everything else is a command, which is queued and executed when it is its turn. What becomes of a command is reported by
 events, which a client fetches one by one with `getevent`, or gets at once in the xml form (``set "xmlon" 1``).
 
 There is one queue for all clients, since there is one robot; ids, events, streams and the form belong to each client.
@@ -18,184 +18,18 @@ from .arithmetic import format_number, leading_number
 from .effects import MissionEffects
 from .interpreter import ScriptInterpreter
 from .motion.basic import Stop
-from .outbox import Outbox
-from .plan import ERROR, FREE_LINE, LONGEST_LINE, Failure, MissionPlan, PlanLine, Run
+from .plan import ERROR, FREE_LINE, Failure, MissionPlan, PlanLine, Run
+from .recipients import Outbox, Session
 from .vehicle import Vehicle
 
-__all__ = ["ClientDialogue", "Session"]
+__all__ = ["ClientDialogue"]
 
-#: Commands that wait, events of a client, and plans: as in MRC.
-MOST_COMMANDS, MOST_EVENTS, MOST_PLANS = 400, 100, 10
+#: Commands that wait, and plans: as in MRC.
+MOST_COMMANDS, MOST_PLANS = 400, 10
 #: Lines of a plan. MRC has 100000 bytes for them.
 MOST_PLAN_LINES = 5000
-#: Variables in a stream, as in MRC.
-MOST_STREAMED = 20
-#: Bytes that wait to be sent to a client before it is given up, and lines that are taken from it in one cycle.
-_MOST_WAITING, _MOST_LINES = 1 << 20, 100
-#: Lines that may wait to be taken before nothing more should be read from the client.
-MOST_BACKLOG = 1000
-
-
-class Session:
-    """One client.
-
-    Attributes:
-        is_closed: it has left, or was given up; nothing more is taken from it.
-        uses_xml: the form of its events.
-    """
-
-    def __init__(self, dialogue: ClientDialogue) -> None:
-        self._dialogue = dialogue
-        self._line = bytearray()
-        self._lines: deque[str] = deque()
-        self._after = 0
-        self._answers = bytearray()
-        self._events: deque[str] = deque()
-        self._waiting: int | None = None
-        self._streamed: list[tuple[str, int]] = []
-        self._stream_period = 1
-        self.commands = 0
-        self.uses_xml = False
-        self.is_closed = False
-        self.recorded: MissionPlan | None = None
-
-    # -- bytes --------------------------------------------------------------------------------------
-
-    def receive(self, data: bytes) -> None:
-        """Take what has come. Lines end with CR, LF, or both in either order."""
-        if self.is_closed:
-            return
-        for byte in data:
-            if byte in (10, 13):
-                if self._after and byte != self._after:
-                    # The second half of the end of a line.
-                    self._after = 0
-                    continue
-                self._after = byte
-                self._lines.append(self._line.decode("latin-1"))
-                self._line.clear()
-            else:
-                self._after = 0
-                self._line.append(byte)
-                if len(self._line) > LONGEST_LINE:
-                    self.send(f"error a line has at most {LONGEST_LINE} characters\n")
-                    self.is_closed = True
-                    return
-
-    def take(self) -> bytes:
-        """The bytes to be sent, which are then removed here."""
-        answers, self._answers = bytes(self._answers), bytearray()
-        return answers
-
-    def send(self, text: str) -> None:
-        """Send a text, unless the client takes nothing any more."""
-        self._answers += text.encode("latin-1", "replace")
-        if len(self._answers) > _MOST_WAITING:
-            self.is_closed = True
-
-    @property
-    def backlog(self) -> int:
-        """Lines that wait to be taken."""
-        return len(self._lines)
-
-    def next_line(self) -> str | None:
-        """The next line, or None."""
-        return self._lines.popleft() if self._lines else None
-
-    # -- what the client is sent ----------------------------------------------------------------------
-
-    def event(self, plain: str, xml: str) -> None:
-        """Send an event in the xml form, or keep it until it is requested.
-
-        Of more than `MOST_EVENTS` the newest are lost, as in MRC.
-        """
-        if self.uses_xml:
-            self.send(xml)
-        elif len(self._events) < MOST_EVENTS:
-            self._events.append(plain)
-
-    def command_event(self, number: int, status: str, condition: float | None = None) -> None:
-        """The outcome of a command."""
-        plain, xml = f"ID{number} {status}", f'<cmd id="{number}" status="{status}"'
-        if condition is not None:
-            found = format_number(condition)
-            plain, xml = f"{plain} {found}", f'<cmd id="{number}" status="finished" stopcond="{found}"'
-        self.event(f"{plain}\n", f"{xml} />\n")
-
-    def answer_command(self, number: int, status: str) -> None:
-        """The immediate answer to a command."""
-        self.send(f'<cmd id="{number}" status="{status}" />\n' if self.uses_xml else f"ID{number} {status}\n")
-
-    def ask_event(self, seconds: float) -> None:
-        """Send the oldest event, or the next one within some seconds. Asking again replaces the question."""
-        if self._events:
-            self.send(self._events.popleft())
-        else:
-            self._waiting = int(max(-(2.0**31), min(2.0**31, seconds * 100)))
-
-    def end_cycle(self) -> None:
-        """Answer a `getevent` that waits: with the oldest event, or when its time is up with `eventtimeout`."""
-        if self._waiting is None:
-            return
-        if self._events:
-            self.send(self._events.popleft())
-            self._waiting = None
-        elif self._waiting < 1:
-            self.send("eventtimeout\n")
-            self._waiting = None
-        else:
-            self._waiting -= 1
-
-    def begin_cycle(self, cycle: int, time: float, pool: Sequence[float]) -> None:
-        """Send the streamed variables when it is time."""
-        if self._streamed and cycle % self._stream_period == 0:
-            self._send_streamed(self._streamed, time, pool)
-
-    def _send_streamed(self, variables: Sequence[tuple[str, int]], time: float, pool: Sequence[float]) -> None:
-        if self.uses_xml:
-            values = "".join(f'{name}="{format_number(pool[place])}" ' for name, place in variables)
-            self.send(f'<data time="{format_number(time)}" {values} />\n')
-        else:
-            values = "".join(f"{format_number(pool[place])} " for _, place in variables)
-            self.send(f"stream {format_number(time)} {values}\n")
-
-    # -- what a script says to its client (effects.Client) ----------------------------------------------
-
-    @property
-    def can_answer(self) -> bool:
-        """It can send a line."""
-        return not self.is_closed
-
-    def text(self, text: str) -> None:
-        """`print`, `read`."""
-        self.send(text)
-
-    def user_event(self, name: str) -> None:
-        """`putevent`."""
-        self.event(f"userevent {name}\n", f'<userevent name="{name}" />\n')
-
-    def sync_event(self, name: str) -> None:
-        """`syncevent`: not queued in either form."""
-        self.send(f"syncevent {name}\n")
-
-    def set_xml(self, is_on: bool) -> None:
-        """``set "xmlon"``. Events that wait stay where they are."""
-        self.uses_xml = is_on
-
-    def stream(self, period: int, variables: Sequence[tuple[str, int]]) -> None:
-        """`stream`: add variables, and send all of them in each `period`-th cycle; with 0 send these once."""
-        dialogue = self._dialogue
-        if period == 0:
-            self._send_streamed(variables, dialogue.time, dialogue.pool)
-            return
-        self._stream_period = abs(period)
-        for each in variables[: MOST_STREAMED - len(self._streamed)]:
-            self._streamed.append(each)
-            dialogue.say(f"streamvar {each[0]} {len(self._streamed)} \n")
-
-    def save_log(self, name: str, text: str) -> None:
-        """`control "savelog"`."""
-        self._dialogue.save_log(name, text)
+#: Lines that are taken from a client in one cycle.
+_MOST_LINES = 100
 
 
 @dataclass

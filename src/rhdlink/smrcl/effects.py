@@ -15,9 +15,9 @@ from .arithmetic import format_number, truncate
 from .expressions import LineFault, Value
 from .interpreter import ScriptInterpreter, never
 from .motion.control import ControlledMotion
-from .outbox import DataLog, Outbox, Recipient
 from .plan import Outcome, Run
-from .symbols import split_index
+from .recipients import Outbox, Recipient
+from .symbols import DataLog, split_index
 from .vehicle import Vehicle
 
 if TYPE_CHECKING:

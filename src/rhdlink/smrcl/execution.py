@@ -18,8 +18,8 @@ from ..errors import MissionFailed, MissionLimit
 from .commands import COMMANDS
 from .controller import MissionController
 from .effects import Hook
-from .outbox import Said, SaidKind
 from .plan import Failure
+from .recipients import Said, SaidKind
 from .robot_link import RobotLink
 
 if TYPE_CHECKING:

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING
 from .arithmetic import format_number, leading_number
 from .expressions import Compiler, LineFault, Value
 from .lexer import TokenType, tokenize
-from .outbox import Outbox
 from .parser import FUNCTIONS, Parser
 from .plan import ERROR, FREE_LINE, Failure, MissionPlan, Outcome, PlanLine, Run, Stage
+from .recipients import Outbox
 from .statements import column_of, compile_statement
 from .syntax import Evaluate
 from .vehicle import Vehicle

@@ -18,11 +18,12 @@ from linkcore.threads import Runnable
 from ..errors import MissionFailed
 from ..host.plugin import Plugin
 from .controller import MissionController
-from .dialogue import MOST_BACKLOG, ClientDialogue, Session
+from .dialogue import ClientDialogue
 from .execution import MissionExecution, WithCallbacks, error_of, leaving_at_exit, log_saver
 from .mission import Robot, suitable_conf
 from .plan import Failure
 from .profile import Profile, find_profile
+from .recipients import MOST_BACKLOG, Session
 from .robot_conf import RobotConf
 from .robot_link import PluginLink, RobotLink, open_link
 

@@ -1,4 +1,4 @@
-"""The variables of a mission: those of the script, and the system variables (``$name``) of the robot.
+"""The variables of a mission: those of the script, the system variables (``$name``) of the robot, and their log.
 
 As in MRC all values stand in one pool of doubles, in the order in which they are made: first ``$condition`` and the
 results, then the built-in system variables, then the read and the write variables of the robot, then the script's. The
@@ -16,7 +16,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
-__all__ = ["POOL_SIZE", "Symbol", "Symbols", "split_index"]
+from .arithmetic import format_number
+
+__all__ = ["POOL_SIZE", "DataLog", "Symbol", "Symbols", "split_index"]
 
 #: Doubles in the pool, as in MRC, which writes beyond it.
 POOL_SIZE = 10_000
@@ -142,6 +144,76 @@ class Symbols:
         if self._used > POOL_SIZE:
             raise MemoryError(f"the robot's variables need more than {POOL_SIZE} values")
         return place
+
+
+class DataLog:
+    """The log (`log`, `control`): values of the pool, a row for each cycle.
+
+    A column belongs to a variable by its number only: when variables are removed and others added, the rows before keep
+    the numbers of the old ones, as in MRC. `reset` before that.
+
+    Attributes:
+        is_on: whether rows are added.
+    """
+
+    #: Rows and columns, as in MRC.
+    MOST_ROWS, MOST_COLUMNS = 100_000, 50
+
+    def __init__(self, pool: Sequence[float]) -> None:
+        self._pool = pool
+        self._places: list[int] = []
+        self._rows: list[list[float]] = []
+        self._count = 0
+        self.is_on = True
+
+    def __len__(self) -> int:
+        return self._count
+
+    @property
+    def columns(self) -> int:
+        """Variables that are logged."""
+        return len(self._places)
+
+    def add(self, place: int) -> bool:
+        """Log a value of the pool; False if there is no column left."""
+        if len(self._places) >= self.MOST_COLUMNS:
+            return False
+        self._places.append(place)
+        return True
+
+    def remove_all(self) -> None:
+        """Log nothing; the rows stay."""
+        self._places.clear()
+
+    def reset(self) -> None:
+        """Forget the rows."""
+        self._count = 0
+
+    def update(self) -> None:
+        """Add a row for this cycle."""
+        if not (self.is_on and self._places) or self._count >= self.MOST_ROWS:
+            return
+        pool = self._pool
+        values = [pool[place] for place in self._places]
+        if self._count < len(self._rows):
+            self._rows[self._count][: len(values)] = values
+        else:
+            self._rows.append(values)
+        self._count += 1
+
+    @property
+    def rows(self) -> list[list[float]]:
+        """The rows, each as long as there are variables now."""
+        columns = len(self._places)
+        return [
+            (row + [0.0] * (columns - len(row)))[:columns] if len(row) != columns else row
+            for row in self._rows[: self._count]
+        ]
+
+    @property
+    def text(self) -> str:
+        """The rows as MRC writes them to a file: each number is followed by a blank."""
+        return "".join("".join(f"{format_number(value)} " for value in row) + "\n" for row in self.rows)
 
 
 def split_index(text: str) -> tuple[str, int]:

@@ -9,8 +9,8 @@ from typing import Any
 
 from rhdlink.plugins.turtle import SmrTurtle, Turtle
 from rhdlink.smrcl.controller import MissionController
-from rhdlink.smrcl.outbox import Said, SaidKind
 from rhdlink.smrcl.profile import SOUND, Profile, find_profile
+from rhdlink.smrcl.recipients import Said, SaidKind
 from rhdlink.smrcl.robot_conf import SMR, VELOMEGA, RobotConf
 from rhdlink.smrcl.robot_link import PluginLink
 from rhdlink.world import World

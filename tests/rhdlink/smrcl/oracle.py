@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from rhdlink.smrcl.controller import MissionController
-from rhdlink.smrcl.outbox import SaidKind
 from rhdlink.smrcl.profile import MRC
+from rhdlink.smrcl.recipients import SaidKind
 from rhdlink.smrcl.robot_conf import SMR, VELOMEGA, RobotConf
 
 Row = dict[str, str]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from rhdlink.smrcl.dialogue import MOST_COMMANDS, ClientDialogue, Session
+from rhdlink.smrcl.dialogue import MOST_COMMANDS, ClientDialogue
+from rhdlink.smrcl.recipients import Session
 from tests.rhdlink.smrcl.bench import Bench
 
 PROFILES = pytest.mark.parametrize("profile", ["sound", "mrc"])

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from rhdlink.smrcl.interpreter import MissionLimits
-from rhdlink.smrcl.outbox import SaidKind
 from rhdlink.smrcl.plan import MissionPlan, PlanLine, split_lines
+from rhdlink.smrcl.recipients import SaidKind
 from tests.rhdlink.smrcl.bench import Bench
 
 PROFILES = pytest.mark.parametrize("profile", ["sound", "mrc"])

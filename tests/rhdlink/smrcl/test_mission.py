@@ -17,7 +17,7 @@ from rhdlink.host.config import BadConfiguration
 from rhdlink.plugins.turtle import SmrTurtle, Turtle
 from rhdlink.smrcl.interpreter import MissionLimits
 from rhdlink.smrcl.mission import LARGEST, read_script
-from rhdlink.smrcl.outbox import Said, SaidKind
+from rhdlink.smrcl.recipients import Said, SaidKind
 from rhdlink.smrcl.robot_link import PluginLink
 from rhdlink.world import World
 from tests.waiting import interrupted, until

@@ -13,7 +13,7 @@ from linkcore.errors import BadAddress, BadValue, Closed, ConnectFailed, Connect
 from rhdlink import Host
 from rhdlink.plugins.turtle import SmrTurtle, Turtle
 from rhdlink.smrcl import MissionServer
-from rhdlink.smrcl.dialogue import MOST_BACKLOG
+from rhdlink.smrcl.recipients import MOST_BACKLOG
 from rhdlink.smrcl.robot_link import PluginLink
 from rhdlink.world import World
 from tests.waiting import until

@@ -13,8 +13,8 @@ import rhdlink.smrcl
 from rhdlink.errors import BadMission
 from rhdlink.plugins.turtle import Turtle
 from rhdlink.smrcl.mission import Mission
-from rhdlink.smrcl.outbox import SaidKind
 from rhdlink.smrcl.profile import BOTH, MRC, SOUND, Profile, differences, find_profile
+from rhdlink.smrcl.recipients import SaidKind
 from rhdlink.smrcl.robot_conf import SMR
 from tests.rhdlink.smrcl.bench import Bench
 
