@@ -14,6 +14,12 @@ from lerobot_robot_urlink import UR, URConfig
 from urlink.simulator import Controller
 
 
+@pytest.fixture(autouse=True)
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A robot that is silent here is so because the machine is busy."""
+    monkeypatch.setattr(urlink, "connect", partial(urlink.connect, silence=20.0, stale_after=20.0, start_timeout=20.0))
+
+
 @pytest.fixture
 def controller() -> Iterator[Controller]:
     with Controller("UR5e", "5.11") as controller:
@@ -23,10 +29,7 @@ def controller() -> Iterator[Controller]:
 
 
 @pytest.fixture
-def make(controller: Controller, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., UR]]:
-    # A robot that is silent here is so because the machine is busy.
-    connect = partial(urlink.connect, silence=20.0, stale_after=20.0, start_timeout=20.0)
-    monkeypatch.setattr(urlink, "connect", connect)
+def make(controller: Controller, tmp_path: Path) -> Iterator[Callable[..., UR]]:
     made: list[UR] = []
 
     def one(**options: Any) -> UR:

@@ -6,7 +6,6 @@ import signal
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -145,9 +144,6 @@ def saved(states: list[list[float]], actions: list[list[float]], folder: Path) -
 @pytest.mark.usefixtures("signals")
 def test_a_policy_pushes_the_box_as_it_was_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
-    # What is silent here is so because the machine is busy.
-    connect = partial(urlink.connect, silence=20.0, stale_after=20.0, start_timeout=20.0)
-    monkeypatch.setattr(urlink, "connect", connect)
     controller = arm_at(BEFORE)
     world = MujocoWorld(PUSH, {"left": controller})
     start = list(controller.arm.setpoint.q)

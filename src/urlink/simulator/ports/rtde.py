@@ -191,7 +191,7 @@ class RtdeSession:
         self._outputs: _Outputs | None = None
         self._inputs: dict[int, Recipe] = {}
         self._requests = 0
-        self._started = self._due = 0  # cycles
+        self._due = 0  # the cycle in which data are
         self._unread_since: int | None = None
         self._late: deque[tuple[int, bytes]] = deque()
         self._answers: dict[type[State], Callable[[Any], bytes | None]] = {
@@ -319,12 +319,12 @@ class RtdeSession:
         return names, types
 
     def _start(self, request: StartRequest) -> bytes:
-        is_accepted = self._outputs is not None and not self._port.disturbance.refuses_start
-        self.is_started, self._started = is_accepted, self._state.cycle
-        self._due = self._next_data(self._started)
-        if is_accepted and self._port.disturbance.data_before_start:
+        outputs, disturbance = self._outputs, self._port.disturbance
+        self.is_started = outputs is not None and not disturbance.refuses_start
+        self._due = self._state.cycle + (1 if outputs is None else outputs.step)
+        if self.is_started and disturbance.data_before_start:
             self._send_data()
-        return self._reply(StartReply, accepted=is_accepted)
+        return self._reply(StartReply, accepted=self.is_started)
 
     def _pause(self, request: PauseRequest) -> bytes:
         self.is_started = False
@@ -362,13 +362,7 @@ class RtdeSession:
 
     def next_cycle(self, cycle: int) -> int:
         """The first cycle after this one in which something is due."""
-        if self._late:
-            return cycle + 1
-        return self._next_data(cycle)
-
-    def _next_data(self, cycle: int) -> int:
-        step = self._outputs.step if self._outputs is not None else 1
-        return cycle + step - (cycle - self._started) % step
+        return cycle + 1 if self._late else max(self._due, cycle + 1)
 
     def advance(self, cycle: int) -> None:
         """Send what has become due by this cycle."""
@@ -377,7 +371,7 @@ class RtdeSession:
         outputs = self._outputs
         if not self.is_started or outputs is None or cycle < self._due:
             return
-        self._due = self._next_data(cycle)
+        self._due = cycle + outputs.step - (cycle - self._due) % outputs.step
         if self._port.disturbance.sends_no_data:
             return
         if self._client.pending:
