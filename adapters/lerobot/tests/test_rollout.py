@@ -39,7 +39,7 @@ POSITIONS = [f"joint_{number}.pos" for number in range(1, 7)]
 @PreTrainedConfig.register_subclass("linear")
 @dataclass
 class LinearConfig(PreTrainedConfig):
-    """Of a policy whose action is a matrix times the state, and an offset."""
+    """Of a policy whose action is a matrix times the positions of the joints, and an offset."""
 
     observation_delta_indices = action_delta_indices = reward_delta_indices = None
 
@@ -61,11 +61,11 @@ class LinearPolicy(PreTrainedPolicy):
 
     def __init__(self, config: LinearConfig, **options: Any) -> None:
         super().__init__(config)
-        self.map = torch.nn.Linear(12, 6)
+        self.map = torch.nn.Linear(6, 6)
 
     def fit(self, states: list[list[float]], actions: list[list[float]]) -> None:
         """Least squares, of which the shortest: off the way that was shown, it leads back to it."""
-        seen, done = torch.tensor(states, dtype=torch.float64), torch.tensor(actions, dtype=torch.float64)
+        seen, done = torch.tensor(states, dtype=torch.float64)[:, :6], torch.tensor(actions, dtype=torch.float64)
         middle = seen.mean(0)
         weights = torch.linalg.pinv(seen - middle, rtol=1e-3) @ (done - done.mean(0))
         with torch.no_grad():
@@ -73,7 +73,7 @@ class LinearPolicy(PreTrainedPolicy):
             self.map.bias.copy_(done.mean(0) - middle @ weights)
 
     def select_action(self, batch: dict[str, torch.Tensor], **options: Any) -> torch.Tensor:
-        chosen: torch.Tensor = self.map(batch["observation.state"])
+        chosen: torch.Tensor = self.map(batch["observation.state"][:, :6])
         return chosen
 
     def predict_action_chunk(self, batch: dict[str, torch.Tensor], **options: Any) -> torch.Tensor:
