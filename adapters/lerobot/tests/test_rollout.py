@@ -153,6 +153,8 @@ def test_a_policy_pushes_the_box_as_it_was_shown(tmp_path: Path, monkeypatch: py
             calibration_dir=tmp_path / "none",
             address=controller.address,
             fps=FPS,
+            # Below 0.1 m/s, or the box would slide on when the arm has stopped.
+            max_step=0.01,
             watchdog=5.0,
             observe_tool=False,
         )
@@ -168,7 +170,7 @@ def test_a_policy_pushes_the_box_as_it_was_shown(tmp_path: Path, monkeypatch: py
                 robot=config,
                 policy=saved(states, actions, tmp_path / "policy"),
                 fps=FPS,
-                duration=10.0,
+                duration=12.0,
                 task="push",
                 return_to_initial_position=False,
                 play_sounds=False,
