@@ -1,4 +1,4 @@
-"""The page of the API shows how to make what users make, and of nothing else how it is made."""
+"""The pages of the API show how to make what users make, and of nothing else how it is made."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from typing import Any
 
 import pytest
 
-PAGE = (Path(__file__).resolve().parents[1] / "docs" / "api.md").read_text(encoding="utf-8")
+PAGES = sorted((Path(__file__).resolve().parents[1] / "docs" / "api").glob("*.md"))
+PAGE = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
 BLOCKS = re.findall(r"^\.\. autoclass:: (\S+)\n((?:   .*\n)*)", PAGE, re.MULTILINE)
 
 
