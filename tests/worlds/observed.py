@@ -462,8 +462,13 @@ class Observed:
 
     def _close(self, close: Callable[[Programs], None]) -> Callable[[Programs], None]:
         def wrapped(programs: Programs) -> None:
-            self._closed[here()] = self._sim.now
+            client, network = here(), self._sim.network
+            self._closed[client] = self._sim.now
             close(programs)
+            robot = network.find(self._controller.host, client)
+            if robot is not None and not network.carries(client, robot):
+                # The connections are closed 0.25 s later, and what has not been acknowledged by then is discarded.
+                self._lost.setdefault(client, []).append(self._sim.now)
 
         return wrapped
 

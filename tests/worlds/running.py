@@ -544,7 +544,9 @@ class Run:
             if event.what in ("kill_client", "power_client"):
                 self.leave(event.client)
             if undo is not None:
-                self.sim.at(self.sim.now + event.lasts, lambda: event.client in self.gone or undo())
+                # A client that was killed meanwhile does not go on; the robot and the network do.
+                is_its_own = event.what in ("suspend_client", "hold_client")
+                self.sim.at(self.sim.now + event.lasts, lambda: (is_its_own and event.client in self.gone) or undo())
 
         if event.what in AT_THE_ROBOT:
             with self.sim.on(self.sim.here):

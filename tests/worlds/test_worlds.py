@@ -33,6 +33,12 @@ def test_nothing_moves_unasked(seeds: range) -> None:
         assert outcome.faults == [], "\n".join([f"python -m tests.worlds --seed {seed}", *outcome.log])
 
 
+@pytest.mark.parametrize("seed", [1010, 1389, 10_052, 11_072])
+def test_a_seed_that_has_shown_a_mistake_of_the_library_or_of_this_test(seed: int) -> None:
+    outcome = run(draw(seed))
+    assert outcome.faults == [], "\n".join(outcome.log)
+
+
 @pytest.mark.slow
 @pytest.mark.real_time
 def test_the_same_seed_is_the_same_world_in_every_process() -> None:
