@@ -25,10 +25,9 @@ class Extra(Plugin):
 
     def init(self, config: object) -> None:
         self.linesensor = range(8)
-        self.counter = -1  # a client may read it before the first tick
 
     def periodic(self, tick: int) -> None:
-        self.counter = -1 - tick
+        self.counter = -tick
 
 
 @pytest.fixture

@@ -59,6 +59,7 @@ def test_get(run: Run, address: str) -> None:
 
 
 def test_get_as_json_with_names_after_the_option(run: Run, address: str) -> None:
+    until(lambda: strict(run("get", address, "counter", "--json")[1])["words"] != [0])  # it is 0 at the first tick
     status, out, _ = run("get", address, "counter", "--json", "never")
     assert status == 0
     counter, never = map(strict, out.splitlines())
