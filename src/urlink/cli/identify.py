@@ -17,6 +17,7 @@ from .options import ADDRESS, argument, command, seconds, tell
 if TYPE_CHECKING:
     from ..arm_file import ArmFile, Estimate
     from ..identification.exercise import Exercise
+    from ..identification.samples import Samples
 
 
 def _degrees(text: str) -> float:
@@ -105,15 +106,12 @@ def compare(args: argparse.Namespace) -> int:
       urlink compare run.csv --model UR3e
       urlink compare run.urlog --like arm.json --tolerance 0.005
     """
-    from ..acceptance.bundle import recording_in
     from ..arm_file import ArmFile, read_arm_file
     from ..identification import identify
     from ..identification.comparison import QUANTITIES
     from ..identification.comparison import compare as compared
-    from ..identification.samples import read_samples
 
-    with recording_in(args.recording) as path:
-        samples = read_samples(path)
+    samples = _samples(args.recording)
     if args.like is not None:
         like = read_arm_file(args.like)
     else:
@@ -156,18 +154,24 @@ def run(args: argparse.Namespace) -> int:
       urlink identify run.csv --model UR3e
       urlink identify run.urlog --json
     """
-    from ..acceptance.bundle import recording_in
     from ..identification import identify
-    from ..identification.samples import read_samples
 
-    with recording_in(args.recording) as path:
-        found = identify(read_samples(path), args.model)
+    found = identify(_samples(args.recording), args.model)
     if args.out is not None:
         found.write(args.out)
         tell(f"sim://{found.model.lower().replace(' ', '')}?like={args.out} is this arm")
     for line in _objects(found) if args.json else _lines(found):
         print(line)
     return 0
+
+
+def _samples(path: Path) -> Samples:
+    """Of a recording, a table, or the recording in a bundle."""
+    from ..acceptance.bundle import recording_in
+    from ..identification.samples import read_samples
+
+    with recording_in(path) as recording:
+        return read_samples(recording)
 
 
 def _objects(found: ArmFile) -> Sequence[str]:

@@ -234,10 +234,11 @@ _TAKE_SHARED = """
 def _over_socket(link: ReverseSocket, firmware: Firmware, watchdog: float) -> str:
     """Connect, and hand over what comes until the link ends.
 
-    A read that has waited for `_READ` s is tried again until the watchdog's time is over; one that returns sooner
-    without a word finds the connection closed.
+    A read that has waited for `_READ` s is tried again until the watchdog's time is over. One that returns sooner
+    without a word finds the connection closed: so it is in the simulator. How soon a real controller returns then is
+    not known; if it takes as long, the program ends by its watchdog.
     """
-    most_silent, cut = int(watchdog / _READ) + 1, round(firmware.rate * _READ / 2)
+    most_silent, waited = int(watchdog / _READ) + 1, round(firmware.rate * _READ / 2)
     return f"""
         if socket_open({quoted(link.host)}, {integer(link.port, 1, 65535)}):
           {introduction(link.token)}
@@ -249,7 +250,7 @@ def _over_socket(link: ReverseSocket, firmware: Firmware, watchdog: float) -> st
             word = socket_read_binary_integer({_WORD})
             if word[0] < {_WORD}:
               silent = silent + 1
-              if starved or silent >= {most_silent} or cycle - since < {cut}:
+              if starved or silent >= {most_silent} or cycle - since < {waited}:
                 if not starved:
                   textmsg({quoted(LINK_ENDED)})
                 end
