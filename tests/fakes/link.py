@@ -35,6 +35,8 @@ class Count(State):
 class CountBoundary:
     largest = 5
     pace = 1
+    size, head = 0, b""
+    last: bytes | bytearray = b""
 
     def __str__(self) -> str:
         return "counts"

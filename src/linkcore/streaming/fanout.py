@@ -81,8 +81,8 @@ class FanOut:
         self._lock = threading.RLock()
         self._routes: tuple[_Route, ...] = ()
         self._deliveries: tuple[Delivery, ...] = ()
-        # What the reader looks at, made from the routes: of the queues, and of the inline callbacks.
-        self._offers: tuple[tuple[_Offer, ...], tuple[_Offer, ...]] = ((), ())
+        # What the reader looks at, made from the routes: all, those of the queues, and those of the inline callbacks.
+        self._offers: tuple[tuple[_Offer, ...], tuple[_Offer, ...], tuple[_Offer, ...]] = ((), (), ())
         self.taps: tuple[Sink, ...] = ()
         self._last: Any = None  # where no packet has parts, which is the quick case
         self._newest: dict[type, tuple[int, Any]] = {}
@@ -110,16 +110,16 @@ class FanOut:
                 self._remember(packet)
                 for part in self._parts(packet):
                     self._remember(part)
-        queues, callbacks = self._offers
+        every, queues, callbacks = self._offers
+        if len(packets) == 1 or len(callbacks) < 2:
+            for offer in every:
+                offer(packets)
+            return
         for offer in queues:
             offer(packets)
-        if len(callbacks) == 1 or len(packets) == 1:
+        for packet in packets:
             for offer in callbacks:
-                offer(packets)
-        else:
-            for packet in packets:
-                for offer in callbacks:
-                    offer((packet,))
+                offer((packet,))
 
     def tell(self, event: ConnectionEvent) -> None:
         """A change of the connection."""
@@ -204,10 +204,10 @@ class FanOut:
         # Inline callbacks come last: one that is slow then keeps no queue waiting.
         self._routes = tuple(sorted(routes, key=lambda route: route.sink.is_inline))
         offered = [route for route in self._routes if route.group is object]
-        self._offers = (
-            tuple(route.offer for route in offered if not route.sink.is_inline),
-            tuple(route.offer for route in offered if route.sink.is_inline),
+        queues, callbacks = (
+            tuple(route.offer for route in offered if route.sink.is_inline is is_inline) for is_inline in (False, True)
         )
+        self._offers = (queues + callbacks, queues, callbacks)
         self.taps = tuple(route.sink for route in self._routes if route.group is Traffic)
 
     # -- callbacks -------------------------------------------------------------------------------

@@ -39,6 +39,12 @@ class FrameBoundary(Protocol):
     largest: int
     #: out of step, bytes that have to come before it is worth looking again
     pace: int
+    #: bytes of each packet of the connection, once it is known; 0 where they vary
+    size: int
+    #: with which each packet of that size begins
+    head: bytes
+    #: the newest packet of that size, or its beginning
+    last: bytes | bytearray
 
     def whole(self, buffer: bytes | bytearray) -> list[bytes]:
         """The packets with which the buffer begins, as far as that can be found quickly and for certain."""
@@ -106,7 +112,11 @@ class Framer:
         Raises:
             WrongPeer: what comes is not such a stream at all.
         """
-        kept = self._kept
+        kept, boundary = self._kept, self._boundary
+        if 0 < boundary.size == len(data) and not kept and not self._is_lost and data.startswith(boundary.head):
+            # The common case, in as few calls as can be: with cold caches each takes 2 to 4 us, be it ever so small.
+            boundary.last = data
+            return [data]
         buffer: bytes | bytearray = data
         if kept:
             kept += data
@@ -114,8 +124,8 @@ class Framer:
                 return []
             buffer = kept
         end = len(buffer)
-        frames = [] if self._is_lost else self._boundary.whole(buffer)
-        if frames and len(frames[0]) == end:  # the common case: one packet at a time
+        frames = [] if self._is_lost else boundary.whole(buffer)
+        if frames and len(frames[0]) == end:  # one packet at a time
             if kept:
                 kept.clear()
             return frames

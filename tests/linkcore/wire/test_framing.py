@@ -13,6 +13,8 @@ from linkcore.wire.framing import Framer
 class HashBoundary:
     largest = 99 + 3
     pace = 1
+    size, head = 0, b""
+    last: bytes | bytearray = b""
 
     def __str__(self) -> str:
         return "hashes"

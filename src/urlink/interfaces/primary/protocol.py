@@ -63,6 +63,8 @@ class PackageBoundary:
 
     largest = PACKAGE_SIZES.stop - 1 + _HEAD.size
     pace = 256
+    size, head = 0, b""
+    last: bytes | bytearray = b""
 
     def __init__(self) -> None:
         self._is_begun = False

@@ -56,10 +56,10 @@ class RealtimeBoundary:
 
     def __init__(self, learnt: Callable[[int], object] | None = None) -> None:
         self._learnt = learnt
-        self._size = 0
-        self._size_bytes = b""
-        #: the last packet, or as much of it as holds its time; unpacked when a lost boundary has to be found
-        self._last: bytes | bytearray = b""
+        self.size = 0
+        self.head = b""
+        # Unpacked when a lost boundary has to be found.
+        self.last: bytes | bytearray = b""
         #: bytes from the place of the last search on in which no header goes on in time
         self._judged = 0
 
@@ -68,22 +68,17 @@ class RealtimeBoundary:
 
     def whole(self, buffer: bytes | bytearray) -> list[bytes]:
         """In step, packets of one size follow each other: it is enough that each has its header."""
-        # What is left undone for one packet that comes alone saves a tenth of the reader's time: with cold caches each
-        # call takes 2 to 4 us, be it ever so small.
-        size = self._size
-        if not self._last:
+        size = self.size
+        if not self.last:
             return []
-        if len(buffer) == size and buffer.startswith(self._size_bytes):
-            self._last = frame = buffer if type(buffer) is bytes else bytes(buffer)
-            return [frame]
         count = len(buffer) // size
         end = count * size
-        for offset, byte in enumerate(self._size_bytes):
+        for offset, byte in enumerate(self.head):
             if not count or buffer[offset:end:size].count(byte) != count:
                 return []
         packets = bytes(buffer)
         frames = [packets[at : at + size] for at in range(0, end, size)]
-        self._last = frames[-1]
+        self.last = frames[-1]
         return frames
 
     def declared(self, buffer: bytes | bytearray, at: int) -> tuple[int, int]:
@@ -91,14 +86,14 @@ class RealtimeBoundary:
         if len(buffer) - at <= _SIZE_BYTES:  # one byte more than the size: by it another interface is recognised
             return 0, _SIZE_BYTES + 1
         size = int.from_bytes(buffer[at : at + _SIZE_BYTES], "big")
-        is_believed = size == self._size if self._size else size in REALTIME_SIZES and size % 8 == 4
+        is_believed = size == self.size if self.size else size in REALTIME_SIZES and size % 8 == 4
         return (size, size) if is_believed else (0, 0)
 
     def check(self, buffer: bytes | bytearray, at: int) -> tuple[int, int]:
         """See `FrameBoundary.check`."""
         size, need = self.declared(buffer, at)
         there = len(buffer) - at
-        if size and not self._last and buffer[at + 4] == _ROBOT_STATE:
+        if size and not self.last and buffer[at + 4] == _ROBOT_STATE:
             # 716 bytes of robot state have a legal size. As a real-time packet its time would be 1e-230 s.
             if there < _HEAD.size:
                 return 0, _HEAD.size
@@ -125,7 +120,7 @@ class RealtimeBoundary:
             if end - at < need:
                 # Until then a packet that goes on in time may come whole, from the first place that is not judged on.
                 self._judged = end - _HEAD.size + 1 - at
-                return at, 0, min(need, self._judged + self._size) if self._last else need
+                return at, 0, min(need, self._judged + self.size) if self.last else need
             next_size, later = _HEAD.unpack_from(buffer, at + size)
             if next_size == size and time < later <= time + _LONGEST_LOSS:
                 self._take(buffer, at, size)
@@ -133,22 +128,22 @@ class RealtimeBoundary:
         if timely is None:
             # A header may begin with the last bytes.
             return max(start, end - _SIZE_BYTES + 1), 0, _SIZE_BYTES
-        if end - timely >= self._size:
-            self._take(buffer, timely, self._size)
-        return timely, self._size, self._size
+        if end - timely >= self.size:
+            self._take(buffer, timely, self.size)
+        return timely, self.size, self.size
 
     def _find_timely(self, buffer: bytes | bytearray, start: int) -> int | None:
         """The first packet of the connection's size whose time follows that of the last one."""
-        if not self._last:
+        if not self.last:
             return None
-        (latest,) = _TIME.unpack_from(self._last, _SIZE_BYTES)
+        (latest,) = _TIME.unpack_from(self.last, _SIZE_BYTES)
         until = max(len(buffer) - _TIME.size, 0)
-        at = buffer.find(self._size_bytes, start, until)
+        at = buffer.find(self.head, start, until)
         while at >= 0:
             (time,) = _TIME.unpack_from(buffer, at + _SIZE_BYTES)
             if latest <= time <= latest + _LONGEST_LOSS:
                 return at
-            at = buffer.find(self._size_bytes, at + 1, until)
+            at = buffer.find(self.head, at + 1, until)
         return None
 
     def peer(self, buffer: bytes | bytearray) -> str | None:
@@ -157,9 +152,9 @@ class RealtimeBoundary:
         return None if other == REALTIME_INTERFACE else other
 
     def _take(self, buffer: bytes | bytearray, at: int, size: int) -> None:
-        self._last = buffer[at : at + _HEAD.size]
-        if size != self._size:
-            self._size, self._size_bytes = size, size.to_bytes(_SIZE_BYTES, "big")
+        self.last = buffer[at : at + _HEAD.size]
+        if size != self.size:
+            self.size, self.head = size, size.to_bytes(_SIZE_BYTES, "big")
             if self._learnt is not None:
                 self._learnt(size)
 

@@ -67,6 +67,8 @@ class RtdeBoundary:
 
     largest = _LARGEST + _HEAD.size
     pace = 64
+    size, head = 0, b""
+    last: bytes | bytearray = b""
 
     def __init__(self, sizes: Mapping[int, range]) -> None:
         self._sizes = sizes
