@@ -6,6 +6,7 @@ import contextlib
 import fcntl
 import gc
 import importlib
+import operator
 import os
 import queue
 import random
@@ -57,7 +58,7 @@ _FAULT = re.compile(r"(\w+)=([\w.-]+)@(\d+(?:\.\d*)?)")
 #: How many names a module had, and which of them may have what is replaced: those that had it, and those called like it
 #: since another may be in its place for a while. To look through all names of all modules for each block would take
 #: most of the time of a short one.
-_places: dict[str, tuple[int, tuple[str, ...]]] = {}
+_names: dict[str, tuple[int, tuple[str, ...]]] = {}
 
 #: Methods of `threading.Thread` that are replaced.
 _METHODS = ("start", "join", "is_alive")
@@ -317,28 +318,60 @@ def _is_importing() -> bool:
     return frame is not None
 
 
+class _Look:
+    """What is in `sys.modules`.
+
+    Attributes:
+        values, modules: all that is there, which may be any object, and the modules among it.
+        sizes: how many names each module has.
+        places: the names that may have what is replaced, each with its module.
+    """
+
+    def __init__(self, replacements: list[tuple[object, object]]) -> None:
+        self.values: list[object] = list(sys.modules.values())
+        named = {name: module for name, module in list(sys.modules.items()) if isinstance(module, ModuleType)}
+        self.modules = list(named.values())
+        self.sizes = list(map(len, map(vars, self.modules)))
+        by_identity = {id(real) for real, _ in replacements}
+        called = {getattr(real, "__name__", None) for real, _ in replacements}
+        self.places: list[tuple[ModuleType, str]] = []
+        for (name, module), size in zip(named.items(), self.sizes, strict=True):
+            if name.startswith(_KEPT):
+                continue
+            count, names = _names.get(name, (0, ()))
+            if count != size:
+                held = list(vars(module).items())
+                names = tuple(key for key, value in held if key in called or id(value) in by_identity)
+                _names[name] = size, names
+            self.places += [(module, name) for name in names]
+
+    @property
+    def is_current(self) -> bool:
+        """No module has come or gone since, and none has another number of names."""
+        values = list(sys.modules.values())
+        return (
+            len(values) == len(self.values)
+            and all(map(operator.is_, values, self.values))
+            and list(map(len, map(vars, self.modules))) == self.sizes
+        )
+
+
+#: The last one. Most blocks begin and end with the same modules as the one before.
+_last: list[_Look] = []
+
+
 def _take_over(replacements: list[tuple[object, object]]) -> Callable[[], None]:
     """Replace objects wherever a module has them by a name; how to put them back."""
     by_identity = {id(real): simulated for real, simulated in replacements}
-    called = {getattr(real, "__name__", None) for real, _ in replacements}
+    if not (_last and _last[0].is_current):
+        _last[:] = [_Look(replacements)]
+    look = _last[0]
     done: list[tuple[ModuleType, str, object]] = []
-    names: dict[str, int] = {}
-    for name, module in list(sys.modules.items()):
-        if not isinstance(module, ModuleType):
-            continue  # type: ignore[unreachable]  # sys.modules takes any object
-        held = vars(module)
-        names[name] = len(held)
-        if name.startswith(_KEPT):
-            continue
-        count, places = _places.get(name, (0, ()))
-        if count != len(held):
-            places = tuple(key for key, value in list(held.items()) if key in called or id(value) in by_identity)
-            _places[name] = len(held), places
-        for attribute in places:
-            value = held.get(attribute)
-            if id(value) in by_identity:
-                done.append((module, attribute, value))
-                setattr(module, attribute, by_identity[id(value)])
+    for module, attribute in look.places:
+        value = vars(module).get(attribute)
+        if id(value) in by_identity:
+            done.append((module, attribute, value))
+            setattr(module, attribute, by_identity[id(value)])
     # Methods of the class itself, for the sake of what is derived from it.
     kept = {name: getattr(threading.Thread, name) for name in _METHODS}
     for name in _METHODS:
@@ -350,11 +383,14 @@ def _take_over(replacements: list[tuple[object, object]]) -> Callable[[], None]:
         replaced: Mapping[int, object] = {id(simulated): real for real, simulated in replacements}
         for module, attribute, value in done:
             setattr(module, attribute, value)
+        if look.is_current:
+            return
         # Modules that were imported meanwhile have the simulated ones.
+        sizes = dict(zip(map(id, look.modules), look.sizes, strict=True))
         for name, module in list(sys.modules.items()):
             if (
                 isinstance(module, ModuleType)
-                and len(vars(module)) != names.get(name)
+                and len(vars(module)) != sizes.get(id(module))
                 and not name.startswith("linkcore.simulated")
             ):
                 for attribute, value in list(vars(module).items()):
