@@ -1,15 +1,13 @@
 """How much there is in src/: `python -m tests.counts` prints it, for each folder with `--folders`.
 
-A line of code is one that holds a token of the program: neither blank, nor a comment, nor part of a docstring. Stubs
-(`.pyi`), which are generated and never run, are not counted.
+A line of code is one that is neither blank, nor a comment, nor part of a docstring; of a string that goes over several
+lines, all count. Stubs (`.pyi`), which are generated and never run, are not counted.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
-import io
-import tokenize
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from statistics import median
@@ -18,16 +16,6 @@ from typing import NamedTuple
 __all__ = ["SRC", "Module", "modules", "of_one_name"]
 
 SRC = Path(__file__).resolve().parents[1] / "src"
-
-_NO_CODE = (
-    tokenize.COMMENT,
-    tokenize.NL,
-    tokenize.NEWLINE,
-    tokenize.INDENT,
-    tokenize.DEDENT,
-    tokenize.ENDMARKER,
-)
-
 
 class Module(NamedTuple):
     """One module.
@@ -52,29 +40,32 @@ def modules(root: Path = SRC) -> list[Module]:
 
 def _read(path: Path, root: Path) -> Module:
     text = path.read_text(encoding="utf-8")
-    tree = ast.parse(text)
+    nodes = list(ast.walk(ast.parse(text)))
     name = ".".join(path.relative_to(root).with_suffix("").parts).removesuffix(".__init__")
-    classes = (node.name for node in ast.walk(tree) if isinstance(node, ast.ClassDef))
-    own = tuple(sorted(each for each in classes if not each.startswith("_")))
-    return Module(name, lines_of_code(text), len(text.splitlines()), own)
+    own = sorted(node.name for node in nodes if isinstance(node, ast.ClassDef) and not node.name.startswith("_"))
+    return Module(name, _lines_of_code(text, nodes), len(text.splitlines()), tuple(own))
 
 
 def lines_of_code(text: str) -> int:
     """How many lines of a module hold code."""
+    return _lines_of_code(text, list(ast.walk(ast.parse(text))))
+
+
+def _lines_of_code(text: str, nodes: Sequence[ast.AST]) -> int:
     documented = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
-    docstrings = {
-        line
-        for node in ast.walk(ast.parse(text))
-        if isinstance(node, documented) and ast.get_docstring(node, clean=False) is not None
-        for line in range(node.body[0].lineno, (node.body[0].end_lineno or 0) + 1)
-    }
-    code = {
-        line
-        for token in tokenize.generate_tokens(io.StringIO(text).readline)
-        if token.type not in _NO_CODE
-        for line in range(token.start[0], token.end[0] + 1)
-    }
-    return len(code - docstrings)
+    strings: set[int] = set()
+    docstrings: set[int] = set()
+    for node in nodes:
+        if isinstance(node, (ast.JoinedStr, ast.Constant)) and node.end_lineno != node.lineno:
+            strings |= _lines_of(node)
+        elif isinstance(node, documented) and ast.get_docstring(node, clean=False) is not None:
+            docstrings |= _lines_of(node.body[0])
+    written = {number for number, line in enumerate(text.split("\n"), 1) if line.strip() and line.strip()[0] != "#"}
+    return len((written | strings) - docstrings)
+
+
+def _lines_of(node: ast.expr | ast.stmt) -> set[int]:
+    return set(range(node.lineno, (node.end_lineno or node.lineno) + 1))
 
 
 def of_one_name(found: Iterable[Module]) -> dict[str, list[str]]:
