@@ -17,6 +17,7 @@ __all__ = ["SRC", "Module", "modules", "of_one_name"]
 
 SRC = Path(__file__).resolve().parents[1] / "src"
 
+
 class Module(NamedTuple):
     """One module.
 

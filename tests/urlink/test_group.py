@@ -24,6 +24,9 @@ from urlink.vectors import FloatArray
 
 #: s for one cycle of an e-Series.
 CYCLE = 0.002
+#: Two that send 125 packets a second; with an e-Series, which sends 500, a test takes up to four times as long.
+CB3 = ("3.15", "3.4")
+WITH_E_SERIES = [pytest.param(each, marks=pytest.mark.slow) for each in (("5.11", "5.11"), ("3.15", "5.11"))]
 #: s of a motion of the tests, and rad of wrist 3 at its end.
 SECONDS, WAY = 1.0, 0.4
 
@@ -144,7 +147,7 @@ def pair(seed: int = 1, *firmwares: str, latency: float = 3e-4, jitter: float = 
                     side.controller.close()
 
 
-@pytest.mark.parametrize("firmwares", [("5.11", "5.11"), ("3.15", "5.11"), ("3.15", "3.4")])
+@pytest.mark.parametrize("firmwares", [*WITH_E_SERIES, CB3])
 def test_they_begin_and_move_together(firmwares: tuple[str, str]) -> None:
     with pair(2, *firmwares) as both:
         for number in range(4):
@@ -285,7 +288,7 @@ def test_one_that_is_led_away_stops_both() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("firmwares", [("5.11", "5.11"), ("3.15", "5.11"), ("3.15", "3.4")])
+@pytest.mark.parametrize("firmwares", [*WITH_E_SERIES, CB3])
 def test_a_stream_leads_both_at_once(firmwares: tuple[str, str]) -> None:
     with pair(11, *firmwares) as both:
         with both.group.stream() as stream:
@@ -300,8 +303,9 @@ def test_a_stream_leads_both_at_once(firmwares: tuple[str, str]) -> None:
         assert [each.phase for each in (stream, *stream.motions)] == [Phase.DONE] * 3
 
 
-def test_streams_go_on_while_this_computer_stands() -> None:
-    with pair(12) as both:
+@pytest.mark.parametrize("firmwares", [WITH_E_SERIES[0], CB3])
+def test_streams_go_on_while_this_computer_stands(firmwares: tuple[str, str]) -> None:
+    with pair(12, *firmwares) as both:
         with both.group.stream() as stream:
             stream.append(both.dense(), wait=False)
             sim = both.sim
@@ -309,7 +313,7 @@ def test_streams_go_on_while_this_computer_stands() -> None:
             sim.at(sim.now + 1.0, sim.here.release)
             stream.wait_until_dry()
             assert stream.starved == 0
-        assert both.seconds_apart() < CYCLE
+        assert both.seconds_apart() < 1.0 / both.left.rate
 
 
 @pytest.mark.slow
@@ -442,7 +446,7 @@ def test_where_a_word_comes_too_late_to_one_all_are_cleared() -> None:
         assert both.seconds_apart() < CYCLE
 
 
-@pytest.mark.parametrize("latency", [1e-3, 5e-3])
+@pytest.mark.parametrize("latency", [pytest.param(1e-3, marks=pytest.mark.slow), 5e-3])
 def test_a_stop_of_one_ends_the_stream_of_all(latency: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """Set-points of the other brake within two cycles and the ways from one controller and to the other."""
     setpoints: list[tuple[float, float]] = []
@@ -455,12 +459,12 @@ def test_a_stop_of_one_ends_the_stream_of_all(latency: float, monkeypatch: pytes
     with pair(16, latency=latency, jitter=0.0) as both:
         with both.group.stream() as stream:
             stream.append(both.dense(), wait=False)
-            time.sleep(1.0)
+            time.sleep(0.6)
             controller = both.left.controller
             stopped = both.sim.now
             controller.call(controller.faults.protective_stop)
             monkeypatch.setattr(MotionGenerator, "servoj", watched)  # from now on of the other one only
-            time.sleep(1.0)
+            time.sleep(0.5)
             with pytest.raises(SafetyStop):
                 stream.append(both.dense())
         assert isinstance(stream.error, SafetyStop)
@@ -478,8 +482,9 @@ def test_a_stop_of_one_ends_the_stream_of_all(latency: float, monkeypatch: pytes
         assert np.abs(np.diff(speed)).max() / CYCLE < 12.0
 
 
-def test_who_leaves_the_block_or_cancels_stops_all() -> None:
-    with pair(17) as both:
+@pytest.mark.parametrize("firmwares", [WITH_E_SERIES[0], CB3])
+def test_who_leaves_the_block_or_cancels_stops_all(firmwares: tuple[str, str]) -> None:
+    with pair(17, *firmwares) as both:
         with both.group.stream() as stream:
             stream.append(both.dense(), wait=False)
             time.sleep(0.5)

@@ -78,7 +78,7 @@ def test_it_goes_where_it_is_led_and_rests_after_its_end(firmware: str) -> None:
     assert soft.q.tolist() == rests.tolist()
 
 
-@pytest.mark.parametrize("stiffness", [5e3, 2e4, 1e5])
+@pytest.mark.parametrize("stiffness", [2e4, *(pytest.param(each, marks=pytest.mark.slow) for each in (5e3, 1e5))])
 def test_it_rests_on_what_it_is_led_into_and_ends_there_without_a_leap(stiffness: float) -> None:
     soft = Yielding(stiffness=(1000.0,) * 3 + (50.0,) * 3)
     x, y, z = soft.pose[:3]

@@ -538,7 +538,7 @@ def test_set_points_that_come_seldom_lead_along_the_trajectory(firmware: Firmwar
     assert max(places) < 0.22
 
 
-@pytest.mark.parametrize("firmware", FIRMWARES[1:], ids=str)
+@pytest.mark.parametrize("firmware", [FIRMWARES[1], pytest.param(NEWEST, marks=pytest.mark.slow)], ids=str)
 def test_the_experiment_of_the_original_driver(firmware: Firmware) -> None:
     """The tool joint to 0 over 1 s, to 1 rad over 3 s and back over 4 s, by the program on the robot and on its arm.
 

@@ -290,7 +290,7 @@ def below(soft: Soft, pose: Sequence[float], depth: float) -> list[float]:
     return q
 
 
-@pytest.mark.parametrize("end", ["told", "silent"])
+@pytest.mark.parametrize("end", ["told", pytest.param("silent", marks=pytest.mark.slow)])
 def test_its_end_in_a_contact_is_no_leap(end: str) -> None:
     soft = Soft()
     pressed(soft, 0.01)

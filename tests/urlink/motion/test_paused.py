@@ -212,7 +212,7 @@ def test_a_safeguard_stop_ends_it_and_nothing_moves_after(
     one.robot.motion.move_joints(READY).wait(TIMEOUT)
 
 
-@pytest.mark.parametrize("target_filter", [None, "jerk_limited"])
+@pytest.mark.parametrize("target_filter", [None, pytest.param("jerk_limited", marks=pytest.mark.slow)])
 def test_a_loop_of_ones_own_begins_anew_after_a_pause(cell: Callable[[str, str], Cell], target_filter: Any) -> None:
     one = cell("UR5e", "5.11")
     pendant = one.controller.pendant

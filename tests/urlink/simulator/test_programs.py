@@ -738,7 +738,7 @@ def test_stop_program_ends_the_demonstration_too() -> None:
 # -- the same again ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("firmware", ["1.8", "5.11"])
+@pytest.mark.parametrize("firmware", ["1.8", pytest.param("5.11", marks=pytest.mark.slow)])
 def test_the_same_program_gives_the_same_bytes(firmware: str) -> None:
     program = (
         "def f():\n  thread blink():\n    while True:\n      set_digital_out(0, not get_digital_out(0))\n"
