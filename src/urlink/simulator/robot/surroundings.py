@@ -301,15 +301,15 @@ class ForceSensor:
         self, setpoint: Setpoint, tcp: Sequence[float], payload: float, cog: Sequence[float], seconds: float
     ) -> None:
         """Advance by one cycle, at these targets, with this tool and the load, kg and m, that the controller knows."""
-        before, turned = math.hypot(*self.wrench[:3]), self.torques
+        self.overload, most = None, self._surroundings.force_limit
         if self._surroundings.is_empty and self._offset is None:
             self.external = self.wrench = self.torques = _NONE
             self._felt.clear()
-        else:
-            self._feel(setpoint, tcp, payload, cog, seconds)
-            x, y, z = self.wrench[:3]
-            self._felt.append((x, y, z))
-        self.overload, most = None, self._surroundings.force_limit
+            return
+        before, turned = math.hypot(*self.wrench[:3]), self.torques
+        self._feel(setpoint, tcp, payload, cog, seconds)
+        x, y, z = self.wrench[:3]
+        self._felt.append((x, y, z))
         if math.hypot(*self.wrench[:3]) > max(most, before + 1e-6):
             self.overload = f"a force of more than {most:g} N at the TCP"
         for i, (torque, last, most) in enumerate(zip(self.torques, turned, self._torque_limits, strict=True)):

@@ -74,7 +74,7 @@ class JointLimits:
             raise LimitViolation(self._too_fast(new.qd))
         if not all(map(le, map(abs, map(sub, new.qd, last.qd)), map(mul, self._hardest, repeat(seconds)))):
             raise LimitViolation(self._too_sudden(last.qd, new.qd, seconds))
-        if not any(new.qd):
+        if not any(new.qd) and new.q != last.q:
             # At its end a path corrects the joints, which is not a jump, unless it ends in a singularity.
             way = [(b - a) / seconds for a, b in zip(last.q, new.q, strict=True)]
             if any(abs(speed) > allowed for speed, allowed in zip(way, self.allowed_speed, strict=True)):
