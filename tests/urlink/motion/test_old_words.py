@@ -88,10 +88,10 @@ def test_old_speeds_are_obeyed_for_one_watchdog_time(version: str) -> None:
 
 
 def followed(firmware: Firmware, watchdog: float) -> Bench:
-    """A program that has had a set-point in each cycle of a second."""
+    """A program that has had a set-point in each cycle of a fifth of a second."""
     bench = Bench(streaming(firmware, LINK, speeds=[3.0] * 6, watchdog=watchdog), firmware)
     bench.run(5, lambda: bench.say(WAIT_WORD))
-    bench.run(firmware.rate, lambda: bench.say(setpoint(turned(0.0), STILL)))
+    bench.run(firmware.rate // 5, lambda: bench.say(setpoint(turned(0.0), STILL)))
     return bench
 
 
