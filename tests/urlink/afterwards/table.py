@@ -82,7 +82,7 @@ ROWS = {
     "speed_short": Row("`speed_joints`, `speed_linear` up to 0.5 s", led=True),
     "speed_joints": Row("`speed_joints` for longer", led=True),
     "speed_linear": Row("`speed_linear` for longer", led=True),
-    "speed_rtde": Row('the same with `link="rtde"`', led=True, since=_REGISTERS),
+    "speed_rtde": Row('`speed_joints`, `speed_linear` with `link="rtde"`', led=True, since=_REGISTERS),
     "follow": Row("`follow`", led=True),
     "follow_rtde": Row('`follow(link="rtde")`', led=True, since=_REGISTERS),
     "follow_low_bandwidth": Row("`follow(low_bandwidth=True)`", led=True, within=3.5, since=_CB3),
@@ -125,15 +125,16 @@ def cells() -> Iterator[tuple[str, str, str]]:
 
 
 def drawn() -> str:
-    """The table as Markdown."""
+    """The table as Markdown; what becomes the same everywhere is one row."""
     heads = ("under way, and then:", *UNDER_WAY, "controller suspended, and then called")
-    lines = [f"| {' | '.join(heads)} |", "|" + " --- |" * len(heads)]
+    titles: dict[tuple[str, ...], list[str]] = {}
     for name, row in ROWS.items():
         having = firmwares(name)
         title = row.title if len(having) == len(FIRMWARES) else f"{row.title} ({', '.join(having)})"
         each = [dict.fromkeys(row.becomes(column, firmware) or "-" for firmware in having) for column in COLUMNS]
-        what = map(" or ".join, each)
-        lines.append(f"| {' | '.join((title, *what))} |")
+        titles.setdefault(tuple(map(" or ".join, each)), []).append(title)
+    lines = [f"| {' | '.join(heads)} |", "|" + " --- |" * len(heads)]
+    lines += [f"| {' | '.join(('; '.join(alike), *what))} |" for what, alike in titles.items()]
     return "\n".join(lines) + "\n"
 
 
