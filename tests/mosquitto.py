@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import socket
 import subprocess
@@ -12,20 +13,26 @@ import pytest
 
 from tests.waiting import until
 
-__all__ = ["needs_broker"]
+__all__ = ["needs_broker", "running"]
 
 MOSQUITTO = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin")
 needs_broker = pytest.mark.skipif(MOSQUITTO is None, reason="there is no mosquitto (apt install mosquitto)")
 
 
-@pytest.fixture
-def broker(tmp_path: Path) -> Iterator[int]:
-    """The port of a mosquitto."""
+@contextlib.contextmanager
+def running(folder: Path, settings: str = "") -> Iterator[int]:
+    """Run a mosquitto for everybody at 127.0.0.1, and give its port.
+
+    Args:
+        folder: for its configuration.
+        settings: lines of its listener.
+    """
     assert MOSQUITTO is not None
     with socket.create_server(("127.0.0.1", 0)) as probe:
         port: int = probe.getsockname()[1]
-    config = tmp_path / "mosquitto.conf"
-    config.write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\n")
+    config = folder / "mosquitto.conf"
+    # Begun by root, it would become a user who cannot read the test's files.
+    config.write_text(f"user root\nlistener {port} 127.0.0.1\nallow_anonymous true\n{settings}")
     process = subprocess.Popen([MOSQUITTO, "-c", str(config)], stderr=subprocess.DEVNULL)
 
     def answers() -> bool:
@@ -42,3 +49,10 @@ def broker(tmp_path: Path) -> Iterator[int]:
     finally:
         process.kill()
         process.wait()
+
+
+@pytest.fixture
+def broker(tmp_path: Path) -> Iterator[int]:
+    """The port of a mosquitto."""
+    with running(tmp_path) as port:
+        yield port

@@ -25,15 +25,20 @@ class Panel:
 
     Attributes:
         heard: topic -> everything that came, in order.
+
+    Args:
+        ca: the certificate by which an encrypted broker is checked; None for one that is not.
     """
 
-    def __init__(self, port: int, name: str = "panel", *, is_there: bool = True) -> None:
+    def __init__(self, port: int, name: str = "panel", *, is_there: bool = True, ca: str | None = None) -> None:
         self.name = name
         self.heard: dict[str, list[Any]] = {}
         self._answers: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
         self.mqtt = Client(CallbackAPIVersion.VERSION2)
         self.mqtt.will_set(f"urlink/arm/client/{name}", b"", qos=1, retain=True)
         self.mqtt.on_message = self._came
+        if ca is not None:
+            self.mqtt.tls_set(ca)
         self.mqtt.connect("127.0.0.1", port, keepalive=5)
         self.mqtt.loop_start()
         self.mqtt.subscribe("urlink/#", 1)

@@ -6,6 +6,7 @@ import contextlib
 import json
 import re
 import shutil
+import socket
 import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -96,9 +97,34 @@ def test_the_schema_refuses_what_is_none(wrong: dict[str, Any]) -> None:
 Opened = Callable[[str], zenoh.Session]
 
 
-@pytest.fixture
-def opened(tmp_path: Path, endpoint: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Opened]:
-    """The router of the example runs; opens a session by the certificate of a name."""
+@contextlib.contextmanager
+def zenohd(config: Path, endpoint: str) -> Iterator[None]:
+    """Run the router of the Zenoh project with this configuration."""
+    program = shutil.which("zenohd")
+    if program is None:
+        pytest.skip("there is no zenohd (of the Zenoh project; the Python package has the same router)")
+    host, _, port = endpoint.rpartition("/")[2].rpartition(":")
+    process = subprocess.Popen([program, "--config", str(config)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+    def answers() -> bool:
+        assert process.poll() is None, "zenohd has ended"
+        with contextlib.suppress(OSError), socket.create_connection((host, int(port)), timeout=1.0):
+            return True
+        return False
+
+    try:
+        until(answers)
+        yield
+    finally:
+        process.kill()
+        process.wait()
+
+
+@pytest.fixture(params=["package", "zenohd"])
+def opened(
+    request: pytest.FixtureRequest, tmp_path: Path, endpoint: str, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Opened]:
+    """The router of the example runs, by the package or by zenohd; opens a session by the certificate of a name."""
     if shutil.which("openssl") is None:
         pytest.skip("there is no openssl")
     made = ["sh", str(EXAMPLES / "certificates.sh"), "127.0.0.1"]
@@ -114,7 +140,8 @@ def opened(tmp_path: Path, endpoint: str, monkeypatch: pytest.MonkeyPatch) -> It
         return path
 
     with contextlib.ExitStack() as stack:
-        stack.enter_context(open_session(config=config("router.json5")))
+        router = config("router.json5")
+        stack.enter_context(zenohd(router, where) if request.param == "zenohd" else open_session(config=router))
         yield lambda name: stack.enter_context(open_session(config=config("client.json5", name), timeout=3.0))
 
 
