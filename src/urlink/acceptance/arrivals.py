@@ -27,6 +27,8 @@ _LAST_CB3 = Firmware(3, 15)
 _FEWEST = 10
 #: s for which this computer may be held up before what comes late is its own doing.
 _HELD_UP = 0.03
+#: Part by which a rate may differ without a look at what else kept this computer.
+_SLOWER = 0.01
 #: s by which the stamp of a packet may be off, and the doubt about a drift beyond which it is not judged.
 _STAMPED, _MOST_DOUBT = 4e-4, 2e-3
 
@@ -176,9 +178,12 @@ def _steps(name: str, packets: Came) -> NDArray[np.float64]:
 
 
 def _listened(evidence: Evidence, name: str) -> Came:
-    """The packets that came while nothing else was done."""
+    """The packets that came while nothing else was done, and it was seen whether this computer was held up."""
     packets: Came = getattr(evidence, name)
-    return packets.before(evidence.stage(0)[1])
+    begins = [note.at for note in evidence.said("listening")]
+    if not begins:
+        raise NotTried("stage 0 ended before it listened")
+    return packets.between(begins[-1], evidence.stage(0)[1])
 
 
 def _rate(name: str) -> Check:
@@ -198,7 +203,10 @@ def _rate(name: str) -> Check:
         # A primary package comes every 12th or 13th cycle; of the others, what is missing is counted elsewhere.
         period = float(np.mean(steps) if name == "primary" else np.median(steps))
         measured = 1.0 / period if period > 0.0 else np.inf
-        return Measured(abs(measured / wanted - 1.0), f"{measured:.2f} Hz of {wanted:g} Hz in {len(steps)} periods")
+        seen = f"{measured:.2f} Hz of {wanted:g} Hz in {len(steps)} periods"
+        if abs(measured / wanted - 1.0) > _SLOWER:
+            _blame_this_computer(evidence, seen)
+        return Measured(abs(measured / wanted - 1.0), seen)
 
     return check
 

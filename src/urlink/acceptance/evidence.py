@@ -104,10 +104,11 @@ class Came:
             return None
         return np.array(values, np.float64)
 
-    def before(self, moment: float) -> Came:
-        """The states that came before a moment, s, monotonic."""
-        count = int(np.searchsorted(self.arrived, moment))
-        return Came(self.states[:count], self.arrivals[:count], begins=[at for at in self.begins if at < count])
+    def between(self, moment: float, later: float) -> Came:
+        """The states that came between two moments, s, monotonic."""
+        first, end = (int(each) for each in np.searchsorted(self.arrived, (moment, later)))
+        begins = [0, *(at - first for at in self.begins if first < at < end)] if first < end else []
+        return Came(self.states[first:end], self.arrivals[first:end], begins=begins)
 
     @cached_property
     def arrived(self) -> NDArray[np.float64]:

@@ -45,6 +45,7 @@ def listen(robot: Robot, place: RobotAddress, book: Logbook, seconds: float) -> 
     if _has_rtde(robot):
         _start_rtde(robot, book)
     _ask(robot, place, book)
+    book.note("listening")
     book.note("woken", worst=_wait(seconds))
 
 

@@ -1,11 +1,14 @@
-"""`urlink accept` many times: ``python -m tests.urlink.acceptance sound --runs 200``, and ``faults --faults 10000``.
+"""`urlink accept` many times: ``python -m tests.urlink.acceptance sound --runs 200``, and ``faults --runs 220``.
 
-``sound`` runs every stage against sound controllers, one firmware row after the other with an arm that is drawn: what
-is not held, and what contradicts a parameter, is a false alarm. In simulated time, or with ``--real`` in real time
-beside a process that computes without end. ``faults`` runs stage 2 while faults are injected, and looks how far any
-joint leaves its start.
+``sound`` runs stages against sound controllers, one firmware row after the other with an arm that is drawn: what is
+not held, and what contradicts a parameter, is a false alarm. Of stage 3 one joint swings, another one for each round of
+the rows. In simulated time, or with ``--real`` in real time beside a process that computes without end.
 
-``--first`` and ``--runs 1`` repeat one run; the same seed is the same run in simulated time.
+``faults`` runs stage 2 again and again for half a minute while faults are injected (`faulted`), and looks how far any
+joint leaves its start; a run has some 45 faults.
+
+With ``--state FILE`` the next call goes on with the runs that are left. ``--first 17 --runs 1`` repeats one run; the
+same seed is the same run in simulated time.
 """
 
 from __future__ import annotations
@@ -18,25 +21,29 @@ import random
 import subprocess
 import sys
 import tempfile
-import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import urlink
 from linkcore.errors import BadValue
+from tests import trials
 from urlink.acceptance.evidence import Evidence
-from urlink.acceptance.report import State, judge
+from urlink.acceptance.report import judge
 from urlink.acceptance.requirements import requirements
 from urlink.acceptance.stages import STAGES, run
 from urlink.firmware import RELEASES
 from urlink.models import MODELS
 from urlink.simulator.state import firmware_for
+from urlink.vectors import JOINTS
 
-from .test_moving import LIMIT, consent, farthest
+from .faulted import faulted
 
-#: Faults that are drawn for a run of stage 2; those after its end do not count.
-_FAULTS = 12
+LIMIT = requirements()["box"].limit
+#: s of simulated time of a run with faults.
+_FAULTED = 30.0
 
 
 def address(seed: int) -> str:
@@ -50,12 +57,17 @@ def address(seed: int) -> str:
     return f"sim://{random.Random(seed).choice(models)}?firmware={firmware}"
 
 
-def verdicts(seed: int, is_real: bool) -> tuple[Counter[State], list[str]]:
+def sound(stages: Sequence[int], is_real: bool, seed: int) -> dict[str, Any]:
     """How many verdicts of which kind a run has, and the false alarms."""
+    joint = JOINTS[seed // len(RELEASES) % len(JOINTS)]
+
+    def consent(number: int, does: str) -> str:
+        return "" if number < 3 or does == STAGES[3] or f"moves the {joint} alone" in does else "another joint is drawn"
+
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "run.urlog")
         with contextlib.nullcontext() if is_real else urlink.simulated_time(seed=seed):
-            run(address(seed), path, tuple(STAGES), consent, seconds=3.0)
+            run(address(seed), path, tuple(stages), consent, seconds=3.0)
         evidence = Evidence(path)
         found = judge(evidence, requirements())
     alarms = [f"{each.requirement.name}: {each.seen}" for each in found if each.state == "not held"]
@@ -63,7 +75,9 @@ def verdicts(seed: int, is_real: bool) -> tuple[Counter[State], list[str]]:
     alarms += [
         f"stage {note.said['number']} ended early: {note.said['error']}" for note in evidence.said("stage-ended")
     ]
-    return Counter(each.state for each in found), alarms
+    states = dict(Counter(each.state for each in found if each.requirement.stage in stages))
+    print(f"seed {seed}, {address(seed)}: {states}", *map("FALSE ALARM: {}".format, alarms), sep="\n  ", flush=True)
+    return {"states": states, "alarms": alarms}
 
 
 @contextlib.contextmanager
@@ -77,55 +91,59 @@ def busy() -> Iterator[None]:
         process.wait()
 
 
-def sound(first: int, runs: int, is_real: bool) -> int:
-    wrong, states = 0, Counter[State]()
-    with busy() if is_real else contextlib.nullcontext():
-        for seed in range(first, first + runs):
-            counted, alarms = verdicts(seed, is_real)
-            states += counted
-            wrong += bool(alarms)
-            print(
-                f"seed {seed}, {address(seed)}: {dict(counted)}",
-                *map("FALSE ALARM: {}".format, alarms),
-                sep="\n  ",
-                flush=True,
-            )
+def all_sound(args: argparse.Namespace) -> int:
+    with busy() if args.real else contextlib.nullcontext():
+        runs = list(trials.tried(args, partial(sound, args.stages, args.real)))
+    states = sum((Counter(each["states"]) for each in runs), Counter[str]())
+    wrong = sum(bool(each["alarms"]) for each in runs)
+    rows = len({each["seed"] % len(RELEASES) for each in runs})
     said = ", ".join(f"{count} {state}" for state, count in states.items())
-    print(f"{runs} runs from seed {first}: {wrong} with false alarms; {said}")
-    return int(wrong > 0)
+    print(f"{len(runs)} runs of {rows} of {len(RELEASES)} firmware rows: {wrong} with false alarms; {said}")
+    return _ended(runs, wrong)
 
 
-def faulted(first: int, faults: int) -> int:
-    worst, wrong, seed, happened = 0.0, 0, first, 0
+def with_faults(seed: int) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
-        while happened < faults:
-            path = Path(folder, f"{seed}.urlog")
-            away, drawn = farthest(seed, _FAULTS, path)
-            path.unlink(missing_ok=True)
-            worst, happened, seed = max(worst, away), happened + len(drawn), seed + 1
-            if away > LIMIT:
-                wrong += 1
-                print(f"OUT OF THE BOX, seed {seed - 1}, {math.degrees(away):.2f} degrees: {', '.join(drawn)}")
-            if seed % 100 == 0 or happened >= faults:
-                said = f"{happened} faults in {seed - first} runs from seed {first}: {wrong} runs left the box"
-                print(f"{said}; the farthest was {math.degrees(worst):.2f} of {math.degrees(LIMIT):g}°", flush=True)
+        ran = faulted(seed, _FAULTED, Path(folder))
+    if ran.away > LIMIT:
+        print(f"OUT OF THE BOX, seed {seed}: {math.degrees(ran.away):.2f} degrees", flush=True)
+    return {"away": ran.away, "stages": ran.stages, "happened": ran.happened, "steps": ran.steps}
+
+
+def all_with_faults(args: argparse.Namespace) -> int:
+    runs = list(trials.tried(args, with_faults))
+    happened, steps = (sum((Counter(each[of]) for each in runs), Counter[str]()) for of in ("happened", "steps"))
+    wrong = sum(each["away"] > LIMIT for each in runs)
+    print("faults:", ", ".join(f"{count} {name}" for name, count in sorted(happened.items())))
+    print("steps that began:", ", ".join(f"{count} {name}" for name, count in sorted(steps.items())))
+    worst = math.degrees(max(each["away"] for each in runs))
+    print(
+        f"{happened.total()} faults in {sum(each['stages'] for each in runs)} stages of {len(runs)} runs: {wrong} runs "
+        f"left the box; the farthest was {worst:.2f} of {math.degrees(LIMIT):g}°"
+    )
+    return _ended(runs, wrong)
+
+
+def _ended(runs: Sequence[dict[str, Any]], wrong: int) -> int:
+    print(f"{sum(each['processor'] for each in runs):.0f} s of processor time")
     return int(wrong > 0)
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(prog="python -m tests.urlink.acceptance", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.urlink.acceptance",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     kinds = parser.add_subparsers(dest="kind", required=True)
-    for kind in ("sound", "faults"):
-        kinds.add_parser(kind).add_argument("--first", type=int, default=0, help="seed of the first run")
-    kinds.choices["sound"].add_argument("--runs", type=int, default=20)
-    kinds.choices["sound"].add_argument("--real", action="store_true", help="in real time, beside a busy process")
-    kinds.choices["faults"].add_argument("--faults", type=int, default=600, help="at least so many")
+    of_sound, of_faults = kinds.add_parser("sound"), kinds.add_parser("faults")
+    trials.add_arguments(of_sound, runs=len(RELEASES))
+    of_sound.add_argument("--stages", type=int, nargs="+", choices=tuple(STAGES), default=tuple(STAGES))
+    of_sound.add_argument("--real", action="store_true", help="in real time, beside a busy process")
+    trials.add_arguments(of_faults, runs=12)
     given = parser.parse_args()
     logging.disable()  # each fault is told of
-    began = time.monotonic()
-    status = sound(given.first, given.runs, given.real) if given.kind == "sound" else faulted(given.first, given.faults)
-    print(f"{time.monotonic() - began:.0f} s")
-    return status
+    return all_sound(given) if given.kind == "sound" else all_with_faults(given)
 
 
 if __name__ == "__main__":

@@ -314,6 +314,7 @@ DEFECTS: Mapping[str, Defect] = {
     "a clock in ms": Defect(_clock(1000.0), "realtime-rate"),
     "packets sent twice": Defect(_each("realtime", lambda f, n: f + f), "clock-forward", "realtime"),
     "packets left out": Defect(_each("realtime", lambda f, n: f if n % 9 else None), "realtime-missed", "gaps"),
+    "robot states left out": Defect(_each("primary", lambda f, n: f if n % 4 != 1 else None), "primary-rate", "7.5"),
     "half the rate": Defect(_each("realtime", lambda f, n: f if n % 2 else None), "realtime-rate", "250.00 Hz"),
     "extra bytes": Defect(_each("realtime", _resized(bytes(8))), "realtime-size", "1228 B"),
     "extra bytes at the end": Defect(_each("realtime", _resized(bytes(16))), "unknown-parts", "realtime"),

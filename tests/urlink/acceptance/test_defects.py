@@ -8,7 +8,7 @@ import pytest
 
 import urlink
 from tests.urlink.acceptance.defects import DEFECTS, planted
-from urlink.acceptance.evidence import Evidence
+from urlink.acceptance.evidence import Evidence, Note
 from urlink.acceptance.report import CHECKS, judge
 from urlink.acceptance.requirements import requirements
 from urlink.acceptance.stages import run
@@ -46,3 +46,19 @@ def test_a_defect_is_named_for_what_it_is(sound: dict[bool, Evidence], name: str
 def test_the_runs_themselves_are_sound(sound: dict[bool, Evidence], moves: bool) -> None:
     """Nothing is planted in what is shared."""
     assert [each.seen for each in judge(planted(sound[moves], None), requirements()) if each.state == "not held"] == []
+
+
+def test_what_came_while_this_computer_was_held_up_is_not_judged(sound: dict[bool, Evidence]) -> None:
+    """A simulated controller beside other programs leaves packages out, and so does a computer that is too slow."""
+    evidence = planted(sound[False], DEFECTS["robot states left out"])
+    evidence.notes = [Note(at, step, {"worst": 0.2} if step == "woken" else said) for at, step, said in evidence.notes]
+    (verdict,) = judge(evidence, {"primary-rate": requirements()["primary-rate"]})
+    assert (verdict.state, verdict.seen[:33]) == ("not tried", "this computer was itself held up ")
+
+
+def test_rates_are_of_what_came_while_it_was_seen_whether_this_computer_is_held_up(sound: dict[bool, Evidence]) -> None:
+    evidence = planted(sound[False], None)
+    evidence.notes = [Note(at + 1.5 * (step == "listening"), step, said) for at, step, said in evidence.notes]
+    (verdict,) = judge(evidence, {"primary-rate": requirements()["primary-rate"]})
+    assert verdict.state == "held"
+    assert 12 <= int(verdict.seen.split()[-2]) <= 15  # of 3 s, the second half

@@ -1,16 +1,22 @@
-"""A recording of an arm whose parameters are known, since they were planted."""
+"""Recordings of arms whose parameters are known, since they were planted."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 
+from tests.urlink.arms import calibrated
+from urlink.arm_file import ArmFile, Estimate
 from urlink.dynamics import Dynamics
+from urlink.identification.samples import Samples
+from urlink.kinematics import DhTable
 from urlink.models import MODELS
 from urlink.motors import Motors
+from urlink.simulator import Controller, Still
 from urlink.vectors import FloatArray
 
 MODEL = MODELS["UR5e"]
@@ -55,3 +61,83 @@ def columns(rng: np.random.Generator, rate: float = 100.0) -> dict[str, FloatArr
     for name in ("target_moment", "target_current"):
         found[name] = found[name] + 0.1 * rng.standard_normal(found[name].shape)
     return found
+
+
+#: Postures between which every joint turns by 0.5 rad and more, and the tool's weight is borne in many ways.
+POSTURES = (
+    (0.0, -1.5, 1.9, -2.0, -1.5, 0.0),
+    (0.9, -1.1, 1.2, -1.0, -0.6, 0.9),
+    (-0.5, -1.8, 2.1, -2.6, -2.2, -0.8),
+    (0.4, -0.9, 0.8, -1.6, -1.1, 0.6),
+    (-0.2, -2.0, 1.5, -0.9, -1.9, -0.3),
+)
+COLUMNS = {
+    "target_q": "q_target",
+    "target_qd": "qd_target",
+    "target_qdd": "qdd_target",
+    "target_moment": "M_target",
+    "target_current": "I_target",
+    "joint_control_output": "I_control",
+    "actual_current": "I_actual",
+    "actual_q": "q_actual",
+    "target_TCP_pose": "pose_target",
+    "actual_TCP_force": "force",
+}
+#: What differs from the published arm beside its motors and its payload.
+OTHERS = {
+    "tracking_lag": 0.004,
+    "start_rate": 5.0,
+    "position_noise": 4e-5,
+    "current_noise": 0.05,
+    "force_noise": 0.3,
+}
+
+
+def exactly(values: Sequence[float]) -> tuple[Estimate, ...]:
+    """Estimates without doubt."""
+    return tuple(Estimate(value, value, value) for value in values)
+
+
+def planted(seed: int = 4, **values: Sequence[float]) -> ArmFile:
+    """An arm that differs from the published one in everything that can be planted.
+
+    Args:
+        seed: of its calibration.
+        values: other ones than `MOTORS`, `PAYLOAD`, `COG` and `OTHERS`, by their names in the file.
+    """
+    table = calibrated("UR5e", seed).table
+    columns = [np.asarray(column).tolist() for column in (table.dh_theta, table.dh_a, table.dh_d, table.dh_alpha)]
+    own: dict[str, Sequence[float]] = {
+        "rotor_inertia": MOTORS.rotor_inertias,
+        "torque_constant": MOTORS.torque_constants,
+        "coulomb_current": MOTORS.coulomb,
+        "viscous_current": MOTORS.viscous,
+        "payload": (PAYLOAD,),
+        "payload_cog": COG,
+        **{name: (value,) for name, value in OTHERS.items()},
+    }
+    named = {name: exactly(each) for name, each in (own | values).items()}
+    return ArmFile("UR5e", named, DhTable(*columns), (0.0, 0.01, 0.12, 0.0, 0.0, 0.0))
+
+
+def recorded(like: ArmFile, seed: int = 0) -> Samples:
+    """About 10 s of an arm at 125 Hz, a program for each movement: what the controller computes has no noise.
+
+    Args:
+        like: the arm.
+        seed: of the noise of its sensors.
+    """
+    controller = Controller(motion=Still(POSTURES[0]), like=like, seed=seed)
+    rows: dict[str, list[list[float]]] = {name: [] for name in COLUMNS}
+    times = []
+    for posture in (*POSTURES, POSTURES[0]):
+        # The first one is where it stands.
+        controller.take(f"def p():\n  movej({list(posture)}, a=4.0, v=2.2)\nend\n")
+        for cycle in range(850):
+            controller.step()
+            if cycle % 4 == 0:
+                times.append(controller.time)
+                for name, field in COLUMNS.items():
+                    rows[name].append(list(getattr(controller.arm.sample, field)))
+    columns = {name: np.array(each) for name, each in rows.items()}
+    return Samples(Path("planted"), {"timestamp": np.array(times), **columns}, "UR5e")

@@ -12,84 +12,18 @@ import pytest
 
 import urlink
 from linkcore.errors import BadRecording, BadValue
-from tests.urlink.arms import calibrated
-from tests.urlink.identification.planted import COG, MODEL, MOTORS, PAYLOAD
+from tests.urlink.identification.planted import MODEL, PAYLOAD, planted, recorded
 from urlink.arm_file import ArmFile, Estimate, read_arm_file
 from urlink.cli import main
 from urlink.identification import identify
 from urlink.identification.comparison import compare
 from urlink.identification.samples import Samples, read_samples
-from urlink.kinematics import DhTable
-from urlink.simulator import Controller, Still
-
-#: Postures between which every joint turns by 0.5 rad and more, and the tool's weight is borne in many ways.
-POSTURES = (
-    (0.0, -1.5, 1.9, -2.0, -1.5, 0.0),
-    (0.9, -1.1, 1.2, -1.0, -0.6, 0.9),
-    (-0.5, -1.8, 2.1, -2.6, -2.2, -0.8),
-    (0.4, -0.9, 0.8, -1.6, -1.1, 0.6),
-    (-0.2, -2.0, 1.5, -0.9, -1.9, -0.3),
-)
-COLUMNS = {
-    "target_q": "q_target",
-    "target_qd": "qd_target",
-    "target_qdd": "qdd_target",
-    "target_moment": "M_target",
-    "target_current": "I_target",
-    "joint_control_output": "I_control",
-    "actual_current": "I_actual",
-    "actual_q": "q_actual",
-    "target_TCP_pose": "pose_target",
-    "actual_TCP_force": "force",
-}
-
-
-def exactly(values: tuple[float, ...]) -> tuple[Estimate, ...]:
-    return tuple(Estimate(value, value, value) for value in values)
-
-
-def planted() -> ArmFile:
-    """An arm that differs from the published one in everything that can be planted."""
-    arm = calibrated("UR5e", 4)
-    table = arm.table
-    columns = [np.asarray(column).tolist() for column in (table.dh_theta, table.dh_a, table.dh_d, table.dh_alpha)]
-    return ArmFile(
-        "UR5e",
-        {
-            "rotor_inertia": exactly(MOTORS.rotor_inertias),
-            "torque_constant": exactly(MOTORS.torque_constants),
-            "coulomb_current": exactly(MOTORS.coulomb),
-            "viscous_current": exactly(MOTORS.viscous),
-            "payload": exactly((PAYLOAD,)),
-            "payload_cog": exactly(COG),
-            "tracking_lag": exactly((0.004,)),
-            "start_rate": exactly((5.0,)),
-            "position_noise": exactly((4e-5,)),
-            "current_noise": exactly((0.05,)),
-            "force_noise": exactly((0.3,)),
-        },
-        DhTable(*columns),
-        (0.0, 0.01, 0.12, 0.0, 0.0, 0.0),
-    )
+from urlink.simulator import Controller
 
 
 @pytest.fixture(scope="module")
 def samples() -> Samples:
-    """About 10 s of it at 125 Hz: a program for each movement."""
-    controller = Controller(motion=Still(POSTURES[0]), like=planted())
-    rows: dict[str, list[list[float]]] = {name: [] for name in COLUMNS}
-    times = []
-    for posture in (*POSTURES, POSTURES[0]):
-        # The first one is where it stands.
-        controller.take(f"def p():\n  movej({list(posture)}, a=4.0, v=2.2)\nend\n")
-        for cycle in range(850):
-            controller.step()
-            if cycle % 4 == 0:
-                times.append(controller.time)
-                for name, field in COLUMNS.items():
-                    rows[name].append(list(getattr(controller.arm.sample, field)))
-    columns = {name: np.array(each) for name, each in rows.items()}
-    return Samples(Path("planted"), {"timestamp": np.array(times), **columns}, "UR5e")
+    return recorded(planted())
 
 
 @pytest.mark.slow

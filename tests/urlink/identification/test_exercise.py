@@ -12,7 +12,7 @@ import pytest
 import urlink
 from linkcore.errors import BadValue, Cancelled
 from tests.urlink.arms import calibrated
-from tests.urlink.identification.test_arm_file import planted
+from tests.urlink.identification.planted import planted
 from urlink.arm_file import read_arm_file
 from urlink.cli import main
 from urlink.identification.exercise import BESIDE, SWING, Guard, exercise, input_is_on, plan, plan_from_here
