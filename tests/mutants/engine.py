@@ -7,6 +7,11 @@ values, class bodies) cannot be replaced so: for such a mutation a new interpret
 Of the tests that execute the mutated lines the fastest are run, until one fails: first those that noticed another
 mutation of the same function, then of the same file. Which tests execute a line is measured beforehand on the program
 as it is.
+
+Why not mutmut, which is kept by others: 3.8.1 runs these tests (``-p pytest_urlink``, 1 s of processor time a change),
+but changes the bodies of functions only, no constant, default or class; runs no control; and has no list of changes
+that no user can see, with the reason: of its first 92 changes to `silence` and `interlock` 9 were not noticed, 5 of
+them texts of the log. Cosmic Ray starts an interpreter, and all tests, for each change.
 """
 
 from __future__ import annotations
