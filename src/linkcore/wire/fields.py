@@ -260,15 +260,10 @@ class Since:
     def __init__(self, text: str) -> None:
         self.text = text
         self.firsts = tuple(sorted(parse_version(part) for part in text.split("/")))
-        # A connection asks some thousand times, of one version.
-        self._known: tuple[Version, bool] | None = None
 
     def __contains__(self, version: Version) -> bool:
-        known = self._known
-        if known is None or known[0] != version:
-            entry = [first for first in self.firsts if first[0] <= version[0]]
-            self._known = known = version, bool(entry) and version >= entry[-1]
-        return known[1]
+        entry = [first for first in self.firsts if first[0] <= version[0]]
+        return bool(entry) and version >= entry[-1]
 
     def __repr__(self) -> str:
         return f"Since({self.text!r})"
