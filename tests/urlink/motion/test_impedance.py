@@ -234,10 +234,10 @@ def test_an_arm_that_was_moved_while_its_program_was_paused_stays_there() -> Non
     soft.go(0.3)
     elsewhere = turned(soft.q, 0.2)
     assert pendant.jog(elsewhere.tolist())
-    soft.go(1.5)
+    soft.go(1.0)
     np.testing.assert_allclose(soft.q, elsewhere, rtol=0.0, atol=1e-6)
     assert pendant.play()
-    soft.go(1.0)
+    soft.go(0.5)
     np.testing.assert_allclose(soft.q, elsewhere, rtol=0.0, atol=1e-3)
     assert soft.is_running
     soft.lead(turned(elsewhere, 0.1), 1.5)
