@@ -194,15 +194,15 @@ def test_stretched_arm_is_still_in_reach(arm: Arm) -> None:
 
 @EVERY
 @pytest.mark.parametrize("q3", [0.0, math.pi])
-@pytest.mark.parametrize("q5", [0.0, math.pi, 1e-11, 1e-9, 1e-7, 1e-5, 1e-3, math.pi - 1e-8])
-def test_wrist_in_line_with_the_arm_stretched_or_folded(arm: Arm, q3: float, q5: float) -> None:
+def test_wrist_in_line_with_the_arm_stretched_or_folded(arm: Arm, q3: float) -> None:
     # For the orientation joint 6 is free, or nearly so, but only one value of it brings the wrist into reach.
-    q = [0.2, 0.3, q3, -1.0, q5, 1.0]
-    there = arm.forward(q)
-    check_solutions(arm, arm.solutions(there), None, there)
-    led = arm.solutions(there, near=q)
-    check_solutions(arm, led, None, there)
-    assert np.abs(led[0] - q).max() < 1e-4
+    for q5 in (0.0, math.pi, 1e-11, 1e-9, 1e-7, 1e-5, 1e-3, math.pi - 1e-8):
+        q = [0.2, 0.3, q3, -1.0, q5, 1.0]
+        there = arm.forward(q)
+        check_solutions(arm, arm.solutions(there), None, there)
+        led = arm.solutions(there, near=q)
+        check_solutions(arm, led, None, there)
+        assert np.abs(led[0] - q).max() < 1e-4, q5
 
 
 OUT_OF_REACH = [
