@@ -280,7 +280,7 @@ def pressed(soft: Soft, depth: float, friction: float = 0.0) -> None:
     """A table under the tool, into which it is led by some m; and some time until it rests there."""
     x, y, z = soft.pose[:3]
     soft.controller.world.add(Plane((x, y, z), friction=friction))
-    soft.lead(below(soft, soft.pose, depth), 2.0)
+    soft.lead(below(soft, soft.pose, depth), 1.2)
 
 
 def below(soft: Soft, pose: Sequence[float], depth: float) -> list[float]:
