@@ -261,9 +261,16 @@ def simulate(session: nox.Session) -> None:
 
 @nox.session
 def accepted(session: nox.Session) -> None:
-    """Run `urlink accept` on sound controllers many times, or inject faults: ``-- faults --faults 10000``."""
+    """Run `urlink accept` on sound controllers many times, or inject faults: ``-- faults --runs 220``."""
     session.install("-e", f".{EXTRAS}", *group("tests"))
-    session.run("python", "-m", "tests.urlink.acceptance", *(session.posargs or ["sound", "--runs", "18"]))
+    session.run("python", "-m", "tests.urlink.acceptance", *(session.posargs or ["sound"]))
+
+
+@nox.session
+def identified(session: nox.Session) -> None:
+    """Run `urlink identify` on arms whose parameters were planted: ``-- --runs 200``."""
+    session.install("-e", f".{EXTRAS}", *group("tests"))
+    session.run("python", "-m", "tests.urlink.identification", *(session.posargs or ["--runs", "20"]))
 
 
 @nox.session

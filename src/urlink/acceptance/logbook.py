@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from linkcore.clock import Stamp
+from linkcore.errors import Closed
 from linkcore.net.transport import TcpTransport, witnessed
 from linkcore.recording.file import Kind, RecordingWriter
 from linkcore.text import strict_json
@@ -75,11 +76,16 @@ class Logbook:
     def _event(self, name: str, state: str, error: str | None = None) -> None:
         payload = json.dumps({"state": state, "error": error}).encode()
         for each in (name, name + SENT):
-            self._writer.write(Kind.EVENT, self._channels[each], Stamp.now(), payload)
+            self._write(Kind.EVENT, each, payload)
+
+    def _write(self, kind: Kind, channel: str, payload: bytes) -> None:
+        # A connection that outlives the block goes on, and is closed, unseen.
+        with contextlib.suppress(Closed):
+            self._writer.write(kind, self._channels[channel], Stamp.now(), payload)
 
     def passed(self, channel: str, data: bytes) -> None:
         """Bytes have come, or gone."""
-        self._writer.write(Kind.BYTES, self._channels[channel], Stamp.now(), data)
+        self._write(Kind.BYTES, channel, data)
 
     def ended(self, name: str, error: str | None) -> None:
         """A connection is over."""

@@ -144,7 +144,8 @@ def _velocities(evidence: Evidence) -> Measured:
         p, v = _wanted(evidence, position, velocity)
         with np.errstate(divide="ignore", invalid="ignore"):
             derived = (np.diff(p, axis=0) / steps[:, None])[is_next]
-        between = (0.5 * (v[1:] + v[:-1]))[is_next]
+        # The mean of a cycle lies between the values at its ends; an arm that brakes may do so in a single one.
+        between = np.clip(derived, np.minimum(v[1:], v[:-1])[is_next], np.maximum(v[1:], v[:-1])[is_next])
         for joint in range(6):
             a, b = derived[:, joint], between[:, joint]
             moving = turns[:, joint] > _MOVES

@@ -37,6 +37,9 @@ class _Moved:
             raise NotTried(self.said["skipped"])
         if self.said.get("event") != "end":
             raise NotTried("it was broken off")
+        # A motion is given up where this computer, or the network, holds up what paces it. `frozen` does so on purpose.
+        if self.error and step != "frozen" and (gap := held_up(evidence, step)) > _SILENT:
+            raise NotTried(f"for {gap * 1e3:.0f} ms nothing came from the controller; {self.error}")
         packets = evidence.realtime
         there = (packets.arrived >= begin) & (packets.arrived <= end)
         q, qd = packets.column(lambda state: state.q_actual), packets.column(lambda state: state.qd_target)

@@ -7,11 +7,14 @@ from pathlib import Path
 import pytest
 
 from linkcore.errors import BadValue
+from linkcore.net.transport import TcpTransport
 from urlink.acceptance.evidence import Evidence
+from urlink.acceptance.logbook import Logbook
 from urlink.acceptance.person import Nobody
 from urlink.acceptance.report import as_html, as_text, is_accepted, judge
 from urlink.acceptance.requirements import requirements
 from urlink.acceptance.stages import run
+from urlink.simulator import Controller
 
 #: What cannot be tried while nothing moves.
 _MOVED = {"velocities"}
@@ -72,3 +75,13 @@ def test_what_is_not_consented_to_is_not_tried(tmp_path: Path) -> None:
 def test_a_recording_cannot_be_accepted(tmp_path: Path) -> None:
     with pytest.raises(BadValue, match="is a recording"):
         run("replay:///run.urlog", tmp_path / "run.urlog", (0,), consent)
+
+
+@pytest.mark.simulated_time
+def test_a_connection_that_outlives_the_logbook_goes_on_and_is_closed(tmp_path: Path) -> None:
+    with Controller("UR5", "3.15") as controller:
+        transport = TcpTransport("127.0.0.1", controller.ports["realtime"], silence=5.0)
+        with Logbook(tmp_path / "run.urlog", controller.ports, {}):
+            transport.open(5.0)
+        assert transport.receive(5.0)[0]
+        transport.abort()

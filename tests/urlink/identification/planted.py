@@ -120,12 +120,13 @@ def planted(seed: int = 4, **values: Sequence[float]) -> ArmFile:
     return ArmFile("UR5e", named, DhTable(*columns), (0.0, 0.01, 0.12, 0.0, 0.0, 0.0))
 
 
-def recorded(like: ArmFile, seed: int = 0) -> Samples:
-    """About 10 s of an arm at 125 Hz, a program for each movement: what the controller computes has no noise.
+def recorded(like: ArmFile, seed: int = 0, every: int = 4) -> Samples:
+    """About 10 s of an arm, a program for each movement: what the controller computes has no noise.
 
     Args:
         like: the arm.
         seed: of the noise of its sensors.
+        every: cycles of 2 ms from one row to the next; 4 are 125 Hz.
     """
     controller = Controller(motion=Still(POSTURES[0]), like=like, seed=seed)
     rows: dict[str, list[list[float]]] = {name: [] for name in COLUMNS}
@@ -135,7 +136,7 @@ def recorded(like: ArmFile, seed: int = 0) -> Samples:
         controller.take(f"def p():\n  movej({list(posture)}, a=4.0, v=2.2)\nend\n")
         for cycle in range(850):
             controller.step()
-            if cycle % 4 == 0:
+            if cycle % every == 0:
                 times.append(controller.time)
                 for name, field in COLUMNS.items():
                     rows[name].append(list(getattr(controller.arm.sample, field)))

@@ -1,0 +1,60 @@
+"""What is no defect is not taken for one: each case was a false alarm of a run beside a busy process."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from urlink.acceptance.evidence import Came, Evidence, Note
+from urlink.acceptance.report import judge
+from urlink.acceptance.requirements import requirements
+from urlink.firmware import Firmware
+from urlink.identity import described_identity
+
+_PERIOD = 0.002
+
+
+def evidence(speeds: np.ndarray, notes: list[Note], arrivals: np.ndarray | None = None) -> Evidence:
+    """Of an e-Series whose joints have these speeds, a row each 2 ms: (n, 6) rad/s."""
+    times = _PERIOD * np.arange(1, len(speeds) + 1)
+    accelerations = np.diff(speeds, axis=0, prepend=0.0) / _PERIOD
+    positions = np.cumsum(0.5 * _PERIOD * (speeds + np.vstack([np.zeros(6), speeds[:-1]])), axis=0)
+    states = [
+        SimpleNamespace(time=t, q_target=q, q_actual=q, qd_target=qd, qd_actual=qd, qdd_target=qdd)
+        for t, q, qd, qdd in zip(times, positions, speeds, accelerations, strict=True)
+    ]
+    found = Evidence.__new__(Evidence)
+    found.identity = described_identity({"name": "notes", "firmware": str(Firmware(5, 11))})
+    found.notes, found.wires = notes, []
+    found.__dict__["realtime"] = Came(states, list(times if arrivals is None else arrivals), begins=[0])
+    return found
+
+
+def verdict(name: str, of: Evidence) -> tuple[str, str]:
+    (each,) = judge(of, {name: requirements()[name]})
+    return each.state, each.seen
+
+
+@pytest.mark.parametrize(("sign", "state"), [(1.0, "held"), (-1.0, "not held")])
+def test_an_arm_may_start_and_brake_within_one_cycle(sign: float, state: str) -> None:
+    speeds = np.zeros((400, 6))
+    speeds[:, 5] = np.repeat(np.tile([0.1, 0.0], 20), 10)
+    of = evidence(speeds, [Note(0.0, "stage", {"number": 0})])
+    for each in of.realtime.states:
+        each.qdd_target = sign * each.qdd_target
+    assert verdict("velocities", of)[0] == state
+
+
+@pytest.mark.parametrize(("gap", "state"), [(0.3, "not tried"), (0.0, "not held")])
+def test_a_stream_that_ends_while_this_computer_is_held_up_is_not_judged(gap: float, state: str) -> None:
+    error = "ConnectionLost: nothing came to the program on the robot in time; it brakes by itself"
+    arrivals = _PERIOD * np.arange(1, 1001)
+    arrivals[500:] += gap
+    notes = [Note(0.0, "stage", {"number": 2})]
+    for step in ("follow-100", "follow-50", "follow-10"):
+        notes += [Note(0.1, step, {"event": "begin"}), Note(2.0, step, {"event": "end", "error": error})]
+    found, seen = verdict("follow-scales", evidence(np.zeros((1000, 6)), notes, arrivals))
+    assert found == state
+    assert error in seen
