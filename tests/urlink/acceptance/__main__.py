@@ -7,8 +7,8 @@ the rows. In simulated time, or with ``--real`` in real time beside a process th
 ``faults`` runs stage 2 again and again for half a minute while faults are injected (`faulted`), and looks how far any
 joint leaves its start; a run has some 45 faults.
 
-With ``--state FILE`` the next call goes on with the runs that are left. ``--first 17 --runs 1`` repeats one run; the
-same seed is the same run in simulated time.
+With ``--state FILE`` the next call goes on with the runs that are left. ``--first 17 --runs 1`` is one run alone,
+which in simulated time may differ from the same one after others in its process.
 """
 
 from __future__ import annotations
