@@ -9,7 +9,7 @@ import subprocess
 import sys
 import urllib.error
 import urllib.request
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
 import pytest
 from prometheus_client.openmetrics.parser import text_string_to_metric_families as parse_openmetrics
@@ -41,15 +41,6 @@ def scrape(port: int, accept: str = "text/plain") -> dict[Sample, float]:
 
 def of(found: Mapping[Sample, float], name: str, **labels: str) -> float:
     return found[name, frozenset({"robot": "arm", **labels}.items())]
-
-
-@pytest.fixture
-def port(urlink_robot: urlink.Robot) -> Iterator[int]:
-    collector = RobotCollector({"arm": urlink_robot})
-    with serve_metrics(collector, port=0) as port:
-        urlink_robot.realtime.wait(20.0)
-        yield port
-    collector.close()
 
 
 @pytest.mark.parametrize("accept", ["text/plain", "application/openmetrics-text; version=1.0.0"])

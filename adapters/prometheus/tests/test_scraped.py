@@ -18,7 +18,6 @@ import pytest
 import urlink
 from tests.waiting import until
 from urlink.simulator import Controller
-from urlink_prometheus import RobotCollector, serve_metrics
 
 PROMETHEUS, PROMTOOL = shutil.which("prometheus"), shutil.which("promtool")
 #: The simulated arm of these tests. What is silent or late here is so because the machine is busy.
@@ -62,28 +61,18 @@ class Scraper:
 
 
 @pytest.fixture
-def metrics(urlink_robot: urlink.Robot) -> Iterator[int]:
-    """The port at which the simulated arm is served as "arm"."""
-    collector = RobotCollector({"arm": urlink_robot})
-    with serve_metrics(collector, port=0) as port:
-        urlink_robot.realtime.wait(20.0)
-        yield port
-    collector.close()
-
-
-@pytest.fixture
-def prometheus(metrics: int, tmp_path: Path) -> Iterator[Scraper]:
+def prometheus(port: int, tmp_path: Path) -> Iterator[Scraper]:
     assert PROMETHEUS is not None
     config = tmp_path / "prometheus.yml"
-    config.write_text(CONFIG.format(port=metrics))
+    config.write_text(CONFIG.format(port=port))
     with socket.create_server(("127.0.0.1", 0)) as probe:
-        port: int = probe.getsockname()[1]
+        own: int = probe.getsockname()[1]
     command = [PROMETHEUS, f"--config.file={config}", f"--storage.tsdb.path={tmp_path / 'data'}"]
     process = subprocess.Popen(
-        [*command, f"--web.listen-address=127.0.0.1:{port}"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        [*command, f"--web.listen-address=127.0.0.1:{own}"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     )
     try:
-        scraper = Scraper(port)
+        scraper = Scraper(own)
 
         def is_ready() -> bool:
             assert process.poll() is None, "prometheus has ended"
@@ -97,17 +86,17 @@ def prometheus(metrics: int, tmp_path: Path) -> Iterator[Scraper]:
 
 
 def test_it_takes_in_every_metric_with_its_type_and_value(
-    prometheus: Scraper, metrics: int, urlink_robot: urlink.Robot
+    prometheus: Scraper, port: int, urlink_robot: urlink.Robot
 ) -> None:
     # Prometheus asks for this format.
-    request = urllib.request.Request(f"http://127.0.0.1:{metrics}/metrics", headers={"Accept": OPENMETRICS})
+    request = urllib.request.Request(f"http://127.0.0.1:{port}/metrics", headers={"Accept": OPENMETRICS})
     with urllib.request.urlopen(request, timeout=10.0) as answer:
         types = dict(re.findall(r"^# TYPE (urlink_\w+) (\w+)$", answer.read().decode(), re.MULTILINE))
     assert len(types) > 15
     until(lambda: set(prometheus.asked("metadata")) >= set(types))
     metadata = prometheus.asked("metadata")
     assert {name: metadata[name][0]["type"] for name in types} == types
-    labels = {"instance": f"127.0.0.1:{metrics}", "job": "arms", "robot": "arm"}
+    labels = {"instance": f"127.0.0.1:{port}", "job": "arms", "robot": "arm"}
     assert prometheus.found("urlink_connected") == [({"__name__": "urlink_connected", **labels}, 1.0)]
     joints = {each["joint"]: value for each, value in prometheus.found("urlink_joint_position_radians")}
     assert joints["wrist_1"] == pytest.approx(urlink_robot.realtime.wait().q_actual[3], abs=1e-3)
@@ -139,9 +128,9 @@ def test_a_robot_that_is_lost_has_no_old_values(prometheus: Scraper, urlink_cont
 
 
 @pytest.mark.skipif(PROMTOOL is None, reason="there is no promtool (apt install prometheus)")
-def test_its_own_lint_finds_nothing(metrics: int) -> None:
+def test_its_own_lint_finds_nothing(port: int) -> None:
     assert PROMTOOL is not None
-    with urllib.request.urlopen(f"http://127.0.0.1:{metrics}/metrics", timeout=10.0) as answer:
+    with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=10.0) as answer:
         text = answer.read()
     checked = subprocess.run([PROMTOOL, "check", "metrics"], input=text, capture_output=True, timeout=60)
     ours = [line for line in (checked.stdout + checked.stderr).decode().splitlines() if "urlink_" in line]

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -20,7 +19,7 @@ from urlink.arm_file import Estimate
 from urlink.identification import identify
 from urlink.identification.samples import Samples
 
-from .planted import COG, MOTORS, OTHERS, PAYLOAD, planted, recorded
+from .planted import OWN, planted, recorded
 
 #: By which factor a parameter may be another one than that of `planted`.
 FACTOR = 1.3
@@ -34,17 +33,8 @@ LATE, DRIFT = 5e-4, 5e-4
 def drawn(seed: int, rate: int) -> tuple[dict[str, list[float]], Samples]:
     """What was planted, by its name in the file of an arm, and the recording, of so many rows a second."""
     rng = np.random.default_rng(seed)
-    usual: dict[str, Sequence[float]] = {
-        "rotor_inertia": MOTORS.rotor_inertias,
-        "torque_constant": MOTORS.torque_constants,
-        "coulomb_current": MOTORS.coulomb,
-        "viscous_current": MOTORS.viscous,
-        "payload": (PAYLOAD,),
-        "payload_cog": COG,
-        **{name: (value,) for name, value in OTHERS.items()},
-    }
     values = {
-        name: (np.array(each) * FACTOR ** rng.uniform(-1.0, 1.0, len(each))).tolist() for name, each in usual.items()
+        name: (np.array(each) * FACTOR ** rng.uniform(-1.0, 1.0, len(each))).tolist() for name, each in OWN.items()
     }
     whole = recorded(planted(seed, **values), seed, 500 // rate)
     columns = dict(whole)

@@ -93,6 +93,18 @@ OTHERS = {
 }
 
 
+#: All of these, by their names in the file of an arm.
+OWN: dict[str, Sequence[float]] = {
+    "rotor_inertia": MOTORS.rotor_inertias,
+    "torque_constant": MOTORS.torque_constants,
+    "coulomb_current": MOTORS.coulomb,
+    "viscous_current": MOTORS.viscous,
+    "payload": (PAYLOAD,),
+    "payload_cog": COG,
+    **{name: (value,) for name, value in OTHERS.items()},
+}
+
+
 def exactly(values: Sequence[float]) -> tuple[Estimate, ...]:
     """Estimates without doubt."""
     return tuple(Estimate(value, value, value) for value in values)
@@ -103,20 +115,11 @@ def planted(seed: int = 4, **values: Sequence[float]) -> ArmFile:
 
     Args:
         seed: of its calibration.
-        values: other ones than `MOTORS`, `PAYLOAD`, `COG` and `OTHERS`, by their names in the file.
+        values: other ones than `OWN`, by their names in the file.
     """
     table = calibrated("UR5e", seed).table
     columns = [np.asarray(column).tolist() for column in (table.dh_theta, table.dh_a, table.dh_d, table.dh_alpha)]
-    own: dict[str, Sequence[float]] = {
-        "rotor_inertia": MOTORS.rotor_inertias,
-        "torque_constant": MOTORS.torque_constants,
-        "coulomb_current": MOTORS.coulomb,
-        "viscous_current": MOTORS.viscous,
-        "payload": (PAYLOAD,),
-        "payload_cog": COG,
-        **{name: (value,) for name, value in OTHERS.items()},
-    }
-    named = {name: exactly(each) for name, each in (own | values).items()}
+    named = {name: exactly(each) for name, each in (OWN | values).items()}
     return ArmFile("UR5e", named, DhTable(*columns), (0.0, 0.01, 0.12, 0.0, 0.0, 0.0))
 
 
