@@ -128,6 +128,9 @@ class AnswersForeignNames:
             kind = type(self).__name__
             known = None if name.startswith("_") else own_name(name)
             if known is not None:
-                raise AttributeError(f"{kind} has no {name!r}; here it is: {known}")
-            hint = "" if name.startswith("_") else similar(name, (each for each in dir(self) if each[0] != "_"))
-            raise AttributeError(f"{kind} has no attribute {name!r}{hint}")
+                what = f"{name!r}; here it is: {known}"
+            else:
+                hint = "" if name.startswith("_") else similar(name, (each for each in dir(self) if each[0] != "_"))
+                what = f"attribute {name!r}{hint}"
+            # Of no object, or Python adds a guess of its own to a traceback.
+            raise AttributeError(f"{kind} has no {what}", name=name, obj=None)

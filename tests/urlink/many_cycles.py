@@ -143,7 +143,12 @@ def connected(kind: str, name: str) -> Iterator[Repeat]:
             method, arguments = getattr(robot.dashboard, name), own.ARGUMENTS.get(name, ())
             yield again(lambda: method(*arguments), LinkError)
         else:
-            yield lambda count: [own.CALLS[name](robot) for _ in range(count)] and None
+            call = own.CALLS[name]
+            if isinstance(call, own.Within) and not call.is_last:
+                # What is opened is tried by itself; opened for each call it would take most of the time.
+                yield lambda count: call(robot, count)
+            else:
+                yield lambda count: [call(robot) for _ in range(count)] and None
     if kind == "refused":
         yield again(lambda: own.CALLS[name](robot), LinkError)
 

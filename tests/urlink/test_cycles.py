@@ -94,15 +94,39 @@ def _trajectory() -> urlink.Trajectory:
 STATUS = bytes.fromhex("09 03 07 D0 00 01 85 CF")
 
 
-def servo(robot: Robot, use: Callable[[Servo], object], **options: Any) -> None:
+class Within:
+    """A call of something that has to be opened first.
+
+    Args:
+        opened: makes the context manager of a robot.
+        use: the call; nothing where only opening it is tried.
+        is_last: it ends what was opened, or fills it.
+    """
+
+    def __init__(
+        self,
+        opened: Callable[[Robot], contextlib.AbstractContextManager[Any]],
+        use: Callable[[Any], object] = lambda opened: None,
+        *,
+        is_last: bool = False,
+    ) -> None:
+        self.opened = opened
+        self.use = use
+        self.is_last = is_last
+
+    def __call__(self, robot: Robot, count: int = 1) -> None:
+        with self.opened(robot) as opened:
+            for _ in range(count):
+                self.use(opened)
+
+
+def servo(robot: Robot, **options: Any) -> Servo:
     robot.motion.move_joints(HOME, wait=True)
-    with robot.motion.servo(watchdog=2.0, **options) as block:
-        use(block)
+    return robot.motion.servo(watchdog=2.0, **options)
 
 
-def interpreted(robot: Robot, use: Callable[[Interpreter], object]) -> None:
-    with robot.interpreter() as interpreter:
-        use(interpreter)
+def pressing(robot: Robot) -> Any:
+    return robot.motion.force_mode("base", (0, 0, 1, 0, 0, 0), [0] * 6, [0.1] * 6)
 
 
 def measured(block: Servo) -> None:
@@ -131,11 +155,6 @@ def read_over_the_line(robot: Robot) -> None:
 
 def pose(robot: Robot) -> Any:
     return robot.realtime.wait().tool_vector_actual
-
-
-def block(opened: Any, use: Callable[[Any], object] = lambda opened: None) -> None:
-    with opened:
-        use(opened)
 
 
 def moved_by(robot: Robot, offset: tuple[float, float, float]) -> Any:
@@ -184,31 +203,29 @@ _directions = itertools.cycle([1, -1])
 
 #: Each method that sends, with how it is called.
 CALLS: dict[str, Callable[[Robot], object]] = {
-    "Robot.freedrive": lambda robot: block(robot.freedrive()),
-    "Robot.interpreter": lambda robot: interpreted(robot, lambda interpreter: None),
+    "Robot.freedrive": Within(lambda robot: robot.freedrive()),
+    "Robot.interpreter": Within(lambda robot: robot.interpreter()),
     "Robot.popup": lambda robot: robot.popup("x"),
     "Robot.set_gravity": lambda robot: robot.set_gravity((0, 0, -9.82)),
     "Robot.set_payload": lambda robot: robot.set_payload(0.5, (0, 0, 0.01), confirm=CONFIRM),
     "Robot.set_speed_slider": lambda robot: robot.set_speed_slider(1.0, confirm=CONFIRM),
     "Robot.set_tcp": lambda robot: robot.set_tcp((0, 0, 0.1, 0, 0, 0), confirm=CONFIRM),
-    "Robot.teach": lambda robot: block(robot.teach(), lambda teaching: teaching.record()),
+    "Robot.teach": Within(lambda robot: robot.teach(), lambda teaching: teaching.record(), is_last=True),
     "Robot.zero_force_sensor": lambda robot: robot.zero_force_sensor(),
     "Motions.follow": lambda robot: robot.motion.follow(_trajectory(), start_tolerance=1.0, watchdog=2.0, wait=True),
-    "Motions.force_mode": lambda robot: block(
-        robot.motion.force_mode("base", (0, 0, 1, 0, 0, 0), [0] * 6, [0.1] * 6), lambda mode: mode.set_wrench([0] * 6)
-    ),
-    "Motions.impedance": lambda robot: block(robot.motion.impedance(), lambda soft: soft.send(HOME)),
-    "Motions.jog": lambda robot: block(robot.motion.jog(), lambda jog: jog.move([0.0] * 6)),
+    "Motions.force_mode": Within(pressing, lambda mode: mode.set_wrench([0] * 6), is_last=True),
+    "Motions.impedance": Within(lambda robot: robot.motion.impedance(), lambda soft: soft.send(HOME), is_last=True),
+    "Motions.jog": Within(lambda robot: robot.motion.jog(), lambda jog: jog.move([0.0] * 6), is_last=True),
     "Motions.move_circular": circled,
     "Motions.move_joints": lambda robot: robot.motion.move_joints(NEAR, wait=True),
     "Motions.move_linear": moved,
     "Motions.path": lambda robot: robot.motion.path([urlink.Joint(NEAR)], wait=True),
-    "Motions.servo": lambda robot: servo(robot, lambda block: block.send(HOME)),
-    "Motions.stream": lambda robot: block(robot.motion.stream(), lambda stream: stream.clear()),
+    "Motions.servo": Within(servo, lambda block: block.send(HOME), is_last=True),
+    "Motions.stream": Within(lambda robot: robot.motion.stream(), lambda stream: stream.clear(), is_last=True),
     "Motions.speed_joints": lambda robot: robot.motion.speed_joints([0.0] * 6, duration=0.02).wait(),
     "Motions.speed_linear": lambda robot: robot.motion.speed_linear([0.0] * 6, duration=0.02).wait(),
     "Motions.stop": lambda robot: robot.motion.stop(wait=True),
-    "Motions.torque": lambda robot: block(robot.motion.torque(), lambda torque: torque.send([0.0] * 6)),
+    "Motions.torque": Within(lambda robot: robot.motion.torque(), lambda torque: torque.send([0.0] * 6), is_last=True),
     "Motions.until_contact": untouched,
     "Scripts.run": lambda robot: robot.script.run("sync()", wait=True, on_text=lambda text: None),
     "Scripts.send_line": lambda robot: robot.script.send_line("set_flag(1, True)"),
@@ -221,23 +238,23 @@ CALLS: dict[str, Callable[[Robot], object]] = {
     "IO.set_tool_digital_out": lambda robot: robot.io.set_tool_digital_out(0, next(_dials), confirm=CONFIRM),
     "IO.set_tool_communication": lambda robot: robot.io.set_tool_communication(confirm=CONFIRM),
     "IO.set_tool_voltage": lambda robot: robot.io.set_tool_voltage(12, confirm=CONFIRM),
-    "Interpreter.abort": lambda robot: interpreted(robot, lambda interpreter: interpreter.abort()),
-    "Interpreter.clear": lambda robot: interpreted(robot, lambda interpreter: interpreter.clear()),
-    "Interpreter.end": lambda robot: interpreted(robot, lambda interpreter: interpreter.end()),
-    "Interpreter.execute": lambda robot: interpreted(robot, lambda interpreter: interpreter.execute("a = 1")),
-    "Interpreter.skip": lambda robot: interpreted(robot, lambda interpreter: interpreter.skip()),
-    "Servo.send": lambda robot: servo(robot, lambda block: block.send(HOME), target_filter="jerk_limited"),
-    "Servo.schedule": lambda robot: servo(robot, lambda block: block.schedule(HOME, robot.realtime.wait().time + 0.1)),
-    "Servo.measure_delay": lambda robot: servo(robot, measured),
-    "PointStream.append": lambda robot: block(robot.motion.stream(), appended),
-    "PointStream.clear": lambda robot: block(robot.motion.stream(), lambda stream: stream.clear()),
-    "PointStream.replace": lambda robot: block(robot.motion.stream(), replaced),
-    "PointStream.wait_until_dry": lambda robot: block(robot.motion.stream(), lambda stream: stream.wait_until_dry()),
-    "Jog.move": lambda robot: block(robot.motion.jog(), lambda jog: jog.move([0.01] * 6)),
-    "Jog.stop": lambda robot: block(robot.motion.jog(), lambda jog: jog.stop()),
-    "Impedance.send": lambda robot: block(robot.motion.impedance(), lambda soft: soft.send(HOME)),
-    "Impedance.set_gains": lambda robot: block(robot.motion.impedance(), lambda soft: soft.set_gains(500)),
-    "Torque.send": lambda robot: block(robot.motion.torque(), lambda torque: torque.send([0.01] * 6)),
+    "Interpreter.abort": Within(lambda robot: robot.interpreter(), lambda interpreter: interpreter.abort()),
+    "Interpreter.clear": Within(lambda robot: robot.interpreter(), lambda interpreter: interpreter.clear()),
+    "Interpreter.end": Within(lambda robot: robot.interpreter(), lambda interpreter: interpreter.end(), is_last=True),
+    "Interpreter.execute": Within(lambda robot: robot.interpreter(), lambda interpreter: interpreter.execute("a = 1")),
+    "Interpreter.skip": Within(lambda robot: robot.interpreter(), lambda interpreter: interpreter.skip()),
+    "Servo.send": Within(lambda robot: servo(robot, target_filter="jerk_limited"), lambda block: block.send(HOME)),
+    "Servo.schedule": Within(servo, lambda block: block.schedule(HOME, 1e6)),
+    "Servo.measure_delay": Within(servo, measured),
+    "PointStream.append": Within(lambda robot: robot.motion.stream(), appended, is_last=True),
+    "PointStream.clear": Within(lambda robot: robot.motion.stream(), lambda stream: stream.clear()),
+    "PointStream.replace": Within(lambda robot: robot.motion.stream(), replaced),
+    "PointStream.wait_until_dry": Within(lambda robot: robot.motion.stream(), lambda stream: stream.wait_until_dry()),
+    "Jog.move": Within(lambda robot: robot.motion.jog(), lambda jog: jog.move([0.01] * 6)),
+    "Jog.stop": Within(lambda robot: robot.motion.jog(), lambda jog: jog.stop()),
+    "Impedance.send": Within(lambda robot: robot.motion.impedance(), lambda soft: soft.send(HOME)),
+    "Impedance.set_gains": Within(lambda robot: robot.motion.impedance(), lambda soft: soft.set_gains(500)),
+    "Torque.send": Within(lambda robot: robot.motion.torque(), lambda torque: torque.send([0.01] * 6)),
     "Handle.cancel": cancelled,
     "Registers.write_bit": lambda robot: robot.registers.write_bit(64, True),
     "Registers.write_float": lambda robot: robot.registers.write_float(24, 1.0),
@@ -245,12 +262,12 @@ CALLS: dict[str, Callable[[Robot], object]] = {
     "Registers.read_integer": lambda robot: robot.registers.read_integer(24),
     "Registers.read_bit": lambda robot: robot.registers.read_bit(64),
     "Registers.read_float": lambda robot: robot.registers.read_float(24),
-    "Rtde.inputs": lambda robot: block(robot.rtde.inputs("input_int_register_30")),
-    "Rtde.outputs": lambda robot: block(robot.rtde.outputs("timestamp"), lambda outputs: outputs.wait()),
+    "Rtde.inputs": Within(lambda robot: robot.rtde.inputs("input_int_register_30")),
+    "Rtde.outputs": Within(lambda robot: robot.rtde.outputs("timestamp"), lambda outputs: outputs.wait()),
     "Rtde.missing": lambda robot: robot.rtde.missing(),
     "Rtde.who_holds": lambda robot: robot.rtde.who_holds(),
-    "Inputs.send": lambda robot: block(
-        robot.rtde.inputs("input_int_register_30"), lambda inputs: inputs.send(input_int_register_30=1)
+    "Inputs.send": Within(
+        lambda robot: robot.rtde.inputs("input_int_register_30"), lambda inputs: inputs.send(input_int_register_30=1)
     ),
     "Gripper.activate": lambda robot: robot.gripper.activate(),
     "Gripper.open": lambda robot: robot.gripper.open(wait=False),
@@ -263,9 +280,7 @@ CALLS: dict[str, Callable[[Robot], object]] = {
     "ToolSerial.ask": asked_over_the_line,
     "ToolSerial.read": read_over_the_line,
     "ToolSerial.write": lambda robot: robot.tool_serial.write(STATUS),
-    "ForceMode.set_wrench": lambda robot: block(
-        robot.motion.force_mode("base", (0, 0, 1, 0, 0, 0), [0] * 6, [0.1] * 6), lambda mode: mode.set_wrench([0] * 6)
-    ),
+    "ForceMode.set_wrench": Within(pressing, lambda mode: mode.set_wrench([0] * 6)),
 }
 
 

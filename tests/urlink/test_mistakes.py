@@ -9,7 +9,7 @@ import pytest
 
 import urlink
 from linkcore.errors import LinkError, LocalError
-from urlink.foreign_names import _OWN, own_name
+from urlink.foreign_names import _OWN, AnswersForeignNames, own_name
 from urlink.simulator import Controller, Still
 
 Q = [0, -1.57, 1.57, -1.57, -1.57, 0]
@@ -108,6 +108,13 @@ MISTAKES: list[tuple[Try, type[Exception], str]] = [
     (lambda r: urlink.connect(""), LocalError, "address"),
     (lambda r: urlink.load("no such file.urlog"), LocalError, "no such file"),
 ]
+
+
+@pytest.mark.parametrize("name", ["movej", "moton"])
+def test_python_adds_no_guess_of_its_own_to_an_unknown_name(name: str) -> None:
+    with pytest.raises(AttributeError) as caught:
+        getattr(AnswersForeignNames(), name)
+    assert (caught.value.name, caught.value.obj) == (name, None)
 
 
 @pytest.mark.parametrize(("attempt", "kind", "advice"), MISTAKES, ids=[advice for _, _, advice in MISTAKES])

@@ -7,11 +7,13 @@ thread that takes no part, such as pytest's own, may use what is made here as we
 from __future__ import annotations
 
 import _thread
+import contextvars
 import queue
 import sys
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from types import GenericAlias
 from typing import Any
 
@@ -27,12 +29,26 @@ _real_sleep = time.sleep
 _real_monotonic = time.monotonic
 
 
-class Lock:
-    """`threading.Lock`."""
+class _Waited:
+    """What tasks wait for."""
 
     def __init__(self) -> None:
-        self._is_locked = False
         self._waiters: deque[Task] = deque()
+
+    def _make_way(self) -> None:
+        """One of them may go on, and another task may run."""
+        scheduler = current()
+        if scheduler is not None:
+            if self._waiters:
+                scheduler.wake_one(self._waiters)
+            scheduler.step()
+
+
+class _Held(_Waited):
+    """What a block can hold."""
+
+    _take: Callable[[], bool]
+    release: Callable[[], None]
 
     def acquire(self, blocking: bool = True, timeout: float = -1) -> bool:
         scheduler = current()
@@ -49,24 +65,31 @@ class Lock:
                 return False
         return True
 
-    def release(self) -> None:
-        if not self._is_locked:
-            raise RuntimeError("release unlocked lock")
-        self._is_locked = False
-        scheduler = current()
-        if scheduler is not None:
-            if self._waiters:
-                scheduler.wake_one(self._waiters)
-            scheduler.step()
-
-    def locked(self) -> bool:
-        return self._is_locked
-
     def __enter__(self) -> bool:
         return self.acquire()
 
     def __exit__(self, *exc: object) -> None:
         self.release()
+
+    def _at_fork_reinit(self) -> None:
+        self.__init__()  # type: ignore[misc]
+
+
+class Lock(_Held):
+    """`threading.Lock`."""
+
+    def __init__(self) -> None:
+        self._is_locked = False
+        super().__init__()
+
+    def release(self) -> None:
+        if not self._is_locked:
+            raise RuntimeError("release unlocked lock")
+        self._is_locked = False
+        self._make_way()
+
+    def locked(self) -> bool:
+        return self._is_locked
 
     def _take(self) -> bool:
         if self._is_locked:
@@ -74,36 +97,20 @@ class Lock:
         self._is_locked = True
         return True
 
-    def _at_fork_reinit(self) -> None:
-        self.__init__()  # type: ignore[misc]
 
-
-class RLock:
+class RLock(_Held):
     """`threading.RLock`, with the methods that `threading.Condition` asks for."""
 
     def __init__(self) -> None:
         self._owner = 0
         self._count = 0
-        self._waiters: deque[Task] = deque()
+        super().__init__()
 
     def acquire(self, blocking: bool = True, timeout: float = -1) -> bool:
-        mine = _thread.get_ident()
-        if self._owner == mine:
+        if self._is_owned():
             self._count += 1
             return True
-        scheduler = current()
-        if scheduler is None:
-            return _from_outside(self._take, blocking, timeout)
-        scheduler.step()
-        if self._owner:
-            if not blocking:
-                return False
-            deadline = None if timeout < 0 else scheduler.deadline(timeout)
-            while self._owner:
-                if not scheduler.wait(deadline, self._waiters):
-                    return False
-        self._owner, self._count = mine, 1
-        return True
+        return super().acquire(blocking, timeout)
 
     def release(self) -> None:
         if self._owner != _thread.get_ident():
@@ -112,19 +119,12 @@ class RLock:
         if not self._count:
             self._free()
 
-    def __enter__(self) -> bool:
-        return self.acquire()
-
-    def __exit__(self, *exc: object) -> None:
-        self.release()
+    def locked(self) -> bool:  # since CPython 3.14, where `threading.Condition` asks for it
+        return self._count > 0
 
     def _free(self) -> None:
         self._owner = 0
-        scheduler = current()
-        if scheduler is not None:
-            if self._waiters:
-                scheduler.wake_one(self._waiters)
-            scheduler.step()
+        self._make_way()
 
     def _take(self) -> bool:
         if self._owner:
@@ -147,9 +147,6 @@ class RLock:
     def _recursion_count(self) -> int:
         return self._count if self._is_owned() else 0
 
-    def _at_fork_reinit(self) -> None:
-        self.__init__()  # type: ignore[misc]
-
 
 def _from_outside(take: Any, blocking: bool, timeout: float) -> bool:
     """Take a lock in a thread that takes no part, or when the simulation is over."""
@@ -161,22 +158,18 @@ def _from_outside(take: Any, blocking: bool, timeout: float) -> bool:
     return True
 
 
-class SimpleQueue:
+class SimpleQueue(_Waited):
     """`queue.SimpleQueue`, in a step for each call."""
 
     __class_getitem__: Any = classmethod(GenericAlias)
 
     def __init__(self) -> None:
+        super().__init__()
         self._items: deque[Any] = deque()
-        self._waiters: deque[Task] = deque()
 
     def put(self, item: Any, block: bool = True, timeout: float | None = None) -> None:
         self._items.append(item)
-        scheduler = current()
-        if scheduler is not None:
-            if self._waiters:
-                scheduler.wake_one(self._waiters)
-            scheduler.step()
+        self._make_way()
 
     put_nowait = put
 
@@ -226,6 +219,10 @@ def start(thread: threading.Thread) -> None:
     assert scheduler.running is not None
     task = scheduler.spawn(thread.name, scheduler.running.process)
     thread._simulated = task  # type: ignore[attr-defined]
+    if getattr(thread, "_context", thread) is None:
+        # CPython 3.14 runs a thread in a context that `Thread.start` has set; before, each begins with an empty one.
+        inherits = getattr(sys.flags, "thread_inherit_context", False)
+        thread._context = contextvars.copy_context() if inherits else contextvars.Context()  # type: ignore[attr-defined]
     # What `_bootstrap_inner` takes out again.
     threading._limbo[thread] = thread  # type: ignore[attr-defined]
     task.ident = _thread.start_new_thread(_take_part, (scheduler, task, thread))
@@ -241,7 +238,16 @@ def _take_part(scheduler: Scheduler, task: Task, thread: threading.Thread) -> No
     except Ended:
         threading._limbo.pop(thread, None)  # type: ignore[attr-defined]
     finally:
+        _set_done(thread)
         scheduler.finish(task)
+
+
+def _set_done(thread: threading.Thread) -> None:
+    """What the real `is_alive` and `join` ask after the simulation; before CPython 3.13 it is in the thread's state."""
+    for name in vars(thread).keys() & {"_handle", "_os_thread_handle"}:
+        done = threading._make_thread_handle(thread.ident)  # type: ignore[attr-defined]
+        done._set_done()
+        setattr(thread, name, done)
 
 
 def join(thread: threading.Thread, timeout: float | None = None) -> None:
