@@ -132,5 +132,5 @@ class AnswersForeignNames:
             else:
                 hint = "" if name.startswith("_") else similar(name, (each for each in dir(self) if each[0] != "_"))
                 what = f"attribute {name!r}{hint}"
-            # Of no object, or Python adds a guess of its own to a traceback.
+            # Of no object, or Python adds a suggestion of its own to a traceback.
             raise AttributeError(f"{kind} has no {what}", name=name, obj=None)

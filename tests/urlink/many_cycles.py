@@ -56,6 +56,9 @@ def module_of(found: object) -> str:
 
 def of_the_client(garbage: list[object]) -> list[object]:
     """What has to do with nothing of the controller, by references among the garbage; both use some classes."""
+    modules = list(map(module_of, garbage))
+    if all(module.startswith(SIMULATED) or not module.startswith(OWN) for module in modules):
+        return []
     places = {id(each): place for place, each in enumerate(garbage)}
     above = list(range(len(garbage)))
 
@@ -68,7 +71,6 @@ def of_the_client(garbage: list[object]) -> list[object]:
         for referred in gc.get_referents(each):
             if id(referred) in places:
                 above[root(place)] = root(places[id(referred)])
-    modules = list(map(module_of, garbage))
     simulated = {root(place) for place, module in enumerate(modules) if module.startswith("urlink.simulator")}
     return [
         each

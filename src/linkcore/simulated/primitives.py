@@ -244,7 +244,7 @@ def _take_part(scheduler: Scheduler, task: Task, thread: threading.Thread) -> No
 
 def _set_done(thread: threading.Thread) -> None:
     """What the real `is_alive` and `join` ask after the simulation; before CPython 3.13 it is in the thread's state."""
-    for name in vars(thread).keys() & {"_handle", "_os_thread_handle"}:
+    for name in vars(thread).keys() & {"_handle", "_os_thread_handle"} if thread.ident is not None else ():
         done = threading._make_thread_handle(thread.ident)  # type: ignore[attr-defined]
         done._set_done()
         setattr(thread, name, done)

@@ -60,6 +60,9 @@ _FAULT = re.compile(r"(\w+)=([\w.-]+)@(\d+(?:\.\d*)?)")
 #: most of the time of a short one.
 _names: dict[str, tuple[int, tuple[str, ...]]] = {}
 
+#: Those of the modules that are being imported now, in any thread.
+_MODULE_LOCKS: dict[str, object] = vars(sys.modules["_frozen_importlib"])["_module_locks"]
+
 #: Methods of `threading.Thread` that are replaced.
 _METHODS = ("start", "join", "is_alive")
 
@@ -312,6 +315,8 @@ def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
 
 def _is_importing() -> bool:
     """Whether a module is being imported: a run must not depend on whether it was there before."""
+    if not _MODULE_LOCKS:  # nearly always; it is asked for each lock that is made
+        return False
     frame: FrameType | None = sys._getframe()
     while frame is not None and not frame.f_code.co_filename.startswith("<frozen importlib"):
         frame = frame.f_back

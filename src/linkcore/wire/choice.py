@@ -40,6 +40,7 @@ class Layouts(Generic[L]):
         self._lower = lower
         self._reorder = reorder
         self.blocks = {field.block for field in fields.values() if field.block is not None}
+        self._chosen: dict[tuple[Version, bool], L] = {}  # what `of` has found
 
     @cached_property
     def all(self) -> tuple[L, ...]:
@@ -82,10 +83,13 @@ class Layouts(Generic[L]):
         if version is None:
             return next(layout for layout in reversed(self.all) if layout.has_block == has_block)
         version = parse_version(version)
-        steps = [step for step, block in self._by_version if block == has_block and step <= version]
-        if not steps or (self._fields and not self._sent(version, has_block)):
-            raise PacketError("not sent by this firmware", packet=self._name, version=version_text(version))
-        return self._by_version[max(steps), has_block]
+        found = self._chosen.get((version, has_block))
+        if found is None:
+            steps = [step for step, block in self._by_version if block == has_block and step <= version]
+            if not steps or (self._fields and not self._sent(version, has_block)):
+                raise PacketError("not sent by this firmware", packet=self._name, version=version_text(version))
+            found = self._chosen[version, has_block] = self._by_version[max(steps), has_block]
+        return found
 
     def fitting(self, size: int, version: Version | None = None) -> list[L]:
         """The layouts that a packet of `size` bytes can have, best first.
