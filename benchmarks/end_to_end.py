@@ -7,6 +7,12 @@ take turns, so that all meet the same machine. The figures are ratios to the bar
 
     python benchmarks/end_to_end.py            # 10 s a run
     python benchmarks/end_to_end.py --quick    # 2 s a run
+    python benchmarks/end_to_end.py --instructions   # of the processor, a packet, by valgrind
+
+Times of one way on a shared machine differ by a fifth from run to run. Of the instructions that the receiver executes
+for a packet, outside of the kernel, those of the bare loop and of an inline callback differ by a hundredth, so two
+revisions of the receive path are compared by these; with another thread they differ by up to a sixth, since what it
+costs to wait and to be woken depends on what else runs.
 """
 
 from __future__ import annotations
@@ -16,8 +22,12 @@ import contextlib
 import json
 import logging
 import multiprocessing
+import os
+import re
 import socket
 import struct
+import subprocess
+import sys
 import threading
 import time
 from multiprocessing.connection import Connection
@@ -214,11 +224,53 @@ def flood(packets: int, rounds: int) -> dict[str, float]:
     return {name: float(np.median(values)) for name, values in figures.items()}
 
 
+def instructions(way: str) -> float:
+    """Instructions that a receiver executes for one packet: those of a longer run less those of a shorter one."""
+    counts = [_instructions(way, packets) for packets in (1000, 3000)]
+    return (counts[1] - counts[0]) / 2000
+
+
+def _instructions(way: str, packets: int) -> int:
+    context = multiprocessing.get_context("spawn")
+    here, there = context.Pipe()
+    sender = context.Process(target=send, args=(there, packets / RATE, 0))
+    sender.start()
+    receiver = [sys.executable, __file__, "--receive", way, str(here.recv())]
+    # Threads of numpy's own that wait for work turn in a loop, which would count.
+    env = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONHASHSEED": "0"}
+    counted = ["valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null", *receiver]
+    done = subprocess.run(counted, env=env, capture_output=True, text=True, timeout=300, check=True)
+    sender.join(10)
+    found = re.search(r"Collected : (\d+)", done.stderr)
+    if found is None:
+        raise SystemExit(f"valgrind has not told how many instructions: {done.stderr[-500:]}")
+    return int(found[1])
+
+
+def receive(way: str, port: int) -> None:
+    """Receive in this process."""
+    _, results = multiprocessing.Pipe()
+    if way == "bare":
+        receive_raw(port, results, 0, False)
+    else:
+        receive_stream(port, results, 0, False, way)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="2 s a run instead of 10 s, and fewer packets")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--instructions", action="store_true", help="count instructions, with valgrind")
+    parser.add_argument("--receive", nargs=2, metavar=("WAY", "PORT"), help="only receive; for valgrind")
     options = parser.parse_args()
+    if options.receive:
+        receive(options.receive[0], int(options.receive[1]))
+        return
+    if options.instructions:
+        found = {way: instructions(way) for way in WAYS}
+        for way, count in found.items():
+            print(f"{way:12} {count:8.0f} instructions a packet, {count / found['bare']:.2f} of bare")
+        return
     seconds, rounds = (2.0, 1) if options.quick else (10.0, 3)
     figures = {
         "500 Hz": compare(seconds, rounds, busy=False),
