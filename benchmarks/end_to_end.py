@@ -10,9 +10,9 @@ take turns, so that all meet the same machine. The figures are ratios to the bar
     python benchmarks/end_to_end.py --instructions   # of the processor, a packet, by valgrind
 
 Times of one way on a shared machine differ by a fifth from run to run. Of the instructions that the receiver executes
-for a packet, outside of the kernel, those of the bare loop and of an inline callback differ by a hundredth, so two
-revisions of the receive path are compared by these; with another thread they differ by up to a sixth, since what it
-costs to wait and to be woken depends on what else runs.
+for a packet, outside of the kernel, those of the bare loop differ by a hundredth and those of an inline callback by
+less than a tenth, so two revisions of the receive path are compared by these; with another thread they differ by up to
+a sixth, since what it costs to wait and to be woken depends on what else runs.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ import logging
 import multiprocessing
 import os
 import re
+import shutil
 import socket
 import struct
 import subprocess
@@ -31,6 +32,7 @@ import sys
 import threading
 import time
 from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from typing import Any
 
 import numpy as np
@@ -181,18 +183,29 @@ class Meter:
         return outcome
 
 
-def run(way: str, seconds: float, flood: int, busy: bool) -> dict[str, Any]:
-    """One sender process and one receiver process."""
+def sending(seconds: float, flood: int) -> tuple[BaseProcess, int]:
+    """A process that sends, and its port."""
     context = multiprocessing.get_context("spawn")
     here, there = context.Pipe()
     sender = context.Process(target=send, args=(there, seconds, flood))
     sender.start()
-    port = here.recv()
-    mine, theirs = context.Pipe()
+    return sender, here.recv()
+
+
+def receive(way: str, port: int, results: Connection, total: int, busy: bool) -> None:
+    """The loop written by hand, or a stream."""
     if way == "bare":
-        process = context.Process(target=receive_raw, args=(port, theirs, flood, busy))
+        receive_raw(port, results, total, busy)
     else:
-        process = context.Process(target=receive_stream, args=(port, theirs, flood, busy, way))
+        receive_stream(port, results, total, busy, way)
+
+
+def run(way: str, seconds: float, flood: int, busy: bool) -> dict[str, Any]:
+    """One sender process and one receiver process."""
+    sender, port = sending(seconds, flood)
+    context = multiprocessing.get_context("spawn")
+    mine, theirs = context.Pipe()
+    process = context.Process(target=receive, args=(way, port, theirs, flood, busy))
     process.start()
     outcome: dict[str, Any] = mine.recv()
     process.join(10)
@@ -231,29 +244,17 @@ def instructions(way: str) -> float:
 
 
 def _instructions(way: str, packets: int) -> int:
-    context = multiprocessing.get_context("spawn")
-    here, there = context.Pipe()
-    sender = context.Process(target=send, args=(there, packets / RATE, 0))
-    sender.start()
-    receiver = [sys.executable, __file__, "--receive", way, str(here.recv())]
+    sender, port = sending(packets / RATE, 0)
     # Threads of numpy's own that wait for work turn in a loop, which would count.
     env = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONHASHSEED": "0"}
+    receiver = [sys.executable, __file__, "--receive", way, str(port)]
     counted = ["valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null", *receiver]
-    done = subprocess.run(counted, env=env, capture_output=True, text=True, timeout=300, check=True)
+    done = subprocess.run(counted, env=env, capture_output=True, text=True, timeout=300)
     sender.join(10)
     found = re.search(r"Collected : (\d+)", done.stderr)
-    if found is None:
-        raise SystemExit(f"valgrind has not told how many instructions: {done.stderr[-500:]}")
+    if done.returncode or found is None:
+        raise SystemExit(f"{way}: the receiver under valgrind ended with {done.returncode}: {done.stderr[-500:]}")
     return int(found[1])
-
-
-def receive(way: str, port: int) -> None:
-    """Receive in this process."""
-    _, results = multiprocessing.Pipe()
-    if way == "bare":
-        receive_raw(port, results, 0, False)
-    else:
-        receive_stream(port, results, 0, False, way)
 
 
 def main() -> None:
@@ -264,9 +265,13 @@ def main() -> None:
     parser.add_argument("--receive", nargs=2, metavar=("WAY", "PORT"), help="only receive; for valgrind")
     options = parser.parse_args()
     if options.receive:
-        receive(options.receive[0], int(options.receive[1]))
+        way, port = options.receive
+        _, results = multiprocessing.Pipe()
+        receive(way, int(port), results, 0, False)
         return
     if options.instructions:
+        if shutil.which("valgrind") is None:
+            parser.error("--instructions needs valgrind (apt install valgrind)")
         found = {way: instructions(way) for way in WAYS}
         for way, count in found.items():
             print(f"{way:12} {count:8.0f} instructions a packet, {count / found['bare']:.2f} of bare")

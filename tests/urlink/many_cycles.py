@@ -57,7 +57,8 @@ def module_of(found: object) -> str:
 def of_the_client(garbage: list[object]) -> list[object]:
     """What has to do with nothing of the controller, by references among the garbage; both use some classes."""
     modules = list(map(module_of, garbage))
-    if all(module.startswith(SIMULATED) or not module.startswith(OWN) for module in modules):
+    is_own = [module.startswith(OWN) and not module.startswith(SIMULATED) for module in modules]
+    if not any(is_own):
         return []
     places = {id(each): place for place, each in enumerate(garbage)}
     above = list(range(len(garbage)))
@@ -72,11 +73,7 @@ def of_the_client(garbage: list[object]) -> list[object]:
             if id(referred) in places:
                 above[root(place)] = root(places[id(referred)])
     simulated = {root(place) for place, module in enumerate(modules) if module.startswith("urlink.simulator")}
-    return [
-        each
-        for place, (each, module) in enumerate(zip(garbage, modules, strict=True))
-        if module.startswith(OWN) and not module.startswith(SIMULATED) and root(place) not in simulated
-    ]
+    return [each for place, each in enumerate(garbage) if is_own[place] and root(place) not in simulated]
 
 
 def left() -> collections.Counter[str]:
@@ -146,7 +143,7 @@ def connected(kind: str, name: str) -> Iterator[Repeat]:
             yield again(lambda: method(*arguments), LinkError)
         else:
             call = own.CALLS[name]
-            if isinstance(call, own.Within) and not call.is_last:
+            if isinstance(call, own.Within) and not call.is_once:
                 # What is opened is tried by itself; opened for each call it would take most of the time.
                 yield lambda count: call(robot, count)
             else:

@@ -100,7 +100,7 @@ class Within:
     Args:
         opened: makes the context manager of a robot.
         use: the call; nothing where only opening it is tried.
-        is_last: it ends what was opened, or fills it.
+        is_once: it is called once in what was opened: it ends or fills that, or opening it is what is tried.
     """
 
     def __init__(
@@ -108,11 +108,11 @@ class Within:
         opened: Callable[[Robot], contextlib.AbstractContextManager[Any]],
         use: Callable[[Any], object] = lambda opened: None,
         *,
-        is_last: bool = False,
+        is_once: bool = False,
     ) -> None:
         self.opened = opened
         self.use = use
-        self.is_last = is_last
+        self.is_once = is_once
 
     def __call__(self, robot: Robot, count: int = 1) -> None:
         with self.opened(robot) as opened:
@@ -210,22 +210,22 @@ CALLS: dict[str, Callable[[Robot], object]] = {
     "Robot.set_payload": lambda robot: robot.set_payload(0.5, (0, 0, 0.01), confirm=CONFIRM),
     "Robot.set_speed_slider": lambda robot: robot.set_speed_slider(1.0, confirm=CONFIRM),
     "Robot.set_tcp": lambda robot: robot.set_tcp((0, 0, 0.1, 0, 0, 0), confirm=CONFIRM),
-    "Robot.teach": Within(lambda robot: robot.teach(), lambda teaching: teaching.record(), is_last=True),
+    "Robot.teach": Within(lambda robot: robot.teach(), lambda teaching: teaching.record(), is_once=True),
     "Robot.zero_force_sensor": lambda robot: robot.zero_force_sensor(),
     "Motions.follow": lambda robot: robot.motion.follow(_trajectory(), start_tolerance=1.0, watchdog=2.0, wait=True),
-    "Motions.force_mode": Within(pressing, lambda mode: mode.set_wrench([0] * 6), is_last=True),
-    "Motions.impedance": Within(lambda robot: robot.motion.impedance(), lambda soft: soft.send(HOME), is_last=True),
-    "Motions.jog": Within(lambda robot: robot.motion.jog(), lambda jog: jog.move([0.0] * 6), is_last=True),
+    "Motions.force_mode": Within(pressing, lambda mode: mode.set_wrench([0] * 6), is_once=True),
+    "Motions.impedance": Within(lambda robot: robot.motion.impedance(), lambda soft: soft.send(HOME), is_once=True),
+    "Motions.jog": Within(lambda robot: robot.motion.jog(), lambda jog: jog.move([0.0] * 6), is_once=True),
     "Motions.move_circular": circled,
     "Motions.move_joints": lambda robot: robot.motion.move_joints(NEAR, wait=True),
     "Motions.move_linear": moved,
     "Motions.path": lambda robot: robot.motion.path([urlink.Joint(NEAR)], wait=True),
-    "Motions.servo": Within(servo, lambda block: block.send(HOME), is_last=True),
-    "Motions.stream": Within(lambda robot: robot.motion.stream(), lambda stream: stream.clear(), is_last=True),
+    "Motions.servo": Within(servo, lambda block: block.send(HOME), is_once=True),
+    "Motions.stream": Within(lambda robot: robot.motion.stream(), lambda stream: stream.clear(), is_once=True),
     "Motions.speed_joints": lambda robot: robot.motion.speed_joints([0.0] * 6, duration=0.02).wait(),
     "Motions.speed_linear": lambda robot: robot.motion.speed_linear([0.0] * 6, duration=0.02).wait(),
     "Motions.stop": lambda robot: robot.motion.stop(wait=True),
-    "Motions.torque": Within(lambda robot: robot.motion.torque(), lambda torque: torque.send([0.0] * 6), is_last=True),
+    "Motions.torque": Within(lambda robot: robot.motion.torque(), lambda torque: torque.send([0.0] * 6), is_once=True),
     "Motions.until_contact": untouched,
     "Scripts.run": lambda robot: robot.script.run("sync()", wait=True, on_text=lambda text: None),
     "Scripts.send_line": lambda robot: robot.script.send_line("set_flag(1, True)"),
@@ -240,13 +240,13 @@ CALLS: dict[str, Callable[[Robot], object]] = {
     "IO.set_tool_voltage": lambda robot: robot.io.set_tool_voltage(12, confirm=CONFIRM),
     "Interpreter.abort": Within(lambda robot: robot.interpreter(), lambda interpreter: interpreter.abort()),
     "Interpreter.clear": Within(lambda robot: robot.interpreter(), lambda interpreter: interpreter.clear()),
-    "Interpreter.end": Within(lambda robot: robot.interpreter(), lambda interpreter: interpreter.end(), is_last=True),
+    "Interpreter.end": Within(lambda robot: robot.interpreter(), lambda interpreter: interpreter.end(), is_once=True),
     "Interpreter.execute": Within(lambda robot: robot.interpreter(), lambda interpreter: interpreter.execute("a = 1")),
     "Interpreter.skip": Within(lambda robot: robot.interpreter(), lambda interpreter: interpreter.skip()),
     "Servo.send": Within(lambda robot: servo(robot, target_filter="jerk_limited"), lambda block: block.send(HOME)),
     "Servo.schedule": Within(servo, lambda block: block.schedule(HOME, 1e6)),
     "Servo.measure_delay": Within(servo, measured),
-    "PointStream.append": Within(lambda robot: robot.motion.stream(), appended, is_last=True),
+    "PointStream.append": Within(lambda robot: robot.motion.stream(), appended, is_once=True),
     "PointStream.clear": Within(lambda robot: robot.motion.stream(), lambda stream: stream.clear()),
     "PointStream.replace": Within(lambda robot: robot.motion.stream(), replaced),
     "PointStream.wait_until_dry": Within(lambda robot: robot.motion.stream(), lambda stream: stream.wait_until_dry()),

@@ -113,7 +113,7 @@ class RLock(_Held):
         return super().acquire(blocking, timeout)
 
     def release(self) -> None:
-        if self._owner != _thread.get_ident():
+        if not self._is_owned():
             raise RuntimeError("cannot release un-acquired lock")
         self._count -= 1
         if not self._count:
@@ -238,13 +238,14 @@ def _take_part(scheduler: Scheduler, task: Task, thread: threading.Thread) -> No
     except Ended:
         threading._limbo.pop(thread, None)  # type: ignore[attr-defined]
     finally:
-        _set_done(thread)
+        if thread.ident is not None:  # it had begun
+            _set_done(thread)
         scheduler.finish(task)
 
 
 def _set_done(thread: threading.Thread) -> None:
     """What the real `is_alive` and `join` ask after the simulation; before CPython 3.13 it is in the thread's state."""
-    for name in vars(thread).keys() & {"_handle", "_os_thread_handle"} if thread.ident is not None else ():
+    for name in vars(thread).keys() & {"_handle", "_os_thread_handle"}:
         done = threading._make_thread_handle(thread.ident)  # type: ignore[attr-defined]
         done._set_done()
         setattr(thread, name, done)

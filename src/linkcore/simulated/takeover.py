@@ -60,7 +60,7 @@ _FAULT = re.compile(r"(\w+)=([\w.-]+)@(\d+(?:\.\d*)?)")
 #: most of the time of a short one.
 _names: dict[str, tuple[int, tuple[str, ...]]] = {}
 
-#: Those of the modules that are being imported now, in any thread.
+#: Locks of the modules that are being imported now, in any thread, by name.
 _MODULE_LOCKS: dict[str, object] = vars(sys.modules["_frozen_importlib"])["_module_locks"]
 
 #: Methods of `threading.Thread` that are replaced.

@@ -394,6 +394,18 @@ def test_what_still_waits_at_the_end_is_ended() -> None:
     assert ended[0] == "finally"
 
 
+def test_a_lock_that_may_be_taken_again_tells_whether_it_is_held() -> None:
+    with simulated_time():
+        lock: Any = threading.RLock()  # since CPython 3.14 a real one tells it too
+        held = [lock.locked()]
+        with lock:
+            with lock:
+                held.append(lock.locked())
+            held.append(lock.locked())
+        held.append(lock.locked())
+    assert held == [False, True, True, False]
+
+
 def test_everything_is_put_back() -> None:
     before = time.monotonic, time.sleep, threading.Lock, threading.Thread.start, queue.SimpleQueue, random.getstate()
     with simulated_time():
