@@ -182,6 +182,7 @@ REPLIES: list[tuple[Callable[[], object], object]] = [
     (lambda: parse_text("version", "5.4.0.76837"), "5.4.0.76837"),
     (lambda: parse_text("get serial number", "20195501234"), "20195501234"),
     (lambda: parse_text("get robot model", "UR16"), "UR16"),
+    (lambda: parse_text("get robot model", "UR8 Long"), "UR8 Long"),
     (lambda: parse_text("generate flight report", "Flight Report generated with id: 42"), "42"),
     (lambda: parse_text("generate support file", "Completed successfully: a b.zip"), "a b.zip"),
 ]

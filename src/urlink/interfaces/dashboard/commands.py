@@ -220,7 +220,7 @@ _TABLE = (
     DashboardCommand("restart safety", (3, 7), (5, 1), "Restarting safety", needs_remote_control=True, slow=15.0),
     DashboardCommand("is in remote control", None, (5, 6), r"(true|false)$", only_asks=True),
     DashboardCommand("get serial number", (3, 12), (5, 6), r"(\d\S*)$", only_asks=True),
-    DashboardCommand("get robot model", (3, 12), (5, 6), r"(UR\d\S*)$", only_asks=True),
+    DashboardCommand("get robot model", (3, 12), (5, 6), r"(UR\d\S*(?: Long)?)$", only_asks=True),
     DashboardCommand(
         "generate flight report",
         (3, 13),
