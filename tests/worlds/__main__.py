@@ -21,10 +21,6 @@ from .running import Outcome, run
 from .world import World
 
 
-def outcome(seed: int) -> tuple[int, Outcome]:
-    return seed, run(draw(seed))
-
-
 def shrunk(world: World, most: int = 300) -> World:
     """A smaller, simpler and shorter world in which the same is wrong."""
     wrong = kind(run(world).faults[0])
@@ -92,7 +88,8 @@ def main() -> int:
     seeds = iter(range(given.first, given.first + given.seeds))
     with ProcessPoolExecutor(given.jobs) as pool:
         while some := list(islice(seeds, 100)):
-            for seed, result in pool.map(outcome, some):
+            # Since 3.14 a process of the pool finds no function of this module.
+            for seed, result in zip(some, pool.map(run, map(draw, some)), strict=True):
                 done += 1
                 simulated += result.simulated
                 moved += result.moved

@@ -56,14 +56,14 @@ class ControlLoop:
         """
         if self._runner.is_running or not self._state.is_up or self._state.surroundings.scene is not None:
             return cycle + 1
-        fault = self._schedule.next_cycle(self._state.firmware.rate)
+        fault = self._schedule.next_cycle(self._state.rate)
         return None if fault is None else max(cycle + 1, fault)
 
     def advance(self) -> None:
         """Execute one cycle."""
         state = self._state
         state.cycle += 1
-        self._schedule.advance(state.cycle, state.firmware.rate)
+        self._schedule.advance(state.cycle, state.rate)
         if not state.is_up:
             state.cycles_down -= 1
             if state.cycles_down == 0:

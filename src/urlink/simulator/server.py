@@ -127,7 +127,7 @@ class Server:
         self._is_changed = False
         # Whether the last catching up ran out of its time.
         self._is_behind = False
-        self._rate = state.firmware.rate
+        self._rate = state.rate
         #: time on the monotonic clock of the cycle in which the controller was when it was started, and that cycle
         self._epoch = 0.0
         self._first = state.cycle

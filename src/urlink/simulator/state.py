@@ -123,6 +123,7 @@ class ControllerState:
     Attributes:
         kinematics, serial: as given.
         firmware: the present one.
+        rate: cycles a second.
         period: s from one cycle to the next.
         cycle: number of the cycle since the controller was made, reboots included.
         uptime: cycles since the controller came up.
@@ -194,7 +195,7 @@ class ControllerState:
 
     def _begin(self, firmware: Firmware, source: SetpointSource) -> None:
         self.firmware = firmware
-        self.period = 1.0 / firmware.rate
+        self.rate, self.period = firmware.rate, 1.0 / firmware.rate
         self.source = source
         self.uptime = 0
         self.modes = Modes(firmware)
@@ -224,7 +225,7 @@ class ControllerState:
 
     def go_down(self, firmware: Firmware | None, seconds: float) -> None:
         """Reboot: down for some seconds, at least a cycle; then with this firmware, or the present one."""
-        self.cycles_down = max(1, math.ceil(seconds * self.firmware.rate))
+        self.cycles_down = max(1, math.ceil(seconds * self.rate))
         self._next_firmware = firmware or self.firmware
         self.outbox.take()
 
@@ -249,7 +250,7 @@ class ControllerState:
     @property
     def time(self) -> float:
         """Seconds since the controller came up: whole cycles."""
-        return self.uptime / self.firmware.rate
+        return self.uptime / self.rate
 
     @property
     def is_up(self) -> bool:

@@ -196,7 +196,7 @@ class Faults:
         Raises:
             BadValue: the time is negative or not finite.
         """
-        names, cycles = port_names(port), math.ceil(checked_seconds(seconds) * self._state.firmware.rate)
+        names, cycles = port_names(port), math.ceil(checked_seconds(seconds) * self._state.rate)
         self._do(lambda: self._link.stall(names, cycles))
 
     # -- segments ------------------------------------------------------------------------------------
@@ -370,7 +370,7 @@ class Faults:
         self._instead(request, lambda session: self._reboot(None, wait))
 
     def _cycles(self, seconds: float) -> int:
-        return math.ceil(seconds * self._state.firmware.rate)
+        return math.ceil(seconds * self._state.rate)
 
     def _disturb(self, **changes: Any) -> None:
         def disturb() -> None:

@@ -47,7 +47,7 @@ class StatePackages:
 
     def next_cycle(self, cycle: int) -> int:
         """The first cycle after this one in which a state is sent."""
-        rate = self._state.firmware.rate
+        rate = self._state.rate
         return -(-(cycle * STATE_RATE // rate + 1) * rate // STATE_RATE)
 
     def of_cycle(self, cycle: int) -> bytes:

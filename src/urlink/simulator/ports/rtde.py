@@ -278,7 +278,7 @@ class RtdeSession:
 
     def _step(self, frequency: float | None) -> int | None:
         """Cycles from one package to the next; None if the frequency is invalid."""
-        rate = self._state.firmware.rate
+        rate = self._state.rate
         if frequency is None:
             return rate // RATE_1
         if not 0.0 < frequency < math.inf:
@@ -395,7 +395,7 @@ class RtdeSession:
         self._state.counters.unread += 1
         if self._unread_since is None:
             self._unread_since = cycle
-        elif cycle - self._unread_since > UNREAD * self._state.firmware.rate:
+        elif cycle - self._unread_since > UNREAD * self._state.rate:
             self._state.counters.dropped += 1
             self._client.drop()
 

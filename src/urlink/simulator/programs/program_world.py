@@ -161,7 +161,7 @@ class ProgramWorld:
         known = INPUTS.get(variable)
         if known is None or not known.is_in(self._state.firmware):
             raise BadValue(f"rtde_set_watchdog: there is no RTDE input '{variable}'")
-        cycles = self._state.firmware.rate / frequency if frequency > 0.0 else math.inf
+        cycles = self._state.rate / frequency if frequency > 0.0 else math.inf
         self._state.watchdogs.set(variable, cycles, action, self._state.cycle)
 
     def use_external_force(self, is_used: bool) -> None:
