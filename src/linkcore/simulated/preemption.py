@@ -7,7 +7,8 @@ does not run for some milliseconds, as on a busy computer, which is long enough 
 robot.
 
 Lines are counted for each function by itself, and only the first lines of statements that every version of Python
-traces alike. So what a process has done before, such as imports and what is kept in caches, does not move the others.
+traces alike. None are counted of what runs once in a process: imports, and functions whose results a cache keeps. So a
+run does not depend on what the process has done before.
 """
 
 from __future__ import annotations
@@ -17,12 +18,13 @@ import ast
 import functools
 import math
 import random
+import sys
 from collections.abc import Iterator
 from types import CodeType, FrameType, ModuleType
 
 from .scheduler import Scheduler, Tracer
 
-__all__ = ["Preemption"]
+__all__ = ["Preemption", "is_importing"]
 
 #: Bounds of the share of functions in which threads make way; the seed draws it.
 _SHARE = (0.02, 0.5)
@@ -34,6 +36,10 @@ _HELD, _HOLD, _ALL_HOLDS = 0.3, (1e-5, 2e-2), 0.3
 #: alone. So is what a module calls that keeps a lock from when it was imported, which is not a simulated one.
 _WHOLE = ("linkcore.simulated", "importlib", "logging", "functools", "weakref", "_pytest")
 _LOCKS = (_thread.LockType, _thread.RLock)
+#: Functions of this one, of bytes and versions, share nothing between threads but what they keep of earlier calls.
+_KEEPING = ("linkcore.wire",)
+#: Locks of the modules that are being imported now, in any thread, by name.
+_MODULE_LOCKS: dict[str, object] = vars(sys.modules["_frozen_importlib"])["_module_locks"]
 #: The first function of each simulated thread, which is of `linkcore.simulated`.
 _FIRST = "_take_part"
 #: Statements whose first line is traced once for each time that they are executed.
@@ -66,12 +72,15 @@ class Preemption:
         known = self._known.get(id(frame.f_code))
         if known is None:
             known = self._known[id(frame.f_code)] = (frame.f_code, self._draw(frame))
+        if known[1] is None or is_importing() or any(map(_is_kept, _callers(frame))):
+            return None
         return known[1]
 
     def _draw(self, frame: FrameType) -> Tracer | None:
         module, name = frame.f_globals.get("__name__", ""), frame.f_code.co_name
         # Comprehensions are functions or not, as the version is; what is deleted is so at any place.
-        if not _is_of(module, self._packages) or name.startswith("<") or name == "__del__":
+        is_drawn = _is_of(module, self._packages) and not _is_of(module, _KEEPING)
+        if not is_drawn or name.startswith("<") or name == "__del__":
             return None
         key = f"{self._key} {module} {name}"
         if key not in self._by_name:
@@ -90,7 +99,7 @@ class Preemption:
             line = frame.f_lineno
             if event == "return":
                 last[0] = 0
-            if event != "line" or line == last[0] or line not in _statements(frame.f_code.co_filename):
+            if event != "line" or line == last[0] or line not in _parsed(frame.f_code.co_filename)[0]:
                 return trace
             last[0] = line
             left[0] -= 1
@@ -120,6 +129,13 @@ class Preemption:
         return _is_of(module, self._packages) and _has_lock(self._modules.get(module))
 
 
+def is_importing() -> bool:
+    """Whether a module is being imported: a run must not depend on whether it was there before."""
+    if not _MODULE_LOCKS:  # nearly always; it is asked for each lock that is made
+        return False
+    return any(frame.f_code.co_filename.startswith("<frozen importlib") for frame in _callers(sys._getframe()))
+
+
 def _callers(frame: FrameType | None) -> Iterator[FrameType]:
     while frame is not None:
         yield frame
@@ -135,12 +151,21 @@ def _has_lock(module: ModuleType | None) -> bool:
     return module is not None and any(isinstance(value, _LOCKS) for value in list(vars(module).values()))
 
 
+def _is_kept(frame: FrameType) -> bool:
+    """Whether what it returns is kept, and it does not run again in this process."""
+    return frame.f_code.co_firstlineno in _parsed(frame.f_code.co_filename)[1]
+
+
 @functools.cache
-def _statements(path: str) -> frozenset[int]:
-    """The first lines of statements of a file that are counted."""
+def _parsed(path: str) -> tuple[frozenset[int], frozenset[int]]:
+    """Of a file: the first lines of statements that are counted, and of functions with a cache of `functools`."""
     try:
         with open(path, "rb") as file:
             tree = ast.parse(file.read())
     except (OSError, SyntaxError):
-        return frozenset()
-    return frozenset(node.lineno for node in ast.walk(tree) if isinstance(node, _TRACED))
+        return frozenset(), frozenset()
+    nodes = list(ast.walk(tree))
+    counted = frozenset(node.lineno for node in nodes if isinstance(node, _TRACED))
+    functions = (node for node in nodes if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)))
+    decorators = (each for node in functions for each in node.decorator_list[:1])
+    return counted, frozenset(each.lineno for each in decorators if "cache" in ast.unparse(each))

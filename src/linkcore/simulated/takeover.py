@@ -19,13 +19,13 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import thread as _pool
-from types import FrameType, ModuleType
+from types import ModuleType
 from typing import Any
 
 from ..errors import BadValue, LocalError
 from . import primitives
 from .network import Computer, Network, Route
-from .preemption import Preemption
+from .preemption import Preemption, is_importing
 from .scheduler import STEP, Scheduler, current, install
 from .sockets import Poll, Selector, Socket, Sockets
 
@@ -59,9 +59,6 @@ _FAULT = re.compile(r"(\w+)=([\w.-]+)@(\d+(?:\.\d*)?)")
 #: since another may be in its place for a while. To look through all names of all modules for each block would take
 #: most of the time of a short one.
 _names: dict[str, tuple[int, tuple[str, ...]]] = {}
-
-#: Locks of the modules that are being imported now, in any thread, by name.
-_MODULE_LOCKS: dict[str, object] = vars(sys.modules["_frozen_importlib"])["_module_locks"]
 
 #: Methods of `threading.Thread` that are replaced.
 _METHODS = ("start", "join", "is_alive")
@@ -277,7 +274,7 @@ def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
 
     def lock(simulated: Callable[[], Any], real: Callable[[], Any]) -> Callable[[], Any]:
         # That of a module or class is a real one, whether the module was there before or not.
-        return lambda: (real if current() is None or _is_importing() else simulated)()
+        return lambda: (real if current() is None or is_importing() else simulated)()
 
     def new_socket(family: int = -1, type: int = -1, proto: int = -1, fileno: int | None = None) -> Any:
         return Socket(sockets, family, type, proto)
@@ -309,18 +306,8 @@ def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
         (select.poll, choose(lambda: Poll(sockets), select.poll)),
         (selectors.DefaultSelector, choose(lambda: Selector(sockets), selectors.DefaultSelector)),
         (ioctl, choose(ioctl_, ioctl)),
-        (urandom, choose(lambda size: urandom(size) if _is_importing() else chance.randbytes(size), urandom)),
+        (urandom, choose(lambda size: urandom(size) if is_importing() else chance.randbytes(size), urandom)),
     ]
-
-
-def _is_importing() -> bool:
-    """Whether a module is being imported: a run must not depend on whether it was there before."""
-    if not _MODULE_LOCKS:  # nearly always; it is asked for each lock that is made
-        return False
-    frame: FrameType | None = sys._getframe()
-    while frame is not None and not frame.f_code.co_filename.startswith("<frozen importlib"):
-        frame = frame.f_back
-    return frame is not None
 
 
 class _Look:

@@ -136,7 +136,7 @@ def _joints(reading: Reading, has_room: bool, shade: Callable[[str], str]) -> Ta
     table = Table(box=None, expand=True, padding=(0, 1, 0, 0), header_style=_LABEL)
     table.add_column("joint", width=9, style=_LABEL)
     if has_room:
-        table.add_column(_scale(), width=_BAR)
+        table.add_column(Text("-360°" + "0".center(_BAR - 10) + "+360°", _LABEL), width=_BAR)
     for name, width in (("q deg", 9), ("q rad", 8), ("qd rad/s", 8), ("I A", 7), ("T °C", 6)):
         # Part of a number would be a wrong number, so the modes get narrower instead.
         table.add_column(name, justify="right", style=shade(_VALUE), no_wrap=True, min_width=width)
@@ -156,10 +156,6 @@ def _joints(reading: Reading, has_room: bool, shade: Callable[[str], str]) -> Ta
         ]
         table.add_row(*row)
     return table
-
-
-def _scale() -> Text:
-    return Text("-360°" + "0".center(_BAR - 10) + "+360°", _LABEL)
 
 
 def _bar(q: float, shade: Callable[[str], str]) -> Text:

@@ -14,7 +14,6 @@ from linkcore.streaming.connection_life import Backoff
 from linkcore.streaming.fanout import FanOut
 from linkcore.streaming.stream import Stream
 from linkcore.streaming.thread_connection import ThreadConnection
-from linkcore.wire.packet import State
 
 from ..firmware import Firmware
 from ..interfaces.rtde.packets import REPLIES
@@ -67,12 +66,8 @@ def connection_of(
     """A connection that asks for what the plan says, each time it is made."""
     if silence is not None and plan.frequency is not None:
         silence = max(silence, _LATE / plan.frequency)
-    fan_out = FanOut(plan.kind, parts=_no_parts, others=tuple(REPLIES.values()))
+    fan_out = FanOut(plan.kind, parts=lambda packet: (), others=tuple(REPLIES.values()))
     return make(name, transport, lambda: RtdeProtocol(plan), fan_out, backoff=backoff, timeout=timeout, silence=silence)
-
-
-def _no_parts(packet: State) -> tuple[State, ...]:
-    return ()
 
 
 def recorded_plan(info: Mapping[str, Any], kind: type[Outputs]) -> Requests:

@@ -161,6 +161,23 @@ def test_what_was_called_before_does_not_move_the_lines_at_which_threads_make_wa
     assert [outcome(seed, lazy_between_lines) for seed in reversed(range(20))] == first[::-1]
 
 
+@pytest.mark.real_time
+def test_the_first_run_of_a_process_makes_way_at_the_same_lines_as_the_next() -> None:
+    """It imports, and fills caches; in the next one neither happens."""
+    program = (
+        "import urlink\n"
+        "def run():\n"
+        "    with urlink.simulated_time(3) as sim:\n"
+        "        sim.preempt('urlink', 'linkcore')\n"
+        "        with urlink.connect('sim://ur5e') as robot:\n"
+        "            robot.realtime.wait()\n"
+        "    return sim.trace\n"
+        "first, second = run(), run()\n"
+        "assert first == second, (first, second)"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)
+
+
 def test_what_traced_lines_before_does_so_again() -> None:
     seen: list[str] = []
 

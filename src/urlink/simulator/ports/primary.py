@@ -327,10 +327,6 @@ def _tool_mode(state: ControllerState) -> Fields:
     }
 
 
-def _nothing(state: ControllerState) -> Fields:
-    return {}
-
-
 #: Of the safety configuration: one made-up number in both places where captures show the same one twice.
 _CHECKSUM = 0x5AFE0001
 
@@ -354,5 +350,5 @@ _UNCHANGING: dict[int, Callable[[ControllerState], Fields]] = {
     5: _kinematics,
     6: _configuration,
     8: _additional,
-    9: _nothing,
+    9: lambda state: {},
 }
