@@ -70,11 +70,13 @@ def test_a_run_with_a_hanging_test_ends_and_shows_where(tmp_path: Path, name: st
     assert stack in result.stderr
 
 
+@pytest.mark.slow
 def test_nothing_is_written_of_a_test_that_ends(tmp_path: Path) -> None:
     result = run(tmp_path, "--timeout=20", "-k", "is_in_order")
     assert (result.returncode, result.stderr) == (0, "")
 
 
+@pytest.mark.slow
 def test_with_workers_the_other_tests_still_run(tmp_path: Path) -> None:
     result = run(tmp_path, "--timeout=2", "-n", "1", "-k", "blocks_again or is_in_order")
     assert result.returncode == 1

@@ -741,6 +741,7 @@ def test_a_tick_that_comes_too_late_is_counted_and_not_made_up_for() -> None:
     assert host.stats.late_median <= host.stats.late_p99 <= host.stats.late_worst
 
 
+@pytest.mark.slow
 def test_requests_without_end_sent_ahead_are_all_answered() -> None:
     """More than the host keeps: it reads again when it has answered some."""
     with Host([Echo()], port=0, pacing="lockstep") as host, RawClient(host.port) as reader:

@@ -73,6 +73,7 @@ def test_recorded_commands_give_the_recorded_drive(drives: Path, drive: str) -> 
     assert len(rows) > 600
 
 
+@pytest.mark.slow
 @pytest.mark.captures("mrc")
 @pytest.mark.parametrize("drive", ["vw_arc", "vw_spiral", "smr_arc", "smr_spiral"])
 def test_every_byte_that_mrc_sent_is_served(drives: Path, drive: str) -> None:

@@ -426,6 +426,7 @@ def test_a_connection_leaves_no_cycle(address: str, tmp_path: Path) -> None:
                 call()
 
 
+@pytest.mark.slow
 def test_every_method_is_tried_or_known_to_send_nothing() -> None:
     own = {
         f"{held.__name__}.{name}"

@@ -119,6 +119,7 @@ def test_statements_are_thrown_away(controller: Controller, connect: Callable[[C
     assert not is_owed(controller)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("connect", [anew, anew_with_asyncio])
 def test_fingers_are_stopped(controller: Controller, connect: Callable[[Controller], None]) -> None:
     give_up(controller, squeeze)
@@ -132,6 +133,7 @@ def test_fingers_are_stopped(controller: Controller, connect: Callable[[Controll
     assert controller.gripper.position == stopped
 
 
+@pytest.mark.slow
 def test_a_connection_goes_on_with_what_it_could_not_take_back_in_time(controller: Controller) -> None:
     give_up(controller, play)
     controller.faults.stall(5.0, "dashboard")

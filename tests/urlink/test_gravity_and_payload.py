@@ -36,6 +36,7 @@ def test_a_gravity_that_is_none(up: list[float]) -> None:
         robot.set_gravity(up)
 
 
+@pytest.mark.slow
 def test_a_payload_is_gone_over_to_while_a_program_runs() -> None:
     with urlink.connect("sim://ur5e?firmware=5.11") as robot:
         robot.realtime.wait()

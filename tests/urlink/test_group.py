@@ -258,6 +258,7 @@ def test_stop_stops_each() -> None:
         assert not both.right.controller.arm.is_moving
 
 
+@pytest.mark.slow
 def test_where_one_cannot_begin_none_does() -> None:
     with pair(8) as both:
         controller = both.right.controller
@@ -303,6 +304,7 @@ def test_a_stream_leads_both_at_once(firmwares: tuple[str, str]) -> None:
         assert [each.phase for each in (stream, *stream.motions)] == [Phase.DONE] * 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("firmwares", [WITH_E_SERIES[0], CB3])
 def test_streams_go_on_while_this_computer_stands(firmwares: tuple[str, str]) -> None:
     with pair(12, *firmwares) as both:
@@ -482,6 +484,7 @@ def test_a_stop_of_one_ends_the_stream_of_all(latency: float, monkeypatch: pytes
         assert np.abs(np.diff(speed)).max() / CYCLE < 12.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("firmwares", [WITH_E_SERIES[0], CB3])
 def test_who_leaves_the_block_or_cancels_stops_all(firmwares: tuple[str, str]) -> None:
     with pair(17, *firmwares) as both:
@@ -501,6 +504,7 @@ def test_who_leaves_the_block_or_cancels_stops_all(firmwares: tuple[str, str]) -
         assert [side.controller.arm.is_moving for side in both.sides] == [False, False]
 
 
+@pytest.mark.slow
 def test_what_the_stream_of_a_group_refuses() -> None:
     with pair(18) as both:
         stream = both.group.stream()

@@ -16,6 +16,7 @@ def test_each_kind_of_call_is_counted(key: str) -> None:
     assert many_cycles.tried(kind, name, 3, 60.0) == (3, {})
 
 
+@pytest.mark.slow
 def test_a_cycle_is_counted_by_what_is_in_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """Here a handle's life keeps what stops the arm after its end."""
     settle = Lifecycle._settle

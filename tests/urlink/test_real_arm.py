@@ -66,6 +66,7 @@ def calibration(log: Log) -> Calibration:
     return fit_calibration(MODEL, log["target_q"][:half], log["target_TCP_pose"][:half])
 
 
+@pytest.mark.slow
 def test_the_kinematics_with_a_fitted_calibration(log: Log) -> None:
     fitted = calibration(log)
     half = len(log["timestamp"]) // 2
@@ -76,6 +77,7 @@ def test_the_kinematics_with_a_fitted_calibration(log: Log) -> None:
     assert 2e-4 < np.linalg.norm(published, axis=1).mean() < 1e-3
 
 
+@pytest.mark.slow
 def test_gravity_is_that_of_the_published_arm_at_the_actual_joints(log: Log) -> None:
     rest = log.is_rest
     held = Dynamics(MODEL, payload=PAYLOAD, payload_cog=COG).gravity_torque(log["actual_q"][rest])

@@ -67,6 +67,7 @@ def test_it_is_right_within_its_bound(firmware: str, seed: int, drift: float, la
         assert wrong <= 0.001 * looks
 
 
+@pytest.mark.slow
 def test_a_controller_that_is_started_again_is_seen() -> None:
     with urlink.simulated_time(4) as sim:
         cell = sim.computer("cell", CELL)

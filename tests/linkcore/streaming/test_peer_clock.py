@@ -65,6 +65,7 @@ class Wire:
         return looks, wrong
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", DELAYS)
 def test_it_is_right_within_its_bound(kind: str) -> None:
     looks = wrong = 0

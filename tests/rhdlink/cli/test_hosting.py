@@ -72,6 +72,7 @@ def test_serve(run: Run, config: str) -> None:
     assert sys.path == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_serve_ends_in_order_by_a_signal(spawn: Spawn, config: str, number: int, status: int) -> None:
     process = spawn("serve", config)
@@ -152,6 +153,7 @@ def test_turtle_for_a_while(run: Run) -> None:
     assert "ended at x 5.500 m, y 5.500 m, heading 0.0 deg" in err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [2, 4])
 def test_the_width_of_time_stamps_can_be_chosen(spawn: Spawn, config: str, width: int) -> None:
     for command in (("turtle", "--port", "0"), ("serve", config)):

@@ -117,6 +117,7 @@ def test_verbose_logs_to_stderr(run: Run) -> None:
     assert err.startswith("rhdlink: turtle")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 @pytest.mark.parametrize("options", [("--plain",), ("--json",)])
 @pytest.mark.real_time
@@ -131,6 +132,7 @@ def test_signals_end_a_watch_quietly(
     assert (process.returncode, err) == (status, "")
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_reader_that_has_had_enough_is_no_error(spawn: Spawn, address: str) -> None:
     process = spawn("watch", address, "--json")

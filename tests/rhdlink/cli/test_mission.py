@@ -56,6 +56,7 @@ def test_under_mrc_s_profile_it_prints_what_mrc_prints(run: Run, script: Path) -
     assert out.endswith("Line no   5:   eval 1 ; 2\n \n1.000000  2.000000  \n")
 
 
+@pytest.mark.slow
 def test_the_way_is_drawn(run: Run, tmp_path: Path) -> None:
     """The same each time, with what lies on the floor."""
     pictures = [tmp_path / "first.svg", tmp_path / "second.svg"]
@@ -134,6 +135,7 @@ def test_a_script_runs_on_a_robot(spawn: Spawn, script: Path) -> None:
         until(lambda: robot.cmdtransvel == robot.cmdrotvel == 0)
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_what_clients_say_steers_no_terminal(spawn: Spawn) -> None:
     process = spawn("mission", "--serve", "--turtle", "--port", "0", "--profile", "mrc")
@@ -149,6 +151,7 @@ def test_what_clients_say_steers_no_terminal(spawn: Spawn) -> None:
     assert "stringcat" in out
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_clients_of_mrc_are_served(spawn: Spawn) -> None:
     process = spawn("mission", "--serve", "--turtle", "--port", "0")

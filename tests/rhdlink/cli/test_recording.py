@@ -162,6 +162,7 @@ def test_who_is_not_there_leaves_no_file(run: Run, tmp_path: Path) -> None:
     assert not path.exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 @pytest.mark.real_time
 def test_a_signal_ends_it_in_order(spawn: Spawn, address: str, tmp_path: Path, number: int, status: int) -> None:

@@ -59,6 +59,7 @@ def test_a_variable_that_is_not_there(run: Run, address: str) -> None:
     assert "no variable 'nope'" in err
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_a_robot_that_goes_and_comes_back(spawn: Spawn, own_port: int) -> None:
     with Host([Turtle()], period=0.002, port=own_port):
@@ -114,6 +115,7 @@ def test_old_values_say_so(address: str) -> None:
     assert text.startswith("12:00:00 LOST | x\\x1b | OLD DATA, 3.2 s | gone\\x07 | tick ")
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_on_a_terminal_it_is_painted(spawn: Spawn, address: str) -> None:
     pytest.importorskip("rich")

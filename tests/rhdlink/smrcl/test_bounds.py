@@ -91,6 +91,7 @@ def test_a_line_of_a_thousand_operators_is_a_mistake() -> None:
     assert mistake.message == "the line has 2006 characters; 255 are allowed"
 
 
+@pytest.mark.slow
 def test_variables_have_an_end() -> None:
     bench = Bench("velomega", options={"limits": MissionLimits(lines=30_000)})
     bench.run("".join(f"v{number}x = 1\n" for number in range(10_001)))

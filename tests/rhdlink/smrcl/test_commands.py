@@ -147,6 +147,7 @@ print(json.dumps([mistakes, run._execution.controller.vehicle.control.speed]))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_a_command_is_added_by_the_steps_that_the_page_gives(tmp_path: Path) -> None:
     function, row = steps()

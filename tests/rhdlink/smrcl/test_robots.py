@@ -170,6 +170,7 @@ else:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("what", "how"), [("mission", "end"), ("drive", "end"), ("mission", "killed")])
 def test_a_process_that_ends_leaves_a_robot_that_stands(host: Host, robot: Told, what: str, how: str) -> None:
     process = subprocess.Popen([sys.executable, "-c", PROGRAM, what, host.address, how], stdin=subprocess.PIPE)

@@ -111,7 +111,7 @@ def one_of_each_column() -> list[tuple[str, str, str]]:
     return [column[(7 * number + 5) % len(column)] for number, column in enumerate(columns)]
 
 
-@pytest.mark.matrix(3)
+@pytest.mark.matrix(9)
 @pytest.mark.parametrize(("firmware", "name", "column"), tried())
 def test_what_becomes_of_it(firmware: str, name: str, column: str) -> None:
     is_watched = IS_WHOLE and ROWS[name].becomes(column, firmware) == GOES_ON and firmware == firmwares(name)[0]

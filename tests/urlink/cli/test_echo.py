@@ -155,6 +155,7 @@ def test_drops_are_told(capsys: pytest.CaptureFixture[str], address: str) -> Non
     assert "packets were dropped: the output was too slow for them" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_lost_connections_are_told(spawn: Spawn) -> None:
     with Controller("UR5e", "5.11") as controller:

@@ -175,6 +175,7 @@ def test_reader_that_has_had_enough_is_no_error(spawn: Spawn, address: str) -> N
     assert process.stderr.read() == ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 @pytest.mark.parametrize("command", ["echo", "hz", "monitor"])
 @pytest.mark.real_time

@@ -367,6 +367,7 @@ def on_terminal(*argv: str, interrupt_after: bytes | None = None, code: str = ""
 _HIDE, _SHOW = "\x1b[?25l", "\x1b[?25h"
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_terminal_is_left_clean_at_the_end(address: str) -> None:
     for seconds in ("0.5", "5", "50"):  # a busy machine may not have connected in half a second

@@ -67,6 +67,7 @@ def test_lost_connections_are_in_the_file(run: Run, tmp_path: Path) -> None:
     assert "connections, lost " in out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_signals_close_the_file_in_order(spawn: Spawn, address: str, tmp_path: Path, number: int, status: int) -> None:
     path = tmp_path / "run.urlog"

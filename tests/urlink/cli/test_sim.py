@@ -26,6 +26,7 @@ def test_duration(run: Run) -> None:
     assert err.startswith("urlink: UR5e, firmware 5.")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_serves_until_a_signal(spawn: Spawn, number: int, status: int) -> None:
     process = spawn("sim", "--model", "UR10", "--firmware", "3.4", "--host", "127.0.0.1")
@@ -42,6 +43,7 @@ def test_serves_until_a_signal(spawn: Spawn, number: int, status: int) -> None:
         urlink.connect(address, timeout=1.0)
 
 
+@pytest.mark.slow
 def test_faults_happen_at_their_time(spawn: Spawn) -> None:
     # Again and again, for a machine that takes long to connect.
     faults = [
@@ -94,6 +96,7 @@ def test_standard_ports(run: Run) -> None:
         assert (status, out) == (0, "127.0.0.1\n")
 
 
+@pytest.mark.slow
 def test_programs_that_the_dashboard_loads(spawn: Spawn, tmp_path: Path) -> None:
     (tmp_path / "pick.script").write_text('def pick():\n  textmsg("picked")\n  sleep(60)\nend\n', encoding="utf-8")
     process = spawn("sim", "--program", f"pick.urp={tmp_path / 'pick.script'}")
@@ -108,6 +111,7 @@ def test_programs_that_the_dashboard_loads(spawn: Spawn, tmp_path: Path) -> None
         until(lambda: [message.text for message in texts] == ["picked"])
 
 
+@pytest.mark.slow
 def test_local_control(spawn: Spawn) -> None:
     process = spawn("sim", "--local-control")
     assert process.stdout is not None
@@ -126,6 +130,7 @@ def test_the_arm_stands_still_unless_it_is_to_move(spawn: Spawn, argv: tuple[str
         until(lambda: robot.realtime.wait().qd_target.any() == is_moving)
 
 
+@pytest.mark.slow
 def test_like_the_simulator_of_the_vendor(spawn: Spawn) -> None:
     process = spawn("sim", "--like", "ursim", "--noise", "off")
     assert process.stdout is not None

@@ -269,6 +269,7 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(brief_claims, "HOLD", 60.0)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("patient")
 def test_settings_go_over_rtde_and_nothing_stays_claimed(
     controller: Controller, monkeypatch: pytest.MonkeyPatch

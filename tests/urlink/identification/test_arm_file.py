@@ -41,6 +41,7 @@ def test_a_planted_arm_is_identified(samples: Samples) -> None:
     assert "servoj" in found.estimates["servoj_gain"][0].needs
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_the_file_makes_the_simulator_that_arm(samples: Samples, tmp_path: Path) -> None:
     found = identify(samples)

@@ -319,7 +319,7 @@ def leaves_nothing() -> None:
     """Of threads: what a robot has once begun is there for the next test. `desks` looks at the end."""
 
 
-@pytest.mark.matrix(2)
+@pytest.mark.matrix(6)
 @pytest.mark.parametrize(("firmware", "name", "end"), list(table()))
 def test_each_mode_is_ended_each_way(desks: Desks, firmware: str, name: str, end: str) -> None:
     """The handle says what ended it, the arm comes to rest, nothing of the mode is left, and the arm can go on."""

@@ -121,6 +121,7 @@ def turned(q: FloatArray, angle: float) -> FloatArray:
     return there
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axis", range(6))
 def test_a_wrench_moves_the_arm_as_far_as_its_springs_say(axis: int) -> None:
     soft = Soft()
@@ -158,6 +159,7 @@ def test_it_goes_where_it_is_led_and_rests_after_its_end() -> None:
     assert soft.q.tolist() == rests.tolist()
 
 
+@pytest.mark.slow
 def test_gains_go_over_to_others_without_a_leap() -> None:
     soft = Soft()
     soft.controller.push([0, 15.0, 0, 0, 0, 0])
@@ -199,6 +201,7 @@ def test_a_joint_swings_as_its_damping_ratio_says(ratio: float) -> None:
 # -- what bounds it --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_no_joint_gets_faster_than_it_may_where_a_contact_ends() -> None:
     soft = Soft(damping=[0.0] * 6, torque=[40.0, 40.0, 40.0, 10.0, 10.0, 10.0], speed=[0.5] * 6)
     way = soft.arm.kinematics.jacobian(soft.q, soft.arm.tcp)[:3, 0]
@@ -226,6 +229,7 @@ def test_a_joint_is_turned_back_before_the_end_of_its_range() -> None:
     assert not soft.is_stopped
 
 
+@pytest.mark.slow
 def test_an_arm_that_was_moved_while_its_program_was_paused_stays_there() -> None:
     soft = Soft()
     soft.lead(soft.q, 0.5)
@@ -258,6 +262,7 @@ def test_the_way_to_a_target_goes_by_the_slider() -> None:
     assert soft.q[0] == pytest.approx(2.0, abs=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gap", [0.2, 0.4])
 def test_words_may_stay_away_for_as_long_as_the_watchdog_lets_them(gap: float) -> None:
     soft = Soft()
@@ -312,6 +317,7 @@ def test_its_end_in_a_contact_is_no_leap(end: str) -> None:
     assert not soft.is_stopped
 
 
+@pytest.mark.slow
 def test_a_protective_stop_in_a_contact_leaves_the_arm_there() -> None:
     soft = Soft()
     pressed(soft, 0.01)
@@ -329,6 +335,7 @@ def test_a_protective_stop_in_a_contact_leaves_the_arm_there() -> None:
     assert soft.pose[2] == pytest.approx(place, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_zeroing_the_force_sensor_in_a_contact_moves_nothing() -> None:
     soft = Soft()
     pressed(soft, 0.01)
@@ -418,6 +425,7 @@ def hardest_cycle(step: Any, cycles: int) -> tuple[int, int, int]:
     return most[0], most[1], most[2]
 
 
+@pytest.mark.slow
 def test_a_cycle_costs_at_most_twice_that_of_the_vendors_example() -> None:
     example = Controller("UR5e", "5.25", motion=Still(), files={"circle.urp": circle(HORIZONTAL)})
     example.step(10)

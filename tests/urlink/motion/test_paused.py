@@ -98,6 +98,7 @@ def moved_after(cell: Cell, act: Callable[[], object], seconds: float = 1.5) -> 
     return float(np.abs(np.array(cell.path) - here).max())
 
 
+@pytest.mark.slow
 @pytest.mark.matrix(3)
 @pytest.mark.parametrize("way", WAYS)
 def test_an_arm_that_was_jogged_away_is_left_there(cell: Callable[[str, str], Cell], way: str) -> None:
@@ -148,6 +149,7 @@ def test_what_the_controller_executes_is_stopped_where_the_arm_was_jogged_away(
     assert moved_after(one, lambda: one.controller.call(pendant.play)) < REST
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["move_joints", "path"])
 def test_what_the_controller_executes_goes_on_after_a_pause(cell: Callable[[str, str], Cell], how: str) -> None:
     one = cell("UR5e", "5.11")
@@ -191,6 +193,7 @@ def test_an_arm_that_was_moved_a_little_goes_on_from_there(cell: Callable[[str, 
     assert one.robot.realtime.wait().q_target == pytest.approx(READY, abs=NEAR)
 
 
+@pytest.mark.slow
 @pytest.mark.matrix(5)
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("resumes", [True, False])
@@ -237,6 +240,7 @@ def test_a_loop_of_ones_own_begins_anew_after_a_pause(cell: Callable[[str, str],
     assert np.abs(np.diff(np.array(one.path), 2, axis=0)).max() * 500.0**2 < 60.0
 
 
+@pytest.mark.slow
 def test_a_set_point_that_ran_on_in_a_pause_is_refused(cell: Callable[[str, str], Cell]) -> None:
     one = cell("UR5e", "5.11")
     pendant = one.controller.pendant
@@ -258,6 +262,7 @@ def test_a_set_point_that_ran_on_in_a_pause_is_refused(cell: Callable[[str, str]
 # -- what users of the vendor's driver report ------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.matrix(2)
 @pytest.mark.parametrize("way", ["streamed at 500 Hz", "registers at 125 Hz", "points at 500 Hz"])
 @pytest.mark.parametrize("how", ["jogged", "freedrive"])

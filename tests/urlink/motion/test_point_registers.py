@@ -53,6 +53,7 @@ class Registered(Streamed):
         return SimpleNamespace(**{name: integers[int(name.rpartition("_")[2])] for name in OUTPUTS})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
 def test_set_points_are_on_the_curve_of_the_points(firmware: Firmware) -> None:
     """As they are over a connection, cycle by cycle, but for when they begin."""
@@ -67,6 +68,7 @@ def test_set_points_are_on_the_curve_of_the_points(firmware: Firmware) -> None:
     assert np.abs(paths[0] - paths[1]).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_words_that_are_lost_are_said_again() -> None:
     stream = Registered(E_SERIES, lost=0.3, buffer=0.5)
     stream.append(waves(0.05, 3.0, spacing=0.02))

@@ -192,6 +192,7 @@ def test_some_limit_is_used_up_most_of_the_time() -> None:
     assert np.mean(used > 0.9) > 0.8
 
 
+@pytest.mark.slow
 def test_twice_retimed_is_once_retimed() -> None:
     rng = np.random.default_rng(1)
     q = np.cumsum(rng.uniform(-0.3, 0.3, (3, 6)), axis=0)

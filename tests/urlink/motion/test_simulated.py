@@ -158,6 +158,7 @@ def test_a_trajectory_that_begins_elsewhere(connect: Callable[[str, str], Robot]
         robot.motion.follow(elsewhere)
 
 
+@pytest.mark.slow
 def test_a_motion_begins_where_the_one_before_has_ended(connect: Callable[[str, str], Robot]) -> None:
     """Also if the interface with the positions was silent, so that its newest state is from before that motion."""
     robot = connect("ur5e", "5.11")

@@ -258,6 +258,7 @@ def test_what_is_refused(connect: Callable[..., Robot]) -> None:
         old.motion.stream()
 
 
+@pytest.mark.slow
 def test_another_motion_ends_it(connect: Callable[..., Robot]) -> None:
     robot = connect()
     with robot.motion.stream() as stream:
@@ -271,6 +272,7 @@ def test_another_motion_ends_it(connect: Callable[..., Robot]) -> None:
     assert stream.phase is Phase.CANCELLED
 
 
+@pytest.mark.slow
 def test_awaited() -> None:
     async def use() -> None:
         async with urlink.connect_async("sim://ur5e?firmware=5.11") as robot:

@@ -265,6 +265,7 @@ def test_force_is_bounded_however_far_the_target_is() -> None:
     assert soft.arm.wrench[2] == pytest.approx(20.0, abs=1.5)
 
 
+@pytest.mark.slow
 def test_a_joint_is_turned_back_before_the_end_of_its_range() -> None:
     high = float(model("UR5e").position_limits[2, 1])
     soft = SoftTool(q=[0.0, -1.5, high - 0.3, -2.0, -1.57, 0.3], stiffness=[0.0] * 6, posture=(0.0,) * 6)
@@ -357,6 +358,7 @@ def test_targets_at_10_hz_with_gaps_press_no_harder_than_steady_ones() -> None:
     assert mean == pytest.approx(steady, rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("in_tool", [False, True])
 def test_a_cycle_has_at_most_twice_the_list_operations_of_the_vendors_example(in_tool: bool) -> None:
     example = Controller("UR5e", "5.25", motion=Still(), files={"circle.urp": circle(HORIZONTAL)})

@@ -152,6 +152,7 @@ def test_a_stop_is_a_brake_path_and_not_a_freeze(name: str, firmware: str, fault
     assert (after == after[0]).all()
 
 
+@pytest.mark.slow
 def test_after_a_protective_stop_the_motion_goes_on_from_rest() -> None:
     controller = Controller("UR5e", "5.11", motion=Demonstration())
     controller.step(1500)

@@ -165,6 +165,7 @@ end
 """
 
 
+@pytest.mark.slow
 def test_a_sine_of_wrist_3_by_torque_ends_without_a_stop() -> None:
     controller = Controller("UR5e", "5.25.1", motion=Still(), seed=1)
     controller.step(10)

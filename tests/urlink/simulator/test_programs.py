@@ -803,6 +803,7 @@ _EVENTS = st.one_of(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @settings(max_examples=60, deadline=None)
 @given(st.lists(_EVENTS, max_size=25), st.sampled_from(["1.8", "3.14", "5.11"]), st.booleans())

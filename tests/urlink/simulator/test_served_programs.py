@@ -174,6 +174,7 @@ def test_long_programs_of_several_clients_are_compiled_one_after_the_other(
     assert keys(primary, 4) == ["started first", "stopped first", "started second", "stopped second"]
 
 
+@pytest.mark.slow
 def test_a_long_program_that_does_not_compile(controller: Controller, connect: Connect) -> None:
     primary = connect(controller, "primary")
     primary.send(f"def long():\n{PADDING}  nonsense()\nend\n".encode())
