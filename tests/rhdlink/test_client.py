@@ -924,6 +924,7 @@ def test_timeouts_that_cannot_be(timeout: float) -> None:
         robot.sync(timeout)
 
 
+@pytest.mark.slow
 def test_a_server_that_floods_does_not_hold_a_sync_for_ever() -> None:
     side = Robot()
 

@@ -422,6 +422,7 @@ def test_17_the_end_is_in_order_whoever_is_connected(robot: Robot) -> None:
         assert all(client.is_closed() for client in clients)
 
 
+@pytest.mark.slow
 def test_all_at_once(host: Host, robot: Robot) -> None:
     """Thirty connections, each hostile in its own way, over and over; the master and a reader miss nothing."""
     worst = [

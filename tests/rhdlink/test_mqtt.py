@@ -105,6 +105,7 @@ class Robobot(VelocityOmega):
     pose = Read(Float64, 4)
 
 
+@pytest.mark.slow
 @needs_broker
 @pytest.mark.real_time
 def test_a_mission_drives_a_robot_behind_a_broker(broker: int) -> None:

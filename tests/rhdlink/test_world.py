@@ -87,6 +87,7 @@ def test_it_never_leaves_the_square(steps: list[tuple[float, float, float]]) -> 
     assert world.path[-1].tolist() == list(world.pose[:2])
 
 
+@pytest.mark.slow
 def test_the_path_is_bounded_and_keeps_both_ends() -> None:
     world = World(1e6)
     for _ in range(70_000):
@@ -143,6 +144,7 @@ def test_pictures_in_files(tmp_path: Path) -> None:
             save(driven(), path)
 
 
+@pytest.mark.slow
 def test_a_png_where_matplotlib_is(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     save(driven(), tmp_path / "way.png", "way")

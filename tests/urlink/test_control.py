@@ -94,6 +94,7 @@ def test_a_stop_of_the_controller(controller: Controller, robot: urlink.Robot) -
     robot.safety.wait_enabled(5)
 
 
+@pytest.mark.slow
 def test_moved_as_soon_as_it_is_switched_on() -> None:
     """What the primary interface said last may be a tenth of a second old."""
     with urlink.connect("sim://ur5e?firmware=5.11") as robot:

@@ -397,6 +397,7 @@ def refused() -> None:
         urlink.connect("ur://127.0.0.1?primary=1", timeout=0.5)
 
 
+@pytest.mark.slow
 def test_a_connection_leaves_no_cycle(address: str, tmp_path: Path) -> None:
     def connect() -> None:
         with urlink.connect(address) as robot:

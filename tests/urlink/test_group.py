@@ -277,6 +277,7 @@ def test_where_one_cannot_begin_none_does() -> None:
             both.group.follow(far)
 
 
+@pytest.mark.slow
 def test_one_that_is_led_away_stops_both() -> None:
     with pair(9) as both:
         motion = both.group.follow(both.steady(), path_tolerance=1e-4)
@@ -529,6 +530,7 @@ def test_what_the_stream_of_a_group_refuses() -> None:
             assert stream.end == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("firmwares", [("5.11", "5.11"), ("5.11", "3.15")])
 def test_states_of_the_same_moment(firmwares: tuple[str, str]) -> None:
     with pair(10, *firmwares) as both:

@@ -89,6 +89,7 @@ def test_the_newest_state_is_there_while_nothing_here_reads(controller: Controll
     assert robot.realtime.latest is None
 
 
+@pytest.mark.slow
 def test_it_ends_with_its_parent(controller: Controller) -> None:
     program = (
         "import sys, urlink\n"

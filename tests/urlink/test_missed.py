@@ -150,6 +150,7 @@ def test_asyncio(controller: Controller) -> None:
     asyncio.run(asyncio.wait_for(read(), 30))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="processes share no descriptors there")
 @pytest.mark.real_time
 def test_what_another_process_reads(controller: Controller) -> None:

@@ -178,6 +178,7 @@ def test_quaternions_are_x_y_z_w() -> None:
 # --- many at once ---
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @given(st.lists(st.tuples(poses(), poses()), min_size=1, max_size=9))
 def test_rows_are_what_one_pose_is(pairs: list[tuple[Array, Array]]) -> None:

@@ -144,6 +144,7 @@ def test_a_connection_knows_its_peer(bench: Bench) -> None:
     assert handler.connection.name == "{}:{}".format(*link.getsockname())
 
 
+@pytest.mark.slow
 def test_what_the_kernel_does_not_take_is_sent_later_and_in_order() -> None:
     with bench_with(output_limit=100_000_000) as bench:
         link, handler = bench.client()

@@ -156,6 +156,7 @@ def test_a_race_between_two_lines_is_found_where_threads_make_way_there() -> Non
     assert {outcome(seed, lazy_between_lines)[0] for seed in seeds} == {1, 2}
 
 
+@pytest.mark.slow
 def test_what_was_called_before_does_not_move_the_lines_at_which_threads_make_way() -> None:
     first = [outcome(seed, lazy_between_lines) for seed in range(20)]
     assert [outcome(seed, lazy_between_lines) for seed in reversed(range(20))] == first[::-1]

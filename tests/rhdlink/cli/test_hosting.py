@@ -87,6 +87,7 @@ def test_serve_ends_in_order_by_a_signal(spawn: Spawn, config: str, number: int,
     assert "Traceback" not in err
 
 
+@pytest.mark.slow
 def test_a_critical_plugin_that_fails_ends_it_with_1(spawn: Spawn, config: str) -> None:
     process = spawn("serve", config)
     assert process.stdout is not None

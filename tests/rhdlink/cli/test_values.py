@@ -123,6 +123,7 @@ def test_set_while_there_is_a_master(run: Run, address: str) -> None:
     assert "it has a master already" in err
 
 
+@pytest.mark.slow
 def test_set_holds_until_it_is_told_to_go(spawn: Spawn, host: Host, address: str) -> None:
     process = spawn("set", address, "cmdtransvel", "30000", "--hold", "1000")
     assert process.stderr is not None

@@ -18,6 +18,7 @@ from tests.harm import strict
 from .conftest import Run, Spawn
 
 
+@pytest.mark.slow
 @pytest.mark.simulated_time
 def test_lines_with_units_and_rates(run: Run, address: str) -> None:
     status, out, err = run("watch", address, "rotpos", "counter", "--plain", "--count", "2")

@@ -98,6 +98,7 @@ def test_variables_have_an_end() -> None:
     assert bench.reason == "there is no room for further variables"
 
 
+@pytest.mark.slow
 def test_a_limit_says_that_it_is_one() -> None:
     bench = Bench().run('label "a"\ngoto "a"\n')
     assert bench.controller.failure is not None

@@ -172,6 +172,7 @@ def test_speeds_and_accelerations_are_kept() -> None:
         assert robot.host.tick - slow < 200
 
 
+@pytest.mark.slow
 def test_a_line_is_followed() -> None:
     world = World(11.0, (1.0, 5.0, 0.0), Scene([Tape(((1.0, 5.0), (3.0, 5.0), (6.0, 6.0)))]))
     with Drive(SmrTurtle(world)) as drive:
@@ -184,6 +185,7 @@ def test_a_line_is_followed() -> None:
     assert world.pose.y == pytest.approx(5.0 + (world.pose.x - 3.0) / 3.0, abs=0.12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_a_wall_is_followed(side: str) -> None:
     y = 5.4 if side == "left" else 4.6

@@ -107,6 +107,7 @@ def test_a_script_comes_from_a_file(tmp_path: Path) -> None:
         Mission(path)
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_a_run_that_takes_too_long_ends_and_the_robot_stands() -> None:
     robot = turtle()
@@ -336,6 +337,7 @@ def test_a_started_mission_can_be_awaited() -> None:
     assert asyncio.run(two()) == (Phase.DONE, Phase.FAILED)
 
 
+@pytest.mark.slow
 def test_a_run_says_which_conditions_are_true() -> None:
     robot = turtle()
     with Mission("drive : ($drivendist > 900) | ($odox < 0)\n", robot).start() as run:

@@ -76,6 +76,7 @@ def host(robot: Told) -> Iterator[Host]:
         yield host
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [Told, ToldSmr])
 def test_a_host_in_lockstep_is_told_the_same_as_a_plugin_in_this_process(kind: type[Told | ToldSmr]) -> None:
     here, there = kind(), kind()

@@ -118,6 +118,7 @@ def test_a_turn_by_half_a_turn_ends_after_a_stall(robot: str) -> None:
     assert stalled("mrc").controller.is_finished == (robot == "velomega")
 
 
+@pytest.mark.slow
 @ROBOTS
 def test_a_path_is_driven_from_any_speed(robot: str) -> None:
     """The first arc of this one goes backward, and is short."""
@@ -137,6 +138,7 @@ def test_a_path_leaves_the_speed_as_it_was(robot: str) -> None:
     assert backward < -0.2
 
 
+@pytest.mark.slow
 def test_a_path_lies_where_it_was_planned_whatever_was_driven_before() -> None:
     source = "fwd 0.4\nidle\nwait 0.3\ndrivetopoint 2 0.5 0 0.3\nidle\nwait 0.1\n"
     sound, mrc = (Bench("differential", profile).run(source).pose for profile in ("sound", "mrc"))

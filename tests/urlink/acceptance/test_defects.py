@@ -32,6 +32,7 @@ def test_there_are_enough() -> None:
     assert {each.named for each in DEFECTS.values()} <= CHECKS.keys()
 
 
+@pytest.mark.matrix(3)
 @pytest.mark.parametrize("name", DEFECTS)
 def test_a_defect_is_named_for_what_it_is(sound: dict[bool, Evidence], name: str) -> None:
     defect = DEFECTS[name]
@@ -42,6 +43,7 @@ def test_a_defect_is_named_for_what_it_is(sound: dict[bool, Evidence], name: str
     assert defect.said in verdict.seen
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moves", [False, True])
 def test_the_runs_themselves_are_sound(sound: dict[bool, Evidence], moves: bool) -> None:
     """Nothing is planted in what is shared."""

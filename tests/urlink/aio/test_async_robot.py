@@ -174,6 +174,7 @@ def test_each_part_works_as_the_blocking_one(controller: Controller) -> None:
     run(use())
 
 
+@pytest.mark.slow
 def test_the_last_seconds_of_a_stream_and_a_live_plot(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[tuple[plotting.Plot, float]] = []
     monkeypatch.setattr(plotting.LivePlot, "update", lambda self, plot, pause: drawn.append((plot, pause)))
@@ -288,6 +289,7 @@ def test_a_stop_does_not_stand_behind_what_waits(controller: Controller) -> None
     run(stop())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_handle", [True, False])
 def test_a_loop_that_was_held_up_can_still_stop_the_arm(controller: Controller, is_handle: bool) -> None:
     """What the robot has sent meanwhile is read before it is concluded that it is silent."""

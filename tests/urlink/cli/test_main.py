@@ -164,6 +164,7 @@ def test_warnings_are_shown_without_verbose(run: Run, tmp_path: Path) -> None:
     assert err.endswith("urlink: 2 packets could not be decoded\n")
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_reader_that_has_had_enough_is_no_error(spawn: Spawn, address: str) -> None:
     process = spawn("echo", address, "q_actual")

@@ -210,6 +210,7 @@ def test_it_is_green_only_at_the_usual_rate(rate: float | None, usual: float | N
         assert f" SLOW | UR5e | {rate:.1f} of {usual:g} Hz | " in line(glance, "12:00:00")
 
 
+@pytest.mark.slow
 def test_a_controller_that_leaves_out_states_is_not_green(address: str, controller: Controller) -> None:
     with urlink.connect(address) as robot:
         glances = monitor.watch(robot, "realtime")
@@ -389,6 +390,7 @@ def test_ctrl_c_leaves_the_terminal_clean(address: str) -> None:
     assert written.endswith(f"╯\x1b[0m\r\n{_SHOW}")
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_plain_lines_on_a_terminal(address: str) -> None:
     status, written = on_terminal("monitor", address, "--plain", "--duration", "0.2")
@@ -396,6 +398,7 @@ def test_plain_lines_on_a_terminal(address: str) -> None:
     assert "\x1b" not in written
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_without_rich_lines_and_a_hint(address: str) -> None:
     status, written = on_terminal("monitor", address, "--duration", "0.2", code="sys.modules['rich'] = None")

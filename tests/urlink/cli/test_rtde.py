@@ -105,6 +105,7 @@ def test_a_healthy_controller(run: Run, controller: Controller, address: str) ->
     assert "woken" in findings["computer"]["seen"]
 
 
+@pytest.mark.slow
 def test_missing_states_are_found(run: Run) -> None:
     with Controller("UR5e", "5.11") as controller, urlink.connect(controller.address) as robot:
         robot.realtime.wait()

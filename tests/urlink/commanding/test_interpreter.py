@@ -152,6 +152,7 @@ def test_a_stop_and_an_error_end_it(controller: Controller, robot: urlink.Robot)
         robot.interpreter()
 
 
+@pytest.mark.slow
 def test_a_statement_that_was_given_up_is_taken_back(
     controller: Controller, robot: urlink.Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -203,6 +204,7 @@ def test_where_there_is_no_interpreter_mode() -> None:
 # -- the port, as any client uses it ---------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_port_answers_each_line() -> None:
     with Controller("UR5e", "5.11", motion=Still()) as controller:
         where = (controller.host, controller.ports["interpreter"])

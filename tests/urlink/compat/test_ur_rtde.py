@@ -204,6 +204,7 @@ def test_kinematics_tool_and_questions(controller: Controller, control: RTDECont
     assert control.setTcp([0] * 6)
 
 
+@pytest.mark.slow
 def test_a_stop_and_after_it(
     controller: Controller, control: RTDEControlInterface, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -83,6 +83,7 @@ def test_moves_along_the_axes_of_the_tool(controller: Controller) -> None:
         assert robot.get_force() == pytest.approx(np.linalg.norm(robot.get_tcp_force(wait=False)), abs=3.0)
 
 
+@pytest.mark.slow
 def test_one_movep_after_the_other_without_waiting(controller: Controller) -> None:
     """As the example of urx goes round a square: each one replaces the one before, on its way."""
     with urx.Robot(controller.address) as robot:

@@ -39,6 +39,7 @@ def read(path: Path, *, whole: bool = True) -> dict[str, list[Any]]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.simulated_time
 def test_everything_that_was_streamed_is_in_it(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"

@@ -84,6 +84,7 @@ def test_what_cannot_be_drawn(run: urlink.Recording, tmp_path: Path, monkeypatch
         run.plot("q_actual").figure()
 
 
+@pytest.mark.slow
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name, begin in (("q.png", b"\x89PNG"), ("q.svg", b"<?xml")):
         path = tmp_path / name

@@ -14,6 +14,7 @@ from urlink.kinematics import Arm
 TCP = (0.01, -0.02, 0.15, 0.1, 0.2, -0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["UR3e", "UR5e", "UR10"])
 def test_a_calibrated_arm_is_found(name: str) -> None:
     arm = calibrated(name, 3)
@@ -24,6 +25,7 @@ def test_a_calibrated_arm_is_found(name: str) -> None:
     np.testing.assert_allclose(again[:, :3], arm.forward(q[1::2], TCP)[:, :3], atol=1e-7)
 
 
+@pytest.mark.slow
 def test_the_published_arm_is_found() -> None:
     _, q, _, _ = motion(rate=10.0)
     found = fit_calibration(Arm("UR5e").model, q, Arm("UR5e").forward(q, TCP))

@@ -144,6 +144,7 @@ WORST = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.matrix(5)
 @pytest.mark.parametrize(("kind", "element"), WORST)
 @pytest.mark.parametrize("chunk", [1, 1 << 20], ids=["bytewise", "at once"])

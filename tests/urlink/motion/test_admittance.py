@@ -104,6 +104,7 @@ def test_it_rests_on_what_it_is_led_into_and_ends_there_without_a_leap(stiffness
     assert not soft.is_stopped
 
 
+@pytest.mark.slow
 def test_it_ends_without_words() -> None:
     soft = Yielding()
     soft.lead(place(soft.pose, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0), 0.2)

@@ -217,6 +217,7 @@ def test_no_joint_gets_faster_than_it_may_where_a_contact_ends() -> None:
     assert not soft.is_stopped
 
 
+@pytest.mark.slow
 def test_a_joint_is_turned_back_before_the_end_of_its_range() -> None:
     high = float(model("UR5e").position_limits[2, 1])
     soft = Soft(q=[0.0, -1.5, high - 0.3, -2.0, -1.57, 0.3], stiffness=[1000, 1000, 0, 100, 100, 100])

@@ -95,6 +95,7 @@ def followed(firmware: Firmware, watchdog: float) -> Bench:
     return bench
 
 
+@pytest.mark.matrix(4)
 @pytest.mark.parametrize("firmware", [*map(Firmware.parse, FIRMWARES)], ids=str)
 @pytest.mark.parametrize("watchdog", [WATCHDOG, 1.9, 3.0, 5.0, 10.0])
 def test_silence_ends_a_program_after_the_time_of_its_watchdog(firmware: Firmware, watchdog: float) -> None:

@@ -121,6 +121,7 @@ def test_an_arm_that_was_jogged_away_is_left_there(cell: Callable[[str, str], Ce
     until(lambda: not one.controller.is_running_program, TIMEOUT)
 
 
+@pytest.mark.slow
 @pytest.mark.matrix(5)
 @pytest.mark.parametrize("firmware", ["3.2", "3.15", "5.11", "10.12"])
 @pytest.mark.parametrize("how", ["move_joints", "move_linear", "path"])

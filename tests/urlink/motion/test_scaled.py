@@ -230,6 +230,7 @@ def test_the_robot_interpolates_in_its_own_time(cell: Callable[[str, str], Cell]
         one.robot.motion.follow(curve(), scaling="wall")  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 @pytest.mark.property
 @settings(max_examples=max(settings().max_examples // 8, 2))

@@ -71,6 +71,7 @@ def delay_of(firmware: Firmware) -> float:
     return measure(states(), send, 5, -0.05, 0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("firmware", _FIRMWARES[1:], ids=str)
 def test_waypoints_are_reached_at_their_times_once_the_delay_is_known(firmware: Firmware) -> None:
     delay = delay_of(firmware)

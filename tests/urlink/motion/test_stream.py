@@ -88,6 +88,7 @@ class TestOnItsWay:
         stream.until(lambda: stream.feed.time > 2.0 - buffer + 0.02)
         assert handed.future.done()
 
+    @pytest.mark.slow
     def test_a_trajectory_begins_where_the_points_end(self) -> None:
         stream = Streamed(E_SERIES)
         there = Trajectory.from_arrays([0, 0.4, 0.8], [turned(0), turned(0.1), turned(0.2)])
@@ -184,6 +185,7 @@ class TestDry:
         path = np.array(stream.path)
         assert max(np.abs(path - wave(1.0 + 0.05 * i).q).max(axis=1).min() for i in range(10)) < 2e-3
 
+    @pytest.mark.slow
     def test_a_computer_that_is_frozen_does_not_stop_it(self) -> None:
         stream = Streamed(E_SERIES, buffer=0.3)
         stream.append(waves(0.05, 3.0))

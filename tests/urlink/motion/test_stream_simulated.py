@@ -165,6 +165,7 @@ def test_replaced_and_cleared(connect: Callable[..., Robot], link: LinkName) -> 
         assert stream.starved == 1  # a pose carries no speed at which it would rest
 
 
+@pytest.mark.slow
 def test_replaced_before_the_arm_moves(connect: Callable[..., Robot]) -> None:
     """While its speed rises from 0, a program has its points for several cycles before it leads the arm to them."""
     robot = connect()
@@ -189,6 +190,7 @@ def test_registers_hold_one_stream_after_another_and_other_motions_between(conne
         robot.motion.move_joints(turned(angle), speed=1.0).wait(TIMEOUT)
 
 
+@pytest.mark.slow
 def test_a_register_that_another_client_holds(connect: Callable[..., Robot]) -> None:
     robot = connect()
     with robot.rtde.inputs("input_int_register_43"), pytest.raises(InputInUse, match="input_int_register_43"):
@@ -211,6 +213,7 @@ def test_outputs_that_do_not_come_any_more_end_it(connect: Callable[..., Robot])
         until(lambda: stands(robot))
 
 
+@pytest.mark.slow
 def test_one_producer(connect: Callable[..., Robot]) -> None:
     robot = connect()
     told: list[Exception] = []
@@ -237,6 +240,7 @@ def test_one_producer(connect: Callable[..., Robot]) -> None:
             stream.append([TrajectoryPoint(point.q, stream.end + point.time) for point in points(20, 60)], wait=0.2)
 
 
+@pytest.mark.slow
 def test_what_is_refused(connect: Callable[..., Robot]) -> None:
     robot = connect()
     with robot.motion.stream() as stream:

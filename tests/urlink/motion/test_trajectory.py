@@ -411,6 +411,7 @@ def test_files_that_cannot_be_read_or_written(tmp_path: Path) -> None:
         tool(0, 1).to_csv(tmp_path / "none" / "path.csv")
 
 
+@pytest.mark.slow
 def test_a_picture(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of positions, speeds and accelerations, with the limits of the arm."""
     pytest.importorskip("matplotlib")

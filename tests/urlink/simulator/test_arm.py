@@ -275,6 +275,7 @@ def test_without_power_there_is_no_current() -> None:
     assert (state.q_actual == state.q_target).all()
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes_whoever_looks() -> None:
     def last(seed: int, looks: int) -> tuple[bytes, bytes]:
         controller = Controller("UR10e", "5.11", seed=seed, motion=Demonstration())

@@ -383,6 +383,7 @@ def test_direct_torque_moves_the_arm_as_its_dynamics_say() -> None:
     assert not any(bench.controller.arm.setpoint.qd)
 
 
+@pytest.mark.slow
 def test_direct_torque_of_zero_lets_the_arm_be_pushed() -> None:
     bench = Bench("5.25")
     bench.run("while True:\ndirect_torque([0,0,0,0,0,0])\nend", 1.0)

@@ -129,6 +129,7 @@ end
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("firmware", ["5.11", "5.25"])
 def test_an_admittance_yields_to_the_force_at_the_tool(firmware: str) -> None:
     controller = Controller("UR5e", firmware, motion=Still(), seed=1)

@@ -95,6 +95,7 @@ def wave(time: float) -> float:
     return float(0.2 * (1.0 - np.cos(3.0 * time)))
 
 
+@pytest.mark.slow
 def test_a_stream_is_the_same_path_in_scaled_time() -> None:
     full, at = streamed([1.0] * 2500)
     path = np.array([each.q[0] for each in full])

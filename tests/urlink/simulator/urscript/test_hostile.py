@@ -125,6 +125,7 @@ def work_of(text: str) -> int:
     return calls
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", GROWING)
 def test_compiling_is_linear(name: str) -> None:
     once, twice = (work_of(GROWING[name](size)) for size in (8_000, 16_000))
@@ -297,6 +298,7 @@ def test_what_all_variables_hold_is_bounded() -> None:
     assert "Out of memory" in error_of("\n".join(lines), cycles=2 * count)
 
 
+@pytest.mark.slow
 def test_what_frames_hold_is_bounded() -> None:
     text = f"def f(n):\n  local x = make_list({MAX_ELEMENTS - 1}, 1.5)\n  sync()\n  f(n)\n  textmsg(x)\nend\nf(1)"
     assert "error" in error_of(text, cycles=1000)
@@ -305,6 +307,7 @@ def test_what_frames_hold_is_bounded() -> None:
     assert "Out of memory" in error_of(f"{more}\nwhile True:\n  run t()\n  sync()\nend", cycles=1000)
 
 
+@pytest.mark.slow
 def test_memory_stays_small() -> None:
     text = "\n".join(f"x{i} = make_list({MAX_ELEMENTS - 1}, random())\nsync()" for i in range(400))
     script = compile_script(text, FIRMWARE)
