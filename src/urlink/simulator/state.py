@@ -22,7 +22,7 @@ from .robot.generator import Drive
 from .robot.modes import Modes, StopState
 from .robot.robot_parameters import ScalingParameters, SensorParameters, approached
 from .robot.signals import ModbusSignals, Signals
-from .robot.sources import SetpointSource
+from .robot.sources import Setpoint, SetpointSource
 from .robot.surroundings import Surroundings
 
 if TYPE_CHECKING:
@@ -224,10 +224,14 @@ class ControllerState:
         return SimulatedArm(self.kinematics, setpoint, self._noise_seed, self.surroundings, motors, measuring)
 
     def go_down(self, firmware: Firmware | None, seconds: float) -> None:
-        """Reboot: down for some seconds, at least a cycle; then with this firmware, or the present one."""
+        """Reboot: down for some seconds, at least a cycle; then with this firmware, or the present one.
+
+        Without power the brakes of the joints hold the arm. The way that it slides until they do is left out.
+        """
         self.cycles_down = max(1, math.ceil(seconds * self.rate))
         self._next_firmware = firmware or self.firmware
         self.outbox.take()
+        self.arm.advance(self.period, Setpoint(self.arm.setpoint.q, [0.0] * 6, [0.0] * 6))
 
     def come_up(self, source: SetpointSource) -> None:
         """End the reboot. The arm has not moved; tool and payload are in the installation, and stay.

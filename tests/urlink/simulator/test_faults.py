@@ -397,6 +397,18 @@ def test_who_waits_for_the_end_of_a_reboot_can_connect(controller: Controller, c
         connect(controller, "realtime_readonly").socket.close()
 
 
+def test_an_arm_under_way_stands_while_its_controller_reboots() -> None:
+    controller = Controller("UR5e", "5.11", motion=Demonstration())
+    controller.step(200)
+    q = controller.arm.setpoint.q
+    assert any(controller.arm.setpoint.qd)
+    controller.faults.reboot(downtime=2.0)
+    assert not any(controller.arm.setpoint.qd)
+    controller.step(500)
+    assert not controller.arm.is_moving
+    assert controller.arm.setpoint.q == q
+
+
 def test_a_reboot_leaves_the_arm_where_it_stood() -> None:
     controller = Controller("UR10", "3.14", motion=Demonstration())
     controller.step(500)
