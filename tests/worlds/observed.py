@@ -507,8 +507,9 @@ class Observed:
                 sent.rests += 1
 
     def waits(self, sent: Sent) -> bool:
-        """It has begun, and must not move the arm before its client permits it."""
-        return sent.begun is not None and sent.wrapped.permission is not None and sent.granted is None
+        """It has begun, and must not move the arm before its client permits it. One that is over moves nothing."""
+        is_under_way = sent.begun is not None and sent.over is None
+        return is_under_way and sent.wrapped.permission is not None and sent.granted is None
 
     def why_not(self, sent: Sent, is_faster: bool) -> str | None:
         """Why this program must not move the arm in this cycle; None if it may.
