@@ -26,16 +26,13 @@ def at_the_robot(event: Event, controller: Controller, watch: Watch, number: int
     if what in ("protective_stop", "emergency_stop", "power_off"):
         getattr(faults, what)()
         time.sleep(event.lasts)
-        faults.clear()
+        clear(controller, watch)
         if what != "protective_stop":
             faults.power_on()
     elif what == "safeguard_stop":
-        resumes = event.size > 0.5
-        faults.safeguard_stop(resumes)
+        faults.safeguard_stop(event.size > 0.5)
         time.sleep(event.lasts)
-        faults.clear()
-        if resumes:
-            watch.resumes()
+        clear(controller, watch)
     elif what == "reboot":
         faults.reboot(downtime=event.lasts)
     elif what == "pendant_stop":
@@ -80,6 +77,14 @@ def at_the_robot(event: Event, controller: Controller, watch: Watch, number: int
             faults.rtde_stale_inputs(event.lasts)
         time.sleep(event.lasts)
         faults.heal()
+
+
+def clear(controller: Controller, watch: Watch) -> None:
+    """End the stops there are: a safeguard stop, too, after which the program may go on by itself."""
+    resumes = controller._state.resumes
+    controller.faults.clear()
+    if resumes:
+        watch.resumes()
 
 
 def elsewhere(event: Event, network: Network, client: Computer, robot: Computer) -> Callable[[], object] | None:
