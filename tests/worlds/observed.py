@@ -543,8 +543,8 @@ class Observed:
     def _is_kept(self, sent: Sent) -> bool:
         """Given up during a stop, in which the controller takes no program, by a client that did not stay to its end.
 
-        Or by one that has read of the stop and, over a network that was cut, of nothing since. A person has let it go on
-        since; docs/safety.md names this.
+        Or by one that has read of the stop and, over a network that was cut, of nothing since. A person has let it go
+        on; docs/safety.md names this.
         """
         assert sent.ended is not None
         closed, known = self._closed.get(sent.computer, math.inf), self._known.get(sent.computer)
