@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from linkcore.errors import BadValue
@@ -312,6 +312,13 @@ def begin(generator: MotionGenerator, name: str, six: list[float], a: float, v: 
 
 @pytest.mark.property
 @given(st.lists(st.tuples(st.sampled_from(COMMANDS), sixes, rates, rates, radii, waits), max_size=12))
+@example(
+    [
+        ("slider", [5e-324, *REST[1:]], 1.0, 1.0, 0.0, 50),
+        ("speedj", [*REST[1:], 0.75], 1.0, 1.0, 0.0, 49),
+        ("movej", REST, 1.0, 1.0, 0.0, 0),
+    ]
+)
 def test_any_commands_in_any_cycles(
     sequence: list[tuple[str, list[float], float, float, float, int]],
 ) -> None:

@@ -367,10 +367,10 @@ class MotionGenerator:
     def _take_over(self) -> tuple[list[float], Blend | None]:
         """The start of a path, and the rest of the present movement on the way there."""
         q, qd, _ = self.setpoint
-        if not any(qd):
-            return list(q), None
         # Evenly, no harder than gently.
         duration = max(abs(v) / limit for v, limit in zip(qd, self._gentle, strict=True))
+        if duration < 1e-9:  # s: it rests, or a speed near the smallest float is none
+            return list(q), None
         if isinstance(self._command, PathMotion) and self._command.blends:
             corner, duration = self._command.corner()
             way = [b - a for a, b in zip(q, corner, strict=True)]
