@@ -55,7 +55,7 @@ def tests(session: nox.Session) -> None:
 
 @nox.session
 def slow(session: nox.Session) -> None:
-    """Run the tests that take a third of a second of processor time or more, many of them minutes of an arm."""
+    """Run the tests that take a third of a second of processor time or more."""
     session.install("-e", f".{EXTRAS}", *group("tests"))
     session.run("pytest", *PARALLEL, "-m", "slow", *(session.posargs or ["tests"]), env=COMPILED)
 

@@ -26,13 +26,13 @@ def at_the_robot(event: Event, controller: Controller, watch: Watch, number: int
     if what in ("protective_stop", "emergency_stop", "power_off"):
         getattr(faults, what)()
         time.sleep(event.lasts)
-        clear(controller, watch)
+        _clear(controller, watch)
         if what != "protective_stop":
             faults.power_on()
     elif what == "safeguard_stop":
         faults.safeguard_stop(event.size > 0.5)
         time.sleep(event.lasts)
-        clear(controller, watch)
+        _clear(controller, watch)
     elif what == "reboot":
         faults.reboot(downtime=event.lasts)
     elif what == "pendant_stop":
@@ -79,7 +79,7 @@ def at_the_robot(event: Event, controller: Controller, watch: Watch, number: int
         faults.heal()
 
 
-def clear(controller: Controller, watch: Watch) -> None:
+def _clear(controller: Controller, watch: Watch) -> None:
     """End the stops there are: a safeguard stop, too, after which the program may go on by itself."""
     resumes = controller._state.resumes
     controller.faults.clear()

@@ -548,12 +548,11 @@ class Observed:
         """
         assert sent.ended is not None
         closed, known = self._closed.get(sent.computer, math.inf), self._known.get(sent.computer)
-        if known is not None and known.next_stopped:
-            closed = 0.0
+        is_unaware = known is not None and known.next_stopped > 0
         return any(
             begun <= sent.ended + _KEPT
             and sent.ended <= over + _KEPT
-            and closed <= over + _KEPT
+            and (is_unaware or closed <= over + _KEPT)
             and self.played[-1:] > [over]
             for begun, over in self.stopped
         )

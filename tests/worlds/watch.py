@@ -26,8 +26,6 @@ MOVES = 0.01
 BEGINS = 1e-5
 #: Programs that have an owner of their own: the one that is saved at the pendant, and those of foreign clients.
 _OWNED = ("pick", "foreign")
-#: rad/s of the six joints.
-_AT_REST = (0.0,) * 6
 
 
 @dataclass
@@ -139,12 +137,6 @@ class Watch:
         q, qd = tuple(setpoint.q), tuple(setpoint.qd)
         if controller.program_name in _OWNED:
             self._until = self._sim.now + BRAKING
-        if qd == self._qd == _AT_REST and q == self._q:  # in most cycles
-            self._note_stop()
-            observed.count_rests()
-            if not controller.is_running_program:
-                self._is_admitted = False
-            return
         speed, before = max(map(abs, qd)), max(map(abs, self._qd))
         period = 1.0 / controller.firmware.rate
         leap = _most(q, self._q)

@@ -36,7 +36,7 @@ _HELD, _HOLD, _ALL_HOLDS = 0.3, (1e-5, 2e-2), 0.3
 #: alone. So is what a module calls that keeps a lock from when it was imported, which is not a simulated one.
 _WHOLE = ("linkcore.simulated", "importlib", "logging", "functools", "weakref", "_pytest")
 _LOCKS = (_thread.LockType, _thread.RLock)
-#: Functions of this one, of bytes and versions, share nothing between threads but what they keep of earlier calls.
+#: Functions of this package read bytes and versions. Threads share nothing there but what is kept of earlier calls.
 _KEEPING = ("linkcore.wire",)
 #: Locks of the modules that are being imported now, in any thread, by name.
 _MODULE_LOCKS: dict[str, object] = vars(sys.modules["_frozen_importlib"])["_module_locks"]

@@ -258,7 +258,7 @@ class AsyncRobot(AwaitedPart[threaded.Robot]):
         A task that is cancelled meanwhile ends when this is done.
         """
         if self._ending is None:
-            self._ending = asyncio.get_running_loop().create_task(self._close(timeout))
+            self._ending = asyncio.create_task(self._close(timeout))
         await finished(self._ending)
 
     async def _close(self, timeout: float) -> None:

@@ -369,7 +369,7 @@ class MotionGenerator:
         q, qd, _ = self.setpoint
         # Evenly, no harder than gently.
         duration = max(abs(v) / limit for v, limit in zip(qd, self._gentle, strict=True))
-        if duration < 1e-9:  # s: it rests, or a speed near the smallest float is none
+        if duration < 1e-9:  # s: at rest, or too slow to matter; a blend divides by its duration
             return list(q), None
         if isinstance(self._command, PathMotion) and self._command.blends:
             corner, duration = self._command.corner()
