@@ -234,6 +234,7 @@ def test_a_circle_is_found(graph: dict[str, set[str]], expected: list[str]) -> N
     assert circle(graph) == expected
 
 
+@pytest.mark.slow
 def test_no_module_imports_itself_by_way_of_others() -> None:
     assert circle({module: set(runtime_imports(module) - {module}) for module in MODULES}) == []
 

@@ -43,6 +43,7 @@ def test_json_is_strict_and_harmless() -> None:
     assert strict(text) == {"a": [1.5, None, [None]], "b": {"c": HOSTILE}, "d": None, "e": True}
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @given(st.recursive(st.none() | st.booleans() | st.floats() | st.text(), lambda inner: st.lists(inner)))
 def test_json_of_anything(value: object) -> None:

@@ -93,6 +93,7 @@ def test_what_is_mutated_is_there(name: str) -> None:
     assert GROUPS[name].missing() == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", GROUPS)
 def test_what_is_not_tried_is_still_there(name: str) -> None:
     found = {

@@ -46,6 +46,7 @@ def test_an_smr_can_be_had(pytester: pytest.Pytester) -> None:
     pytester.runpytest_inprocess(*OPTIONS).assert_outcomes(passed=1)
 
 
+@pytest.mark.slow
 def test_a_marker_that_makes_no_sense_says_so(pytester: pytest.Pytester) -> None:
     pytester.makepyfile(
         """

@@ -272,6 +272,7 @@ def by_urx(address: str) -> Iterator[urx.Robot]:
     robot.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", URX)
 def test_a_call_by_a_name_of_urx_leaves_no_cycle(by_urx: urx.Robot, name: str) -> None:
     def call() -> None:

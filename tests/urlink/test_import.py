@@ -120,6 +120,7 @@ def test_imports_nothing_that_is_not_needed(imported: dict[str, Any]) -> None:
     assert those(imported["modules"], NOT_NEEDED) == []
 
 
+@pytest.mark.slow
 def test_who_only_decodes_imports_no_streams_and_no_commands() -> None:
     modules = outcome("import urlink; urlink.decode(b'', 'primary', '5.11'); urlink.packets.RealtimeState('3.4')")[
         "modules"

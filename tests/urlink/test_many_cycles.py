@@ -8,6 +8,7 @@ from linkcore.handle import Lifecycle
 from tests.urlink import many_cycles
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "key", ["call IO.set_flag", "refused Motions.servo", "awaited io.set_digital_out", "ur_rtde stopL", "urx stop"]
 )

@@ -281,6 +281,7 @@ def test_a_file_cut_anywhere_reads_as_what_came_before(tmp_path: Path) -> None:
     assert RecordingFile(tmp_path / "whole").is_complete
 
 
+@pytest.mark.slow
 def test_a_flipped_byte_never_gives_a_wrong_record(tmp_path: Path) -> None:
     data, records, ends = sample(tmp_path / "whole")
     for at in range(len(data)):

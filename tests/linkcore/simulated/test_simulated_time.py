@@ -198,6 +198,7 @@ def test_what_traced_lines_before_does_so_again() -> None:
         sys.settrace(before)
 
 
+@pytest.mark.slow
 def test_what_holds_a_lock_of_its_module_is_not_interrupted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It is from before the simulation, so a real one: a thread that made way with it would stop all others."""
     lines = ["import threading", "lock = threading.Lock()", "def hold():", "    with lock:"]

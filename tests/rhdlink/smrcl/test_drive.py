@@ -84,6 +84,7 @@ def test_lengths_and_headings_do_not_add_up_their_errors(drive: Drive, robot: Tu
     assert (drive.pose.x, drive.pose.y) == pytest.approx((x, y), abs=0.005)
 
 
+@pytest.mark.slow
 def test_a_motion_preempts_the_one_under_way_at_the_speed_it_has(drive: Drive, robot: Turtle | SmrTurtle) -> None:
     first = drive.forward(50.0)
     until(lambda: drive.velocity > 0.2)
@@ -98,6 +99,7 @@ def test_a_motion_preempts_the_one_under_way_at_the_speed_it_has(drive: Drive, r
     until(lambda: stands(robot))
 
 
+@pytest.mark.slow
 def test_a_motion_begins_where_one_was_given_up(drive: Drive, robot: Turtle | SmrTurtle) -> None:
     drive.forward(50.0)
     until(lambda: drive.pose.x > 0.3)
@@ -109,6 +111,7 @@ def test_a_motion_begins_where_one_was_given_up(drive: Drive, robot: Turtle | Sm
     assert drive.pose.x == pytest.approx(x + 0.2, abs=0.03)
 
 
+@pytest.mark.slow
 def test_a_cancelled_motion_stands(drive: Drive, robot: Turtle | SmrTurtle) -> None:
     motion = drive.wheels(0.2, 0.2)
     motion.wait(SECONDS)
@@ -131,6 +134,7 @@ def test_a_motion_whose_wait_is_interrupted_is_cancelled(drive: Drive, robot: Tu
     until(lambda: stands(robot))
 
 
+@pytest.mark.slow
 def test_a_motion_that_is_left_is_cancelled(drive: Drive, robot: Turtle | SmrTurtle) -> None:
     with drive.along(0.0, 0.0, 45.0) as motion:
         until(lambda: drive.pose.x > 0.3)
@@ -242,6 +246,7 @@ def test_a_drive_that_cannot_be_is_refused() -> None:
         Drive("localhost:1")
 
 
+@pytest.mark.slow
 def test_a_closed_drive_drives_no_more() -> None:
     robot = Turtle(World(1000.0))
     link = PluginLink([robot])

@@ -65,6 +65,7 @@ SPIRAL = (
 ARC = 'log "$odox"\nfwd 0.3\nturnr 0.5 90\nfwd 0.3\nstop\n'
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("robot", "script", "cycles", "end"),
     [
@@ -345,6 +346,7 @@ def test_a_run_says_which_conditions_are_true() -> None:
         assert run.line == 1
 
 
+@pytest.mark.slow
 def test_a_cancelled_mission_stands() -> None:
     robot = turtle()
     run = Mission(f"drive : ($drivendist > 1)\nn = 1\n{ENDLESS}", robot, limits=MissionLimits()).start()
@@ -367,6 +369,7 @@ def test_a_mission_whose_wait_is_interrupted_is_cancelled() -> None:
     assert (run.phase, stands(robot)) == (Phase.CANCELLED, True)
 
 
+@pytest.mark.slow
 def test_a_mission_that_is_left_is_cancelled() -> None:
     robot = turtle()
     with Mission("drive\n" + ENDLESS, robot).start() as run:

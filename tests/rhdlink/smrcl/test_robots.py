@@ -93,6 +93,7 @@ def test_a_host_in_lockstep_is_told_the_same_as_a_plugin_in_this_process(kind: t
     assert there.told[first : first + 100] == here.told[first : first + 100]
 
 
+@pytest.mark.slow
 def test_a_robot_in_real_time(host: Host, robot: Told) -> None:
     run = Mission("fwd 0.2\nturn 45\n", host.address).run(30.0)
     assert run.phase is Phase.DONE
@@ -196,6 +197,7 @@ def test_a_process_that_ends_leaves_a_robot_that_stands(host: Host, robot: Told,
     assert robot.world.odometry == before
 
 
+@pytest.mark.slow
 def test_a_drive_on_a_host(host: Host, robot: Told) -> None:
     with Drive(host.address) as drive:
         drive.forward(0.2).wait(30.0)

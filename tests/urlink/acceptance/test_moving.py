@@ -68,6 +68,7 @@ class LetsGo(OfTheSimulator):
         return self._left > 0
 
 
+@pytest.mark.slow
 @pytest.mark.simulated_time
 def test_letting_go_of_the_key_stops_the_arm(tmp_path: Path) -> None:
     with Controller("UR5", "3.15") as controller:

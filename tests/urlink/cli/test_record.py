@@ -57,6 +57,7 @@ def test_never_overwrites(run: Run, address: str, tmp_path: Path) -> None:
     assert path.read_text() == "precious"
 
 
+@pytest.mark.slow
 def test_lost_connections_are_in_the_file(run: Run, tmp_path: Path) -> None:
     path = tmp_path / "run.urlog"
     with Controller("UR5e", "5.11") as controller:

@@ -90,6 +90,7 @@ def test_what_cannot_be_asked_for(run: Run, address: str, arguments: list[str], 
     assert error in err
 
 
+@pytest.mark.slow
 def test_a_healthy_controller(run: Run, controller: Controller, address: str) -> None:
     status, out, _ = run("doctor", address, "--duration", "0.5", "--json")
     findings = {finding["topic"]: finding for finding in map(json.loads, out.splitlines())}

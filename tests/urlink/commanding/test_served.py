@@ -120,6 +120,7 @@ def test_every_setting_is_confirmed(address: str) -> None:
             robot.io.set_configurable_digital_out(7, True)
 
 
+@pytest.mark.slow
 def test_local_control_is_told(robot: urlink.Robot) -> None:
     robot.io.set_digital_out(0, True)
     robot.controller.remote_control = False
@@ -135,6 +136,7 @@ def test_local_control_is_told(robot: urlink.Robot) -> None:
     robot.popup("lost, and nothing tells")
 
 
+@pytest.mark.slow
 def test_an_emergency_stop_ends_the_program(robot: urlink.Robot) -> None:
     controller = robot.controller
     program = robot.script.run(LONG)

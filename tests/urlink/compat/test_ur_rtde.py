@@ -163,6 +163,7 @@ def test_servo_and_speed(controller: Controller, control: RTDEControlInterface) 
     assert not controller.arm.is_moving
 
 
+@pytest.mark.slow
 def test_an_arm_that_yields(controller: Controller, control: RTDEControlInterface) -> None:
     assert control.moveJ(HOME, 2.0, 6.0)
     x, y, z = controller.arm.sample.pose_target[:3]

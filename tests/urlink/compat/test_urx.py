@@ -62,6 +62,7 @@ def test_the_calls(controller: Controller) -> None:
         until(lambda: controller.pendant.popup == "hello")
 
 
+@pytest.mark.slow
 def test_moves_along_the_axes_of_the_tool(controller: Controller) -> None:
     turned = [0.3, -1.3, 1.2, -1.1, -1.4, 0.4]  # the tool points down, but for half a radian
     with urx.Robot(controller.address) as robot:

@@ -29,6 +29,7 @@ def run() -> urlink.Recording:
     return urlink.load(CAPTURE)
 
 
+@pytest.mark.slow
 def test_a_panel_for_each_field_and_a_line_for_each_element(run: urlink.Recording) -> None:
     plot = run.plot("q_actual", "tcp_force", "primary.robot_mode_data.robot_mode", start=0.1, end=0.2)
     panels = plot.figure().axes
@@ -68,6 +69,7 @@ def test_no_peak_is_lost_in_a_long_recording() -> None:
     assert (line.get_ydata().max(), line.get_ydata().min()) == (7.0, -3.0)
 
 
+@pytest.mark.slow
 def test_what_cannot_be_drawn(run: urlink.Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(urlink.BadValue, match="nothing to plot"):
         run.plot()
@@ -95,6 +97,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert "no field 'nothing'" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_a_live_plot_shows_what_comes(monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[Plot] = []

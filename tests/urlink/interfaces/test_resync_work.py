@@ -181,6 +181,7 @@ PIECES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @pytest.mark.parametrize("kind", [RealtimeProtocol, PrimaryProtocol])
 @settings(max_examples=max(settings().max_examples // 5, 1))

@@ -82,6 +82,7 @@ def test_a_day_at_the_pendant(controller: Controller, robot: urlink.Robot) -> No
     desk.start()
 
 
+@pytest.mark.slow
 def test_what_is_refused_says_what_was_asked_and_answered(controller: Controller, robot: urlink.Robot) -> None:
     with pytest.raises(DashboardRefused) as refused:
         robot.dashboard.load("nothing")
@@ -104,6 +105,7 @@ def test_a_protective_stop_is_unlocked_at_once(controller: Controller, robot: ur
     assert robot.dashboard.safety_mode() is SafetyMode.NORMAL
 
 
+@pytest.mark.slow
 def test_power_commands_are_carried_out_in_their_order(robot: urlink.Robot) -> None:
     desk, modes = robot.dashboard, []
     desk.power_off()

@@ -516,6 +516,7 @@ def test_too_far_from_the_first_waypoint(robot: Rehearsal) -> None:
         motion.wait(TIMEOUT)
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @settings(max_examples=25)
 @given(st.binary(max_size=60))

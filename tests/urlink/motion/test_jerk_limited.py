@@ -164,6 +164,7 @@ class Loop(Led):
         super().__init__(firmware, self.targets)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("firmware", _FIRMWARES, ids=str)
 def test_a_servo_whose_targets_jump(firmware: Firmware) -> None:
     """The program on the robot, and the arm behind it, on each generation."""
@@ -185,6 +186,7 @@ def test_a_servo_whose_targets_jump(firmware: Firmware) -> None:
         assert seen > 0.6 * most
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("firmware", [_FIRMWARES[0], _FIRMWARES[2]], ids=str)
 def test_a_servo_that_is_held_up(firmware: Firmware) -> None:
     """It goes on from where the program on the robot has gone meanwhile, and does not make the arm leap."""

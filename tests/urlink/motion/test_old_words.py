@@ -95,6 +95,7 @@ def followed(firmware: Firmware, watchdog: float) -> Bench:
     return bench
 
 
+@pytest.mark.slow
 @pytest.mark.matrix(4)
 @pytest.mark.parametrize("firmware", [*map(Firmware.parse, FIRMWARES)], ids=str)
 @pytest.mark.parametrize("watchdog", [WATCHDOG, 1.9, 3.0, 5.0, 10.0])
@@ -216,6 +217,7 @@ def ends(arm: str, firmware: str) -> Iterator[Ends]:
             controller.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arm", "firmware", "link"),
     [

@@ -87,6 +87,7 @@ def test_words_that_are_lost_are_said_again() -> None:
     assert np.abs(qdd).max() < 11.0
 
 
+@pytest.mark.slow
 def test_a_tail_is_replaced_and_cleared() -> None:
     stream = Registered(E_SERIES)
     stream.append(waves(0.05, 3.0))

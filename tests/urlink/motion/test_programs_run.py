@@ -275,6 +275,7 @@ def test_a_waypoint_that_does_not_come(firmware: Firmware) -> None:
     assert bench.path[-1][5] < 0.3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("firmware", NEW, ids=str)
 def test_the_link_is_cut_while_no_waypoint_is_needed(firmware: Firmware) -> None:
     slow = Trajectory.from_arrays([0, 10], [turned(0), turned(2)])

@@ -195,6 +195,7 @@ def test_what_the_slider_does_to(name: str) -> None:
     assert went(WAYS[name], 0.0) / full == pytest.approx(none, abs=0.01)
 
 
+@pytest.mark.slow
 def test_a_loop_that_runs_on_at_0_is_refused() -> None:
     """Its budget counts the time of the program: with the slider at 0 the arm could only leap after it."""
     one = Cell("UR5e", "5.11")

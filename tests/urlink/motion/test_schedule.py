@@ -96,6 +96,7 @@ def test_waypoints_are_reached_at_their_times_once_the_delay_is_known(firmware: 
     assert after < max(0.1 * before, 3e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("firmware", [_FIRMWARES[0], _FIRMWARES[2]], ids=str)
 def test_what_is_scheduled_when(firmware: Firmware) -> None:
     led = Scheduled(firmware, 2.0 / firmware.rate)
@@ -123,6 +124,7 @@ def test_what_is_scheduled_when(firmware: Firmware) -> None:
     assert led.bench.said == []
 
 
+@pytest.mark.slow
 def test_a_trajectory_is_followed_without_the_lag() -> None:
     """The error that tolerances and feedback see, before and after."""
     firmware = _FIRMWARES[1]

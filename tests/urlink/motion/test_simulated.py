@@ -171,6 +171,7 @@ def test_a_motion_begins_where_the_one_before_has_ended(connect: Callable[[str, 
     assert np.allclose(robot.realtime.wait(TIMEOUT).q_target, goal, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_of_states_that_come_together_after_the_end_the_newest_counts(
     connect: Callable[[str, str], Robot], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -78,6 +78,7 @@ class TestOnItsWay:
         path = np.array(stream.path)[at]
         assert np.abs(path - [wave(0.05 * i).q for i in range(len(at))]).max() < 2e-6
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("buffer", [0.1, 0.5])
     def test_it_holds_what_it_was_asked_to_hold(self, buffer: float) -> None:
         stream = Streamed(E_SERIES, buffer=buffer)
@@ -170,6 +171,7 @@ class TestDry:
         assert stream.path[-1] == pytest.approx(HOME, abs=ROUNDING)
         assert stream.feed.time == pytest.approx(1.0)
 
+    @pytest.mark.slow
     @pytest.mark.matrix(4)
     @pytest.mark.parametrize("late", range(1, 200, 7))
     def test_points_that_come_while_it_brakes(self, late: int) -> None:
@@ -240,6 +242,7 @@ class TestReplaced:
         stream.run_dry()
         assert stream.feed.time == pytest.approx(chunk[-1].time)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("since", [0.5, 0.633, 1.2, 1.211, 5.0])
     def test_from_a_time_on(self, since: float) -> None:
         stream = Streamed(E_SERIES)
@@ -258,6 +261,7 @@ class TestReplaced:
         assert np.abs(qddd).max() < JERK * 1.05 + 1e-8 / stream.period**3
         assert stream.path[-1] == pytest.approx(still, abs=ROUNDING)
 
+    @pytest.mark.slow
     def test_what_cannot_be_reached_leaves_the_points(self) -> None:
         stream = Streamed(E_SERIES)
         stream.append(waves(0.05, 2.0))
@@ -414,6 +418,7 @@ def random_points(rng: np.random.Generator, count: int, q: FloatArray) -> list[T
     return made
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(1000 if os.environ.get("HYPOTHESIS_PROFILE") == "fuzz" else 8))
 def test_starved_at_every_point(seed: int) -> None:
     """At rest within the limits after each of them, and on with the next over the same link."""

@@ -257,6 +257,7 @@ def test_acceleration_at_a_point() -> None:
         tool(0, 1, time=[0, 0.1]).check(UR5E.__class__(**{**vars(UR5E), "max_speed": [99] * 6}))
 
 
+@pytest.mark.slow
 def test_a_long_trajectory_is_looked_at_to_its_end() -> None:
     time = np.arange(10_000) * 0.01
     q = np.zeros((10_000, 6))

@@ -388,6 +388,7 @@ def test_a_reboot_refuses_and_comes_back_with_other_firmware(
     assert VersionMessage.LAYOUTS.decode(connect(controller, "primary").packet()).minor == 4
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_who_waits_for_the_end_of_a_reboot_can_connect(controller: Controller, connect: Connect) -> None:
     for _ in range(30):

@@ -200,6 +200,7 @@ def test_the_arm_goes_on_along_the_axes_that_do_not_yield() -> None:
     assert bench.moved[3:] == pytest.approx([0.0] * 3, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_speed_damping_and_gain_count_in_free_space() -> None:
     limited = Bench()
     limited.press(50.0, "[1,1,0.03,1,1,1]", 0.3)
@@ -427,6 +428,7 @@ def test_optimised_moves_arrive() -> None:
     assert bench.controller.arm.setpoint.q[5] == pytest.approx(0.5)
 
 
+@pytest.mark.slow
 def test_rotations_are_what_the_sensor_turns_by() -> None:
     """The offset of a sensor that was zeroed turns with the tool: half a turn makes a weight count twice."""
     bench = Bench()

@@ -433,6 +433,7 @@ def test_values_are_those_of_the_other_interfaces_in_the_same_cycle(firmware: st
             assert data["tcp_offset"] == pytest.approx([0, 0, 0.1, 0, 0, 0])
 
 
+@pytest.mark.slow
 def test_accelerations_of_the_tool_are_the_derivative_of_its_speed() -> None:
     sim = controller(motion=Demonstration())
     peer = Peer(sim)

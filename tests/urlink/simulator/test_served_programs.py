@@ -135,6 +135,7 @@ def compiling(monkeypatch: pytest.MonkeyPatch) -> Iterator[Compiling]:
     compiling.may_end.set()
 
 
+@pytest.mark.slow
 def test_a_long_program_does_not_hold_up_the_clock(
     controller: Controller, connect: Connect, compiling: Compiling
 ) -> None:

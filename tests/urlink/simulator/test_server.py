@@ -303,6 +303,7 @@ def test_whatever_it_listens_on_it_has_an_address_to_connect_to(host: str) -> No
         assert str(robot.firmware).startswith("5.11")
 
 
+@pytest.mark.slow
 def test_twenty_controllers_live_together(connect: Connect) -> None:
     controllers = [Controller("UR5", "3.14") for _ in range(20)]
     try:
@@ -465,6 +466,7 @@ def test_after_sleeping_the_clock_is_set_anew(starved: tuple[Controller, Clock],
     assert times(link, 5) == pytest.approx([0.004, 0.006, 0.008, 0.01, 0.012], abs=1e-9)
 
 
+@pytest.mark.slow
 def test_programs_do_not_notice_a_hiccup(connect: Connect) -> None:
     """The same program comes to the same end in the same cycles, whatever the machine does."""
 

@@ -163,6 +163,7 @@ def test_movep_and_servoc_are_lines() -> None:
     assert ends[0] == ends[1] == ends[2]
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @given(st.floats(0.2, 6.0), st.floats(0.1, 0.9), triples, st.floats(0.02, 0.06), st.sampled_from([0, 1]))
 def test_the_tool_goes_round(angle: float, part: float, turn: Array, radius: float, mode: int) -> None:

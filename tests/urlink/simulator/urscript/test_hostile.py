@@ -132,6 +132,7 @@ def test_compiling_is_linear(name: str) -> None:
     assert twice < 2.2 * once + 100
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["parameters", "named arguments", "definitions", "statements"])
 def test_the_longest_programs_compile_at_once(name: str) -> None:
     """What calls do not count, such as a search in a list, shows in the time: 130 s here once, and now some 0.5 s."""
@@ -292,6 +293,7 @@ def test_a_million_runs_one_after_the_other() -> None:
     assert error_of(text, cycles=1100) == "1000 over"
 
 
+@pytest.mark.slow
 def test_what_all_variables_hold_is_bounded() -> None:
     count = MAX_MEMORY // MAX_ELEMENTS + 200
     lines = [f"x{i} = make_list({MAX_ELEMENTS - 1}, 1.5)\nsync()" for i in range(count)]
