@@ -20,9 +20,10 @@ class Term(NamedTuple):
 
 
 def terms() -> list[Term]:
-    rows = [line.strip("|").split("|") for line in GLOSSARY.read_text(encoding="utf-8").splitlines() if line[:1] == "|"]
-    found = [Term(*(cell.strip() for cell in row)) for row in rows]
-    return [term for term in found if not re.fullmatch(r"Term|-+", term.name)]
+    text = GLOSSARY.read_text(encoding="utf-8")
+    found = re.findall(r"^- \*\*(.+?)\*\*: (.+) \(`([\w.]+)`\)$", text, re.MULTILINE)
+    assert len(found) == text.count("\n- ") > 20
+    return [Term(*each) for each in found]
 
 
 TERMS = terms()
@@ -36,11 +37,10 @@ def test_no_term_has_two_meanings() -> None:
 
 @pytest.mark.parametrize("term", TERMS, ids=lambda term: term.name)
 def test_it_is_where_the_glossary_says(term: Term) -> None:
-    place = term.place.strip("`")
     try:
-        is_module = importlib.util.find_spec(place) is not None
+        is_module = importlib.util.find_spec(term.place) is not None
     except ModuleNotFoundError:  # its parent is no package
         is_module = False
     if not is_module:
-        module, _, name = place.rpartition(".")
+        module, _, name = term.place.rpartition(".")
         assert hasattr(importlib.import_module(module), name)
