@@ -9,7 +9,7 @@ from __future__ import annotations
 import threading
 import weakref
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from .errors import Cancelled
 
@@ -94,10 +94,10 @@ def check_wanted() -> None:
         call.check()
 
 
-def regardless(call: Callable[[], Any]) -> None:
-    """Make a call that may send whatever happens: it has the robot stop."""
+def regardless(call: Callable[[], T]) -> T:
+    """Make a call that may send whatever happens: it has the robot stop, or carries out what was decided before."""
     pending, _here.call = current_call(), None
     try:
-        call()
+        return call()
     finally:
         _here.call = pending

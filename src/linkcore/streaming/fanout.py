@@ -160,7 +160,7 @@ class FanOut:
             found: K = exact[1]
             return found
         candidates = [each for each in list(self._newest.values()) if isinstance(each[1], kind)]
-        return max(candidates, key=_number_of)[1] if candidates else None
+        return max(candidates, key=lambda each: each[0])[1] if candidates else None
 
     def expand(self, kind: type[K], packet: Any) -> Iterable[K]:
         """What of class `kind` a packet is or holds."""
@@ -234,7 +234,3 @@ class FanOut:
         for route in self._routes:
             if all or route.sink.evicts or route.sink in callers:
                 route.sink.close()
-
-
-def _number_of(entry: tuple[int, Any]) -> int:
-    return entry[0]

@@ -192,7 +192,8 @@ def _rate(name: str) -> Check:
             raise NotTried(f"there was no connection to {name}")
         packets = _listened(evidence, name)
         rate = float(_release(evidence).since.rate)
-        wanted = {"primary": 10.0, "rtde": rate if _has_protocol_2(evidence) else 125.0}.get(name, rate)
+        is_old = (evidence.last("rtde") or {}).get("protocol") == 1
+        wanted = {"primary": 10.0, "rtde": 125.0 if is_old else rate}.get(name, rate)
         if name == "primary" and evidence.firmware is not None and evidence.firmware.is_cb2:
             # Its time is of something else.
             steps = np.diff(packets.arrived[packets.begins[-1] :] if packets.begins else packets.arrived)
@@ -209,10 +210,6 @@ def _rate(name: str) -> Check:
         return Measured(abs(measured / wanted - 1.0), seen)
 
     return check
-
-
-def _has_protocol_2(evidence: Evidence) -> bool:
-    return (evidence.last("rtde") or {}).get("protocol") != 1
 
 
 def _missed(evidence: Evidence) -> Measured:

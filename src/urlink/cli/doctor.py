@@ -234,13 +234,10 @@ def _inputs(robot: Robot) -> Iterator[Finding]:
     held = sorted(name for name, why in robot.rtde.who_holds().items() if why == "in use")
     if held:
         remedy = "another RTDE client, a URCap or a fieldbus: it must release them before they can be written from here"
-        yield Finding("look", "inputs", f"{len(held)} in use: {_shortened(held)}", remedy)
+        names = ", ".join(held if len(held) <= 6 else [*held[:3], "...", *held[-2:]])
+        yield Finding("look", "inputs", f"{len(held)} in use: {names}", remedy)
     else:
         yield Finding("ok", "inputs", "no RTDE input is in use")
-
-
-def _shortened(names: list[str]) -> str:
-    return ", ".join(names) if len(names) <= 6 else f"{', '.join(names[:3])} ... {', '.join(names[-2:])}"
 
 
 def _packets(robot: Robot, duration: float) -> Iterator[Finding]:

@@ -17,6 +17,7 @@ from collections.abc import Callable
 from linkcore.clock import monotonic
 from linkcore.errors import ConnectionLost, LinkTimeout
 from linkcore.net.recall import Recall
+from linkcore.pending_call import check_wanted, regardless
 from linkcore.streaming.connection import Connection
 
 from .monitor import SafetyMonitor
@@ -220,9 +221,11 @@ class CommandChannel:
             if text.is_begun and (self._unfinished is not text or number != text.number):
                 raise ConnectionLost(f"{connection.name} was connected anew while a text was sent")
             text.number = number
+            # Not between the decision and the sending: what is claimed would never leave.
+            check_wanted()
             decide()
             self._sent_at = self._clock()
-            text.rest = text.rest[connection.send_some(text.rest) :]
+            text.rest = text.rest[regardless(lambda: connection.send_some(text.rest)) :]
         except BaseException:
             if self._unfinished is text:
                 self._give_up()

@@ -85,7 +85,11 @@ class BriefClaims:
             if self._clock() - self._used > HOLD:
                 self.give_back()
 
-        connection.subscribe_inline(Outputs, look)
+        try:
+            connection.subscribe_inline(Outputs, look)
+        except BaseException:
+            connection.abandon()  # of a process that was held up, it may come up yet
+            raise
         self._standing = connection, claims
         if self._is_closed:
             self.give_back()

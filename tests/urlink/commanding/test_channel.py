@@ -8,6 +8,7 @@ from collections.abc import Callable
 import pytest
 
 from linkcore.errors import Cancelled, ConnectionLost, LinkTimeout
+from linkcore.pending_call import PendingCall, check_wanted
 from tests.fakes.line import Desk, slow
 from urlink.commanding.channel import CommandChannel
 from urlink.errors import NotRunning, SafetyStop
@@ -226,6 +227,24 @@ def test_a_claim_that_raises_keeps_the_text(desk: Desk) -> None:
     with pytest.raises(Cancelled):
         desk.channel.motion(TEXT, claim=claim)
     assert desk.sent == []
+
+
+def test_what_was_claimed_leaves_also_for_a_task_that_gives_it_up_at_that_moment(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is claimed last is stopped by what is sent next, and has to be there to be stopped."""
+    call, send = PendingCall(), desk.primary.send_some
+
+    def as_a_transport(data: memoryview) -> int:
+        check_wanted()
+        return send(data)
+
+    monkeypatch.setattr(desk.primary, "send_some", as_a_transport)
+    call.make(lambda: desk.channel.motion(TEXT, claim=lambda: call.give_up(lambda cancel: cancel())))
+    assert desk.sent == [f"{TEXT}\n"]
+    with pytest.raises(Cancelled, match="nothing more is sent"):
+        call.make(lambda: desk.channel.motion(TEXT, claim=lambda: pytest.fail("it was claimed")))
+    assert desk.sent == [f"{TEXT}\n"]
 
 
 def test_only_what_was_sent_just_now_is_discarded(desk: Desk) -> None:

@@ -314,10 +314,6 @@ def _safety_data(state: ControllerState) -> Fields:
     }
 
 
-def _tool_communication(state: ControllerState) -> Fields:
-    return state.signals.tool_communication._asdict()
-
-
 def _tool_mode(state: ControllerState) -> Fields:
     first, second = state.signals.tool_digital_output_modes
     return {
@@ -343,7 +339,7 @@ _CHANGING: dict[int, Callable[[ControllerState], Fields]] = {
     4: _cartesian,
     7: _force_mode,
     10: _safety_data,
-    11: _tool_communication,
+    11: lambda state: state.signals.tool_communication._asdict(),
     12: _tool_mode,
 }
 _UNCHANGING: dict[int, Callable[[ControllerState], Fields]] = {

@@ -343,10 +343,12 @@ def test_any_commands_in_any_cycles(
             pass
     generator.speed_fraction = 1.0
     generator.stopj(3.0)
+    refusal = "none"
     try:
         setpoints += to_rest(generator)
     except LimitViolation as violation:  # it was on its way out of its range, too near the end to brake
-        assert "out of range" in violation.reason
+        refusal = violation.reason
+    assert refusal == "none" or "out of range" in refusal
     check_continuous(before, setpoints, 10.0 * UR5E.max_acceleration)
     assert (np.abs(speeds(setpoints)) <= 1.03 * UR5E.max_speed * (1 + 1e-9)).all()
 
