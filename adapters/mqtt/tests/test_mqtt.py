@@ -56,7 +56,8 @@ def test_status_and_info_are_retained(server: Server, panels: Panels, urlink_rob
 def test_a_client_moves_a_robot_and_is_told_of_it(server: Server, panels: Panels, urlink_robot: urlink.Robot) -> None:
     panel = panels()
     answer = panel.ask("move_joints", {"q": HOME}, id="first")
-    assert (answer["id"], answer["command"], answer["error"], answer["phase"]) == ("first", "move_joints", None, "sent")
+    assert (answer["id"], answer["command"], answer["error"]) == ("first", "move_joints", None)
+    assert answer["phase"] in ("sent", "running")  # it may have begun before the answer was made
     until(lambda: panel.of("motion") and panel.of("motion")[-1]["phase"] == "done", 60.0)
     assert [said["id"] for said in panel.of("motion")] == ["first", "first"]
     assert urlink_robot.realtime.wait().q_actual.tolist() == pytest.approx(HOME, abs=1e-3)
