@@ -67,7 +67,7 @@ class Firmware(NamedTuple):
     @property
     def rate(self) -> int:
         """Packets a second on the real-time interface: 125 on CB2 and CB3, 500 on e-Series."""
-        return 500 if self.is_e_series else 125
+        return 500 if self.major >= 5 else 125
 
     def __str__(self) -> str:
         parts = list(self)
