@@ -62,6 +62,11 @@ class Watchdog:
     def pytest_exception_interact(self) -> None:
         self.rearm()
 
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtest_teardown(self) -> None:
+        """Once more: an alarm of pytest-timeout that comes while a failure is handled ends what is called there."""
+        self.rearm()
+
     @pytest.hookimpl(trylast=True)
     def pytest_unconfigure(self, config: pytest.Config) -> None:
         self.start(2 * limit_of(config))
