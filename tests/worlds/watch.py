@@ -24,6 +24,8 @@ __all__ = ["BRAKING", "Outcome", "Watch"]
 MOVES = 0.01
 #: rad/s by which it gets faster in a cycle in which it begins to move: the profiles of moves begin with less.
 BEGINS = 1e-5
+#: Seconds between two cycles after which the controller was suspended: without clients it is late by 0.1.
+_SUSPENDED = 0.15
 #: Programs that have an owner of their own: the one that is saved at the pendant, and those of foreign clients.
 _OWNED = ("pick", "foreign")
 
@@ -71,7 +73,7 @@ class Watch:
         self._counted = Counted(controller.firmware.rate, self._once)
         #: the clients that want the arm to move, and until when it may although none does
         self.wanting: set[int] = set()
-        self._until = 0.0
+        self._until = self._looked = 0.0
         self._is_admitted = False
         self._reported: set[str] = set()
         self._q: tuple[float, ...] = tuple(controller.arm.setpoint.q)
@@ -134,6 +136,10 @@ class Watch:
     def _look(self) -> None:
         controller, observed = self._controller, self.observed
         setpoint = controller.arm.setpoint
+        missed = self._sim.now - self._looked
+        if missed > _SUSPENDED and self._until > self._looked:
+            self._until += missed  # it brakes on when it goes on
+        self._looked = self._sim.now
         q, qd = tuple(setpoint.q), tuple(setpoint.qd)
         if controller.program_name in _OWNED:
             self._until = self._sim.now + BRAKING

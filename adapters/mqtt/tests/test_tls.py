@@ -77,7 +77,7 @@ def test_a_client_moves_a_robot_over_tls(encrypted: Encrypted, urlink_robot: url
     where = Broker("127.0.0.1", encrypted.port, tls=True, ca=encrypted.ca)
     with Server(urlink_robot, "arm", where, status_rate=20.0, allow_commands=True):
         panel = Panel(encrypted.port, ca=encrypted.ca)
-        assert panel.ask("move_joints", {"q": HOME})["phase"] == "sent"
+        assert panel.ask("move_joints", {"q": HOME})["phase"] in ("sent", "running")
         until(lambda: panel.of("motion") and panel.of("motion")[-1]["phase"] == "done")
         panel.close()
     assert urlink_robot.realtime.wait().q_actual.tolist() == pytest.approx(HOME, abs=1e-3)

@@ -346,7 +346,8 @@ class StreamFeed:
                 rate = self._clock.rate
                 self._paces.append(self.pace.look(state.time, now, self.time, rate, is_led=is_led, is_idle=is_idle))
             if self.mark is None:
-                if self._begin.is_reached(state, now):
+                # Done where another thread has ended it since this one began to look.
+                if not self.begun.done() and self._begin.is_reached(state, now):
                     self._rest_at(0.0, JointMoment.at_rest(state.q_target))
                     self.begun.set_result(None)
                 return self._wait_word()

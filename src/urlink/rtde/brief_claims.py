@@ -85,15 +85,14 @@ class BriefClaims:
             if self._clock() - self._used > HOLD:
                 self.give_back()
 
+        self._standing = connection, claims  # before it connects: whoever closes the robot meanwhile ends that too
         try:
+            if self._is_closed:
+                raise Closed(f"{connection.name} was closed")
             connection.subscribe_inline(Outputs, look)
         except BaseException:
             connection.abandon()  # of a process that was held up, it may come up yet
             raise
-        self._standing = connection, claims
-        if self._is_closed:
-            self.give_back()
-            raise Closed(f"{connection.name} was closed")
         return claims
 
     def give_back(self, timeout: float = 1.0) -> None:
