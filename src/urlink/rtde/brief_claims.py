@@ -91,7 +91,7 @@ class BriefClaims:
                 raise Closed(f"{connection.name} was closed")
             connection.subscribe_inline(Outputs, look)
         except BaseException:
-            connection.abandon()  # of a process that was held up, it may come up yet
+            self.abort()  # in a process that was held up, it may come up yet
             raise
         return claims
 
