@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import gc
+import sys
+import threading
+import weakref
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -86,6 +91,10 @@ JOINTS = (
 
 @pytest.fixture
 def drawing(table: Path) -> MujocoWorld:
+    return _drawn(table)
+
+
+def _drawn(table: Path) -> MujocoWorld:
     world = MujocoWorld(table, Controller("UR5e", noise=False))
     try:
         world.picture("front", width=32, height=24)
@@ -104,6 +113,30 @@ def test_a_camera_sees_what_moves(drawing: MujocoWorld) -> None:
     depth = drawing.picture("front", width=160, height=120, depth=True)
     assert depth.shape == (120, 160)
     assert 0.3 < depth.min() < 2.0
+
+
+def test_pictures_are_drawn_and_freed_wherever_a_thread_asks_or_collects(drawing: MujocoWorld) -> None:
+    with ThreadPoolExecutor(2) as threads:
+        pictures = list(threads.map(lambda _: drawing.picture("front", width=32, height=24), range(4)))
+    assert all((each == pictures[0]).all() for each in pictures)
+
+
+def test_what_draws_is_freed_whichever_thread_collects_it(table: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    failed: list[object] = []
+    monkeypatch.setattr(sys, "unraisablehook", failed.append)
+    before = set(threading.enumerate())
+    gone = weakref.finalize(world := _drawn(table), str)
+    drawing = set(threading.enumerate()) - before
+    assert len(drawing) == 1
+    del world
+    collecting = threading.Thread(target=gc.collect)
+    collecting.start()
+    collecting.join(30.0)
+    assert not gone.alive
+    for thread in drawing:
+        thread.join(30.0)
+        assert not thread.is_alive()
+    assert not failed
 
 
 def test_mistakes_are_told(table: Path, tmp_path: Path) -> None:

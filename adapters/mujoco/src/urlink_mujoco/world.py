@@ -33,6 +33,7 @@ from urlink.mjcf import to_mjcf
 from urlink.poses import quaternion_to_rotvec, rotvec_to_quaternion
 
 from .arms import MountedArm
+from .drawing import STATE, Drawing
 from .fingers import COG, MASS, TCP, TOOL
 
 if TYPE_CHECKING:
@@ -46,7 +47,6 @@ __all__ = ["MujocoWorld"]
 _STEP = 1e-3
 #: `solimp`: what MuJoCo has unless a file says otherwise, and what is put in its place.
 _ABRUPT, _GRADUAL = (0.9, 0.95, 0.001, 0.5, 2.0), (0.0, 0.95, 0.001, 0.5, 2.0)
-_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
 class MujocoWorld:
@@ -77,7 +77,7 @@ class MujocoWorld:
         self.data = mujoco.MjData(self.model)
         mujoco.mj_forward(self.model, self.data)
         self._time = 0.0
-        self._renderers: dict[tuple[int, int], Any] = {}
+        self._drawing = Drawing(self.model)
         self.arms = {name: MountedArm(self, name, controller) for name, controller in controllers.items()}
         mujoco.mj_forward(self.model, self.data)
         self._first = self.state()
@@ -121,8 +121,8 @@ class MujocoWorld:
     def state(self) -> NDArray[np.float64]:
         """All that MuJoCo goes on from, as numbers for `reset`."""
         with self.lock:
-            state = np.zeros(mujoco.mj_stateSize(self.model, _STATE))
-            mujoco.mj_getState(self.model, self.data, state, _STATE)
+            state = np.zeros(mujoco.mj_stateSize(self.model, STATE))
+            mujoco.mj_getState(self.model, self.data, state, STATE)
         return state
 
     def reset(self, state: NDArray[np.float64] | None = None) -> None:
@@ -137,7 +137,7 @@ class MujocoWorld:
             wanted = self._first if state is None else np.asarray(state, dtype=np.float64)
             if wanted.shape != self._first.shape:
                 raise BadValue(f"a state of this world has {self._first.size} numbers, not {wanted.shape}")
-            mujoco.mj_setState(self.model, self.data, wanted, _STATE)
+            mujoco.mj_setState(self.model, self.data, wanted, STATE)
             for arm in self.arms.values():
                 arm.put()
             mujoco.mj_forward(self.model, self.data)
@@ -187,7 +187,7 @@ class MujocoWorld:
     ) -> NDArray[np.uint8] | NDArray[np.float32]:
         """What a camera of the file sees: (height, width, 3) of 0 to 255, or with `depth` (height, width) m.
 
-        Always from the same thread: MuJoCo draws with OpenGL, by `MUJOCO_GL=egl` without a screen.
+        From any thread. MuJoCo draws with OpenGL, by `MUJOCO_GL=egl` without a screen.
 
         Raises:
             BadValue: no such camera.
@@ -196,25 +196,10 @@ class MujocoWorld:
         if mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_CAMERA, camera) < 0:
             known = ", ".join(self.model.camera(i).name for i in range(self.model.ncam)) or "none"
             raise BadValue(f"no camera is called {camera!r}; there is {known}")
-        size = height, width
         try:
-            renderer = self._renderers.get(size) or self._renderers.setdefault(
-                size, mujoco.Renderer(self.model, height, width)
-            )
+            return self._drawing.picture(self.state(), camera, (height, width), depth)
         except Exception as error:  # of OpenGL, of its platform, of MuJoCo: each has its own
             raise LocalError(f"MuJoCo cannot draw {width} x {height}: {error}") from error
-        with self.lock:
-            # After a step, MuJoCo has the places of bodies as they were at its beginning.
-            mujoco.mj_kinematics(self.model, self.data)
-            mujoco.mj_camlight(self.model, self.data)
-            renderer.update_scene(self.data, camera)
-        if not depth:
-            return np.array(renderer.render(), dtype=np.uint8)
-        renderer.enable_depth_rendering()
-        try:
-            return np.array(renderer.render(), dtype=np.float32)
-        finally:
-            renderer.disable_depth_rendering()
 
     def __repr__(self) -> str:
         return f"<MujocoWorld {list(self.arms)}, {self.model.nbody} bodies>"
