@@ -385,7 +385,7 @@ class Variables(Declarations):
     def close(self, timeout: float = 2.0) -> None:
         """Disconnect, and end the sync thread and every subscription, within `timeout` seconds.
 
-        What the last sync sent is waited for until the robot's side has acknowledged it, for 0.25 s at most. A robot
+        What the last sync sent is waited for until the robot's side has acknowledged it, for 0.7 s at most. A robot
         gets no message: its values stay as they were sent last, until it notices that its master is gone. Idempotent,
         from any thread.
 

@@ -467,7 +467,7 @@ class Observed:
             close(programs)
             robot = network.find(self._controller.host, client)
             if robot is not None and not network.carries(client, robot):
-                # The connections are closed 0.25 s later, and what has not been acknowledged by then is discarded.
+                # The connections are closed 0.7 s later, and what has not been acknowledged by then is discarded.
                 self._lost.setdefault(client, []).append(self._sim.now)
 
         return wrapped

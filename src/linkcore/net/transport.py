@@ -43,9 +43,9 @@ __all__ = ["Finished", "TcpTransport", "Transport", "witnessed"]
 #: Bytes asked for at a time: some 60 packets, when the reader has fallen behind.
 _CHUNK = 65536
 
-#: Seconds that `close` waits for acknowledgements. Linux delays one by up to 40 ms, and a round trip is short beside
-#: that; the rest is for one retransmission, which Linux makes after 200 ms at the earliest.
-_DRAIN = 0.25
+#: Seconds that `close` waits for acknowledgements: a stop may be among what the peer has not. Linux delays one by up to
+#: 40 ms; the rest is for two retransmissions, which Linux makes 200 and 600 ms after the first try at the earliest.
+_DRAIN = 0.7
 
 #: Seconds after which a sender that waits for room looks whether it was closed here: not every system's poll can tell.
 _SLICE = 0.05
