@@ -485,15 +485,7 @@ class SelectorLoop:
             BadAddress: that cannot be listened on.
         """
         port = ListeningPort(
-            self,
-            host,
-            number,
-            accept,
-            purpose=purpose,
-            limit=limit,
-            idle=idle,
-            output_limit=output_limit,
-            chunk=chunk,
+            self, host, number, accept, purpose=purpose, limit=limit, idle=idle, output_limit=output_limit, chunk=chunk
         )
         self.ports.append(port)
         if is_listening:

@@ -218,13 +218,7 @@ class Feed(Generic[T]):
             return connection.subscribe_inline(kind, callback, deadline=deadline, on_deadline=on_deadline, owner=owner)
         policy = self._policy(policy, drop_oldest(256))
         return connection.subscribe(
-            kind,
-            callback,
-            policy=policy,
-            lifespan=lifespan,
-            deadline=deadline,
-            on_deadline=on_deadline,
-            owner=owner,
+            kind, callback, policy=policy, lifespan=lifespan, deadline=deadline, on_deadline=on_deadline, owner=owner
         )
 
     def history(self, seconds: float) -> History:

@@ -189,12 +189,7 @@ def _serve(args: argparse.Namespace) -> int:
     conf = _conf(args)
     link, driven = _link(args, is_realtime=True)
     server = MissionServer(
-        link,
-        port=args.port,
-        address=args.listen,
-        compat=args.profile,
-        conf=conf,
-        log_folder=args.log_folder,
+        link, port=args.port, address=args.listen, compat=args.profile, conf=conf, log_folder=args.log_folder
     )
     if args.profile == "mrc":
         server.on_said(_print_what_clients_said)

@@ -21,17 +21,7 @@ from linkcore.errors import BadValue
 if TYPE_CHECKING:
     from .evidence import Evidence
 
-__all__ = [
-    "Check",
-    "Measured",
-    "NotTried",
-    "Requirement",
-    "counted",
-    "from_file",
-    "read",
-    "requirements",
-    "written",
-]
+__all__ = ["Check", "Measured", "NotTried", "Requirement", "counted", "from_file", "read", "requirements", "written"]
 
 _TABLE = Path(__file__).with_name("requirements.toml")
 _HEAD = re.compile(r"\[([a-z][a-z0-9-]*)\]")

@@ -61,10 +61,7 @@ class RTDEIOInterface(RtdeInterface):
 
     def setSpeedSlider(self, speed: float) -> bool:
         """Set the speed slider, 0 to 1."""
-        return self._send(
-            {"speed_slider_fraction": speed},
-            lambda: self._robot.set_speed_slider(speed, confirm=None),
-        )
+        return self._send({"speed_slider_fraction": speed}, lambda: self._robot.set_speed_slider(speed, confirm=None))
 
     def setAnalogOutputVoltage(self, output_id: int, voltage_ratio: float) -> bool:
         """Make analogue output 0 or 1 a voltage: a fraction of its range, 0 to 1."""

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkcore.errors import Cancelled, LinkTimeout
+from linkcore.handle import Motion
 
 from ..firmware import Firmware
 from ..interfaces.primary.robot_state import RobotModeData
@@ -105,6 +106,9 @@ class Guard:
         box: rad by which any joint may be away from where it stands now, or six of them, one for each.
         is_held: whether the arm may move, by a state.
         told: called with why it has stopped the arm.
+
+    Raises:
+        Cancelled: a program runs or is paused, which could move the arm later, or the arm moves already.
     """
 
     def __init__(
@@ -114,8 +118,9 @@ class Guard:
         is_held: Callable[[RealtimeState], bool] = lambda state: True,
         told: Callable[[str], object] = lambda why: None,
     ) -> None:
-        self.start = robot.realtime.wait(_SOON).q_target.copy()
+        self.start = _where_it_stands(robot)
         self.tripped = ""
+        self._stop: Motion | None = None
         self.is_held = is_held
         self._robot = robot
         self._box = box
@@ -123,6 +128,9 @@ class Guard:
 
     def __call__(self, state: RealtimeState) -> None:
         if self.tripped:
+            # A motion that was begun at the moment of the stop.
+            if state.qd_target.any() and (self._stop is None or self._stop.done):
+                self._stop = self._robot.motion.stop()
             return
         away = np.abs(state.q_actual - self.start)
         if (outside := away > self._box).any():
@@ -133,12 +141,24 @@ class Guard:
     def _trip(self, why: str) -> None:
         self.tripped = why
         self._told(why)
-        self._robot.motion.stop()
+        self._stop = self._robot.motion.stop()
 
     def check(self) -> None:
         """Raise `Cancelled` once it has stopped the arm."""
         if self.tripped:
             raise Cancelled(f"stopped: {self.tripped}")
+
+
+def _where_it_stands(robot: Robot) -> FloatArray:
+    """(6,) rad, when nothing moves the arm and no program could go on."""
+    robot.realtime.wait(_SOON)
+    try:
+        robot.primary.of(RobotModeData).wait_until(
+            lambda mode: mode.is_program_running + mode.is_program_paused == 0, _SOON
+        )
+        return robot.realtime.wait_until(lambda state: not state.qd_target.any(), _SOON).q_target.copy()
+    except LinkTimeout as error:
+        raise Cancelled(f"a program runs or is paused, or the arm moves: stop it first ({error})") from None
 
 
 def plan(arm: Arm, start: FloatArray, tcp: FloatArray, swing: float = SWING, joint: int | None = None) -> Exercise:

@@ -55,7 +55,8 @@ class Ran:
         happened: name of a fault -> how often it happened while the stage was under way, and changed something.
         stages: how often the stage began.
         steps: name of a step -> how often it was begun.
-        away: rad by which any joint has left where it stood when a stage began, at most.
+        away: rad by which any joint has left where it stood when the steps of a stage began, at most. A program of the
+            stage before may go on until then, such as one that a safeguard stop had paused.
     """
 
     happened: Counter[str] = field(default_factory=Counter)
@@ -173,9 +174,11 @@ def faulted(seed: int, seconds: float, folder: Path) -> Ran:
     """
     draw = random.Random(seed)
     model, firmware = ("UR5e", draw.choice(("5.11", "5.25", "10.12"))) if seed % 10 == 9 else ("UR5", "3.15")
-    ran = Ran()
+    ran, start = Ran(), np.zeros(6)
 
     def in_another_order(book: Logbook, steps: Mapping[str, Callable[[], Told]], between: Callable[[], object]) -> None:
+        nonlocal start
+        start = np.array(controller.arm.sample.q_target)
         names = draw.sample(sorted(steps), len(steps))
         begun = {name: (lambda name=name: (ran.steps.update([name]), steps[name]())[1]) for name in names}
         try_each(book, begun, between)
@@ -210,7 +213,6 @@ def faulted(seed: int, seconds: float, folder: Path) -> Ran:
         while time.monotonic() < began + seconds:
             cell.mend()
             time.sleep(MENDED)
-            start = np.array(controller.arm.sample.q_target)
             ran.stages += 1
             is_under_way.set()
             tried(controller, folder / "run.urlog", cell.person)

@@ -136,3 +136,33 @@ def test_nothing_moves_before_somebody_says_that_the_box_is_free(
 def test_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["exercise", "sim://", "--swing", "90"]) == 2
     assert "not from 6 to 45" in capsys.readouterr().err
+
+
+@pytest.mark.simulated_time
+def test_what_is_begun_at_the_moment_of_the_stop_is_stopped_too() -> None:
+    with Controller("UR5", "3.15", motion=Still(START.tolist())) as controller:
+        controller.signals.digital_inputs = 1 << 2
+        with urlink.connect(controller.address) as robot:
+            guard = Guard(robot, SWING + BESIDE, input_is_on(2))
+            with robot.realtime.subscribe(guard):
+                controller.signals.digital_inputs = 0
+                robot.realtime.wait_until(lambda _: bool(guard.tripped), 2.0)
+                with pytest.raises(Cancelled):
+                    robot.motion.move_joints(START + SWING, speed=0.1).wait(10.0)
+            robot.realtime.wait_until(lambda state: not state.qd_target.any(), 2.0)
+            assert np.abs(controller.arm.sample.q_target - START).max() < 0.1 * SWING
+
+
+@pytest.mark.simulated_time
+@pytest.mark.parametrize("slider", [1.0, 0.0], ids=["it moves", "it stands at slider 0"])
+def test_a_program_that_could_move_the_arm_later_is_waited_for_and_then_nothing_begins(slider: float) -> None:
+    controller = Controller("UR5", "3.15", motion=Still(START.tolist()))
+    with controller, urlink.connect(controller.address) as other, urlink.connect(controller.address) as robot:
+        motion = other.motion.move_joints(START + SWING, speed=0.02)
+        robot.realtime.wait_until(lambda state: bool(state.qd_target.any()), 2.0)
+        controller.speed_fraction = slider
+        with pytest.raises(Cancelled, match="a program runs or is paused"):
+            Guard(robot, SWING + BESIDE)
+        controller.speed_fraction = 1.0
+        motion.wait(60.0)
+        assert Guard(robot, SWING + BESIDE).start == pytest.approx(START + SWING)
