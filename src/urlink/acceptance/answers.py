@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from linkcore.errors import PacketError
 
 from ..interfaces.dashboard.commands import COMMANDS
@@ -69,7 +71,8 @@ def _words(evidence: Evidence) -> Measured:
 
 def _dashboard_modes(evidence: Evidence) -> Measured:
     answers = {said["asked"]: said["reply"] for _, _, said in evidence.said("dashboard") if not said["error"]}
-    states = evidence.primary.states
+    # Later stages run programs.
+    states = evidence.primary.states[: np.searchsorted(evidence.primary.arrivals, evidence.stage(0)[1])]
     if not answers or not states or evidence.firmware is None:
         raise NotTried("there is no dashboard, or no robot state")
     modes, board = states[-1].robot_mode_data, states[-1].masterboard_data

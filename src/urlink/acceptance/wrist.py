@@ -127,7 +127,7 @@ def _stops(step: str) -> Check:
             took -= WATCHDOG
             after = f" after the watchdog of {WATCHDOG} s"
         gap = held_up(evidence, step)
-        if took > 0.3 and gap > _SILENT and step != "frozen":
+        if (took > 0.3 or stood <= 0.1) and gap > _SILENT and step != "frozen":
             raise NotTried(f"for {gap * 1e3:.0f} ms nothing came from the controller")
         if stood <= 0.1:
             return Measured(math.inf, f"it still moved {took:.2f} s{after}")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -64,3 +66,15 @@ def test_rates_are_of_what_came_while_it_was_seen_whether_this_computer_is_held_
     (verdict,) = judge(evidence, {"primary-rate": requirements()["primary-rate"]})
     assert verdict.state == "held"
     assert 12 <= int(verdict.seen.split()[-2]) <= 15  # of 3 s, the second half
+
+
+def test_what_the_dashboard_said_in_stage_0_is_not_compared_with_a_later_stage(sound: dict[bool, Evidence]) -> None:
+    evidence = planted(sound[False], None)
+    *before, last = evidence.primary.states
+    runs = SimpleNamespace(robot_mode=last.robot_mode_data.robot_mode, is_program_running=True)
+    later = SimpleNamespace(robot_mode_data=runs, masterboard_data=last.masterboard_data)
+    evidence.primary = replace(evidence.primary, states=[*before, later])
+    modes = {"dashboard-modes": requirements()["dashboard-modes"]}
+    assert [each.state for each in judge(evidence, modes)] == ["not held"]
+    evidence.notes.append(Note(evidence.primary.arrivals[-1], "stage", {"number": 2}))
+    assert [each.state for each in judge(evidence, modes)] == ["held"]

@@ -58,3 +58,16 @@ def test_a_stream_that_ends_while_this_computer_is_held_up_is_not_judged(gap: fl
     found, seen = verdict("follow-scales", evidence(np.zeros((1000, 6)), notes, arrivals))
     assert found == state
     assert error in seen
+
+
+@pytest.mark.parametrize(("gap", "state"), [(1.0, "not tried"), (0.0, "not held")])
+def test_an_arm_that_was_not_seen_to_stand_is_not_judged_where_nothing_came(gap: float, state: str) -> None:
+    speeds = np.zeros((410, 6))
+    speeds[:300, 5] = 0.1
+    arrivals = _PERIOD * np.arange(1, 411)
+    arrivals[310:] += gap
+    end = arrivals[309] + 0.5 * gap + 1e-4
+    notes = [Note(0.0, "stage", {"number": 2}), Note(0.1, "cancel", {"event": "begin"})]
+    notes += [Note(0.59, "cancel", {"event": "told"}), Note(end, "cancel", {"event": "end", "error": None})]
+    found, seen = verdict("cancel", evidence(speeds, notes, arrivals))
+    assert found == state, seen
