@@ -38,8 +38,9 @@ class _Moved:
         if self.said.get("event") != "end":
             raise NotTried("it was broken off")
         # A motion is given up where this computer, or the network, holds up what paces it. `frozen` does so on purpose.
-        if self.error and step != "frozen" and (gap := held_up(evidence, step)) > _SILENT:
-            raise NotTried(f"for {gap * 1e3:.0f} ms nothing came from the controller; {self.error}")
+        gap = max(held_up(evidence, step), _unfed(evidence, begin, end))
+        if self.error and step != "frozen" and gap > _SILENT:
+            raise NotTried(f"for {gap * 1e3:.0f} ms nothing came from the controller or went to it; {self.error}")
         packets = evidence.realtime
         there = (packets.arrived >= begin) & (packets.arrived <= end)
         q, qd = packets.column(lambda state: state.q_actual), packets.column(lambda state: state.qd_target)
@@ -70,6 +71,13 @@ class _Moved:
         last = int(moving[-1]) if len(moving) else first
         end = int(np.flatnonzero(some)[-1])
         return float(self.time[last] - self.time[first]), float(self.time[end] - self.time[last])
+
+
+def _unfed(evidence: Evidence, begin: float, end: float) -> float:
+    """The longest time, s, in which nothing was sent to a program that reads set-points; 0 without one."""
+    chunks = (at for wire in evidence.wires if wire.is_sent and wire.interface == "reverse" for at, _ in wire.chunks)
+    sent = sorted(at.monotonic for at in chunks if begin <= at.monotonic <= end)
+    return float(np.diff([*sent, end]).max()) if sent else 0.0
 
 
 def _moving(evidence: Evidence) -> tuple[Mapping[str, Any], NDArray[np.float64]]:

@@ -7,7 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from urlink.acceptance.evidence import Came, Evidence, Note
+from linkcore.clock import Stamp
+from urlink.acceptance.evidence import Came, Evidence, Note, Wire
 from urlink.acceptance.report import judge
 from urlink.acceptance.requirements import requirements
 from urlink.firmware import Firmware
@@ -58,6 +59,20 @@ def test_a_stream_that_ends_while_this_computer_is_held_up_is_not_judged(gap: fl
     found, seen = verdict("follow-scales", evidence(np.zeros((1000, 6)), notes, arrivals))
     assert found == state
     assert error in seen
+
+
+@pytest.mark.parametrize(("last", "state"), [(0.5, "not tried"), (0.66, "not held")])
+def test_a_stream_that_this_computer_did_not_feed_is_not_judged(last: float, state: str) -> None:
+    error = "ConnectionLost: nothing came to the program on the robot in time; it brakes by itself"
+    notes = [Note(0.0, "stage", {"number": 2})]
+    for begin, step in ((0.1, "follow-100"), (0.8, "follow-50"), (1.5, "follow-10")):
+        notes += [Note(begin, step, {"event": "begin"}), Note(begin + 0.6, step, {"event": "end", "error": error})]
+    of = evidence(np.zeros((1100, 6)), notes)
+    sent = [
+        begin + 0.01 * number for begin in (0.1, 0.8, 1.5) for number in range(1, 60) if 0.01 * number <= last - 0.1
+    ]
+    of.wires = [Wire("reverse", False, True, 0.1, [(Stamp(at, at), b"point") for at in sent])]
+    assert verdict("follow-scales", of)[0] == state
 
 
 @pytest.mark.parametrize(("gap", "state"), [(1.0, "not tried"), (0.0, "not held")])
