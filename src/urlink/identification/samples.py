@@ -33,6 +33,7 @@ COLUMNS = {
     "actual_TCP_pose": "tool_vector_actual",
     "actual_TCP_force": "tcp_force",
     "actual_tool_accelerometer": "tool_accelerometer",
+    "speed_scaling": "speed_scaling",
     "payload": "payload_mass",
     "payload_cog": "payload_cog",
 }

@@ -81,35 +81,39 @@ def noise(samples: Samples, coulomb: FloatArray) -> dict[str, Estimate]:
 def start_rate(samples: Samples) -> Estimate:
     """1/s with which the scaling of a program rises from 0, by the fastest joint of each movement from rest.
 
-    On a ramp of rate r the speed is a r² t³ / 2 under an acceleration of a, and a (t - 1 / 2 r) after it. The end of
-    the ramp is found by where the later line meets zero, the begin by the cube root of the earlier speeds.
+    On a ramp of rate r up to the speed scaling s, the speed is a r² t³ / 2 under an acceleration of a, and
+    a s² (t - s / 2 r) after it. The end of the ramp is found by where the later line meets zero, the begin by the cube
+    root of the earlier speeds.
     """
     times, rest = samples["timestamp"], samples.is_rest
     if np.median(np.diff(times)) > _FINE:
         return Estimate.unknown(f"rows that follow each other within {_FINE} s")
-    rates = []
+    scaling = samples.get("speed_scaling", np.ones(len(times)))
+    rates, scales = [], []
     for begin in np.flatnonzero(rest[:-1] & ~rest[1:]).tolist():
         rows = slice(begin + 1, min(begin + 1 + int(1.0 / np.median(np.diff(times))), len(times)))
         lead = int(np.argmax(np.abs(samples["target_qd"][rows]).max(axis=0)))
         speed, push = np.abs(samples["target_qd"][rows, lead]), np.abs(samples["target_qdd"][rows, lead])
-        t = times[rows] - times[begin]
-        rate = _rate_of(t, speed, push)
+        scale = float(np.median(scaling[rows]))
+        rate = _rate_of(times[rows] - times[begin], speed, push, scale)
         if rate is not None:
             rates.append(rate)
+            scales.append(scale)
     if len(rates) < 2:
         return Estimate.unknown("two programs that each begin with a movej over 0.3 rad or more")
     rates_ = np.array(rates)
     middle = float(np.median(rates_))
     spread = 1.4826 * float(np.median(np.abs(rates_ - middle)))
     # In which part of a cycle, of 2 or 8 ms, the ramp begins is not shown: half of one in the 80 ms that it costs.
-    unsure = 0.5 * float(np.clip(np.median(np.diff(times)), 0.002, 0.008)) * middle * middle
+    cycle = float(np.clip(np.median(np.diff(times)), 0.002, 0.008))
+    unsure = 0.5 * cycle * middle * middle / float(np.median(scales))
     found = Estimate.around(middle, spread / np.sqrt(len(rates)))
     return Estimate(middle, float(found.low - unsure), float(found.high + unsure))
 
 
-def _rate_of(t: FloatArray, speed: FloatArray, push: FloatArray) -> float | None:
-    """The rate of one ramp; None where the movement is too short to show it."""
-    expected = 1.0 / number("start_rate")
+def _rate_of(t: FloatArray, speed: FloatArray, push: FloatArray, scale: float) -> float | None:
+    """The rate of one ramp up to a speed scaling; None where the movement is too short to show it."""
+    expected = scale / number("start_rate")
     top = int(np.argmax(speed))
     t, speed, push = t[:top], speed[:top], push[:top]
     if top < 5 or t[-1] < 1.6 * expected:
@@ -127,7 +131,7 @@ def _rate_of(t: FloatArray, speed: FloatArray, push: FloatArray) -> float | None
         return None
     root, zero = np.polyfit(t[early], np.cbrt(2.0 * speed[early] / a), 1)
     begin = -zero / root
-    return float(0.5 / (meets - begin)) if meets > begin else None
+    return float(0.5 * scale / (meets - begin)) if meets > begin else None
 
 
 def clock_drift(samples: Samples) -> Estimate:

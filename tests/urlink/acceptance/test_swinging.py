@@ -14,6 +14,7 @@ from urlink.acceptance import swings
 from urlink.acceptance.bundle import opened, pack
 from urlink.acceptance.evidence import Evidence
 from urlink.acceptance.logbook import Logbook
+from urlink.acceptance.person import OfTheSimulator
 from urlink.acceptance.report import Verdict, as_text, judge
 from urlink.acceptance.requirements import requirements
 from urlink.acceptance.stages import run
@@ -118,6 +119,16 @@ def test_what_an_arm_contradicts_of_the_table_is_named_with_what_was_measured(tm
     assert said["swing-currents"][0].startswith("viscous_current of size 1, the wrist 1: measured 0.5 ")
     page = as_text(evidence, list(found.values()), {})
     assert page.count("CONTRADICTS the parameter") == 5
+
+
+@pytest.mark.slow
+@pytest.mark.simulated_time
+def test_a_slider_below_100_percent_is_no_other_ramp(tmp_path: Path) -> None:
+    with Controller("UR5", "3.15") as controller:
+        controller.speed_fraction = 0.5
+        run(controller.address, tmp_path / "run.urlog", (3,), consent, person=OfTheSimulator(controller))
+    ramp = verdicts(Evidence(tmp_path / "run.urlog"))["swing-ramp"]
+    assert (ramp.state, ramp.contradicts) == ("held", ()), ramp.seen
 
 
 @pytest.mark.parametrize("name", ["rotor_inertia", "torque_constant", "coulomb_current", "viscous_current"])
