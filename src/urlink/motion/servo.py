@@ -25,7 +25,7 @@ from .paced import FilteredTargets, PacedSetpoints
 from .path import Joint, Linear, Waypoint, shown_tcp
 from .servo_delay import measure
 from .setpoints import STOP_WORD, WAIT_WORD, Servoing, setpoint
-from .speed_limit import SpeedLimit
+from .speed_limit import LONGEST_PERIOD, SpeedLimit
 from .waypoint_schedule import Schedule
 
 __all__ = ["Servo", "ServoStatistics"]
@@ -142,6 +142,8 @@ class Servo(LinkedBlock):
         super().__init__(context, "servo", self._dialogue, open_link)
         self.rate = rate
         self._last: list[float] | None = None
+        #: s and rad of the newest set-points, and of one that is older than `LONGEST_PERIOD`
+        self._recent: list[tuple[float, list[float]]] = []
         self._began: float  # when the first was sent
         self._sent_at: float
         self._count = self._late = 0
@@ -306,12 +308,26 @@ class Servo(LinkedBlock):
         return ServoStatistics(self._count, mean, p50, p99, float(deviations.max()), self._late)
 
     def _speeds(self, values: list[float], now: float) -> list[float]:
-        """(6,) rad/s since the last set-point: the program goes on at these if the next one is late."""
-        if self._last is None or self._begins:
-            return [0.0] * 6
+        """(6,) rad/s since the last set-point: the program goes on at these if the next one is late.
+
+        No faster than over the last `LONGEST_PERIOD`, and in no other direction: when this computer was held up, a
+        set-point from before that may be followed at once by one of now, and the way between them is no speed.
+        """
+        recent = self._recent
+        if self._begins:
+            recent.clear()
+        recent.append((now, values))
+        while len(recent) > 2 and now - recent[1][0] >= LONGEST_PERIOD:
+            del recent[0]
+        longer, last = self._since(*recent[0]), self._since(*recent[-2:][0])
+        return [min(a, b, key=abs) if a * b > 0.0 else 0.0 for a, b in zip(longer, last, strict=True)]
+
+    def _since(self, at: float, q: list[float]) -> list[float]:
+        """(6,) rad/s from a set-point that was sent to the newest one."""
+        now, values = self._recent[-1]
         # Two set-points that are sent at once still are for two cycles.
-        seconds = max(now - self._sent_at, self._cycle)
-        return [(there - here) / seconds for here, there in zip(self._last, values, strict=True)]
+        seconds = max(now - at, self._cycle)
+        return [(there - here) / seconds for here, there in zip(q, values, strict=True)]
 
     @property
     def _begins(self) -> bool:

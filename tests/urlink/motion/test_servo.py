@@ -141,13 +141,28 @@ def test_statistics_of_a_loop_that_goes_on_for_long(robot: Rehearsal, monkeypatc
 
 def test_a_set_point_carries_its_speed(led: Rehearsal) -> None:
     with opened(led) as servo:
-        for q, seconds, speed in ((0.03, 0.0, 0.0), (0.032, 0.004, 0.5), (0.033, 0.0, 0.5), (0.031, 0.002, -1.0)):
+        for q, seconds, speed in ((0.03, 0.0, 0.0), (0.032, 0.004, 0.5), (0.033, 0.0, 0.5), (0.031, 0.002, 0.0)):
             led.time += seconds
             servo.send(turned(q))
             assert next_set_point(led) == pytest.approx(turned(q))
             assert led.speeds == pytest.approx([0.0] * 5 + [speed], abs=1e-6)
         # From now on the loop alone says something.
         assert servo._dialogue.step(b"", servo._context.state(), led.time) == b""
+
+
+def test_the_way_between_two_set_points_at_once_after_a_hold_up_is_no_speed(led: Rehearsal) -> None:
+    """The loop goes at 0.15 rad/s; what it sends first after 60 ms is of before."""
+    speeds = []
+    with opened(led) as servo:
+        for n in range(60):
+            led.time += 0.06 if n == 29 else -0.0004 if n == 30 else 0.0
+            led.show()  # 2 ms later
+            servo.send(turned(0.15 * (0.002 * n + (0.06 if n >= 30 else 0.0))))
+            next_set_point(led)
+            speeds.append(led.speeds[5])
+    assert speeds[:29] == pytest.approx([0.0, *[0.15] * 28], abs=1e-6)
+    assert min(speeds[29:]) > 0.0
+    assert max(speeds[29:]) < 0.151
 
 
 def test_the_first_set_point_is_near_and_all_are_in_range(led: Rehearsal) -> None:
