@@ -61,6 +61,32 @@ def test_a_stream_that_ends_while_this_computer_is_held_up_is_not_judged(gap: fl
     assert error in seen
 
 
+@pytest.mark.parametrize(("each", "state"), [(2, "not tried"), (1, "not held")])
+def test_a_trajectory_that_this_computer_answered_too_seldom_is_not_judged(each: int, state: str) -> None:
+    """It takes three times as long as it should."""
+    notes, speeds = [Note(0.0, "stage", {"number": 2})], np.zeros((12000, 6))
+    for begin, slider in ((0.1, 1.0), (3.3, 0.5), (9.5, 1.0)):
+        step = f"follow-{slider * 100:.0f}" if begin < 9.0 else "follow-10"
+        took = 3.0 / slider
+        speeds[int(begin / _PERIOD) + 50 : int((begin + took) / _PERIOD) + 50, 5] = 0.05
+        goal = {"goal": [0.0] * 6, "slider": slider}
+        notes += [Note(begin, step, {"event": "begin"}), Note(begin + took + 0.15, step, {"event": "end", **goal})]
+    of = evidence(speeds, notes)
+    sent = [0.0001 + _PERIOD * each * number for number in range(len(speeds) // each)]
+    of.wires = [Wire("reverse", False, True, 0.1, [(Stamp(at, at), b"point") for at in sent])]
+    assert verdict("follow-scales", of)[0] == state
+
+
+@pytest.mark.parametrize(("gap", "state"), [(1.0, "not tried"), (0.0, "not held")])
+def test_a_stream_that_could_not_begin_while_this_computer_was_held_up_is_not_judged(gap: float, state: str) -> None:
+    arrivals = _PERIOD * np.arange(1, 301)
+    arrivals[150:] += gap
+    ended = "NotRunning: the robot has said nothing on the primary interface for 1.0 s"
+    notes = [Note(0.0, "stage", {"number": 2}), Note(0.1, "starved", {"event": "begin"})]
+    notes.append(Note(arrivals[-1], "starved", {"event": "end", "error": None, "ended": ended}))
+    assert verdict("starved", evidence(np.zeros((300, 6)), notes, arrivals))[0] == state
+
+
 @pytest.mark.parametrize(("last", "state"), [(0.5, "not tried"), (0.66, "not held")])
 def test_a_stream_that_this_computer_did_not_feed_is_not_judged(last: float, state: str) -> None:
     error = "ConnectionLost: nothing came to the program on the robot in time; it brakes by itself"
