@@ -81,57 +81,53 @@ def noise(samples: Samples, coulomb: FloatArray) -> dict[str, Estimate]:
 def start_rate(samples: Samples) -> Estimate:
     """1/s with which the scaling of a program rises from 0, by the fastest joint of each movement from rest.
 
-    On a ramp of rate r up to the speed scaling s, the speed is a r² t³ / 2 under an acceleration of a, and
-    a s² (t - s / 2 r) after it. The end of the ramp is found by where the later line meets zero, the begin by the cube
-    root of the earlier speeds.
+    While a joint accelerates by a, and its program's time has passed at a scaling of s, its speed is s √(2 a x) after
+    the way x: each row shows s. The ramp begins with the program, which may wait before it moves.
     """
     times, rest = samples["timestamp"], samples.is_rest
-    if np.median(np.diff(times)) > _FINE:
+    period = float(np.median(np.diff(times)))
+    if period > _FINE:
         return Estimate.unknown(f"rows that follow each other within {_FINE} s")
     scaling = samples.get("speed_scaling", np.ones(len(times)))
-    rates, scales = [], []
+    rates = []
     for begin in np.flatnonzero(rest[:-1] & ~rest[1:]).tolist():
-        rows = slice(begin + 1, min(begin + 1 + int(1.0 / np.median(np.diff(times))), len(times)))
+        rows = slice(begin + 1, min(begin + 1 + int(1.0 / period), len(times)))
         lead = int(np.argmax(np.abs(samples["target_qd"][rows]).max(axis=0)))
+        way = np.abs(samples["target_q"][rows, lead] - samples["target_q"][begin, lead])
         speed, push = np.abs(samples["target_qd"][rows, lead]), np.abs(samples["target_qdd"][rows, lead])
-        scale = float(np.median(scaling[rows]))
-        rate = _rate_of(times[rows] - times[begin], speed, push, scale)
+        rate = _rate_of(times[rows] - times[begin], way, speed, push, float(np.median(scaling[rows])))
         if rate is not None:
             rates.append(rate)
-            scales.append(scale)
     if len(rates) < 2:
         return Estimate.unknown("two programs that each begin with a movej over 0.3 rad or more")
     rates_ = np.array(rates)
     middle = float(np.median(rates_))
     spread = 1.4826 * float(np.median(np.abs(rates_ - middle)))
-    # In which part of a cycle, of 2 or 8 ms, the ramp begins is not shown: half of one in the 80 ms that it costs.
-    cycle = float(np.clip(np.median(np.diff(times)), 0.002, 0.008))
-    unsure = 0.5 * cycle * middle * middle / float(np.median(scales))
+    # Way and speed may be half a cycle apart, of 2 or 8 ms, in the 80 ms that the ramp costs.
+    unsure = 0.5 * float(np.clip(period, 0.002, 0.008)) * middle * middle
     found = Estimate.around(middle, spread / np.sqrt(len(rates)))
     return Estimate(middle, float(found.low - unsure), float(found.high + unsure))
 
 
-def _rate_of(t: FloatArray, speed: FloatArray, push: FloatArray, scale: float) -> float | None:
+def _rate_of(t: FloatArray, way: FloatArray, speed: FloatArray, push: FloatArray, scale: float) -> float | None:
     """The rate of one ramp up to a speed scaling; None where the movement is too short to show it."""
     expected = scale / number("start_rate")
     top = int(np.argmax(speed))
-    t, speed, push = t[:top], speed[:top], push[:top]
+    t, way, speed, push = t[:top], way[:top], speed[:top], push[:top]
     if top < 5 or t[-1] < 1.6 * expected:
         return None
     steady = (t > 1.3 * expected) & (np.abs(push - np.median(push[t > 1.3 * expected])) < 0.02 * push.max())
     if steady.sum() < 3 or np.ptp(speed[steady]) <= 0.0:
         return None
-    a, b = np.polyfit(t[steady], speed[steady], 1)
+    a = float(np.polyfit(t[steady], speed[steady], 1)[0])
     if a <= 0.0 or abs(a - np.median(push[steady])) > 0.05 * a:
         return None
-    meets = -b / a
-    # Speeds on the ramp, while the cube of time holds.
-    early = (speed > 0.0) & (t < meets + 0.4 * expected)
-    if early.sum() < 2:
+    reached = speed / np.sqrt(2.0 * a * np.maximum(way, 1e-12))
+    ramp = (reached > 0.3) & (np.arange(top) < np.argmax(reached > 0.9))
+    if ramp.sum() < 3:
         return None
-    root, zero = np.polyfit(t[early], np.cbrt(2.0 * speed[early] / a), 1)
-    begin = -zero / root
-    return float(0.5 * scale / (meets - begin)) if meets > begin else None
+    rate = scale * float(np.polyfit(t[ramp], reached[ramp], 1)[0])
+    return rate if rate > 0.0 else None
 
 
 def clock_drift(samples: Samples) -> Estimate:

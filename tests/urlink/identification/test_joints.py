@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections import Counter
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.urlink.identification.planted import COG, MODEL, MOTORS, PAYLOAD, columns
+from tests.urlink.identification.planted import COG, MODEL, MOTORS, PAYLOAD, POSTURES, columns
 from urlink.arm_file import Estimate
 from urlink.identification.joints import JointFit, fit, fit_joints, of_ratio
+from urlink.identification.samples import COLUMNS, Samples
+from urlink.identification.tracking import start_rate
+from urlink.simulator import Controller, Still
 
 TRIALS = 200
 
@@ -78,6 +82,28 @@ def test_rows_that_are_alike_widen_the_interval() -> None:
     slow = np.convolve(noise, np.ones(10) / 10**0.5, mode="same")
     white, alike = (fit(column, column[:, 0] + each)[1][0, 0] for each in (noise, slow))
     assert alike > 3.0 * white
+
+
+@pytest.mark.parametrize("wait", [0.0, 0.02, 0.05], ids="after {} s".format)
+@pytest.mark.parametrize("speed", [1.0, 0.6], ids="at {}".format)
+def test_the_ramp_of_a_program_that_waits_before_it_moves(wait: float, speed: float) -> None:
+    """The ramp begins with the program; so, beside a busy process, 7.2 was told instead of 6.25."""
+    controller = Controller("UR5", "3.15", motion=Still(POSTURES[0]))
+    controller.speed_fraction = speed
+    names = ("target_q", "target_qd", "target_qdd")
+    rows: dict[str, list[object]] = {name: [] for name in ("timestamp", "speed_scaling", *names)}
+    for posture in POSTURES[1:3]:
+        controller.take(f"def p():\n  sleep({wait})\n  movej({list(posture)}, a=4.0, v=2.2)\nend\n")
+        for _ in range(400):
+            controller.step()
+            sample = controller.arm.sample
+            rows["timestamp"].append(controller.time)
+            rows["speed_scaling"].append(speed)
+            for name in names:
+                rows[name].append(list(getattr(sample, COLUMNS[name])))
+    found = start_rate(Samples(Path("waits"), {name: np.array(each) for name, each in rows.items()}, "UR5"))
+    assert found.value == pytest.approx(6.25, rel=0.01)
+    assert found.low < 6.25 < found.high
 
 
 def test_the_interval_of_a_ratio() -> None:
