@@ -31,6 +31,9 @@ FORGETFUL = """
     def test_fails_and_then_blocks_again(joins_a_blocked_thread):
         assert False
 
+    def test_breaks_off_while_it_is_reported(joins_a_blocked_thread):
+        pass
+
     def test_leaves_a_thread():
         threading.Thread(target=threading.Event().wait).start()
 
@@ -39,9 +42,17 @@ FORGETFUL = """
 """
 
 
+BREAKS_OFF = """
+    def pytest_runtest_makereport(item, call):
+        if "breaks_off" in item.name and call.when == "call":
+            raise RuntimeError("as the alarm of pytest-timeout does")
+"""
+
+
 def run(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     """pytest over these tests, with the watchdog and without what else is installed: it starts faster."""
-    (folder / "test_forgetful.py").write_text("\n".join(line[4:] for line in FORGETFUL.splitlines()))
+    for name, text in (("test_forgetful.py", FORGETFUL), ("conftest.py", BREAKS_OFF)):
+        (folder / name).write_text("\n".join(line[4:] for line in text.splitlines()))
     (folder / "pytest.ini").write_text("[pytest]\n")
     plugins = ("-p", "pytest_timeout", "-p", "xdist", "-p", "tests.watchdog", "-p", "no:cacheprovider")
     return subprocess.run(
@@ -60,6 +71,7 @@ def run(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     [
         ("keeps_the_interpreter_lock", "in test_keeps_the_interpreter_lock"),
         ("fails_and_then_blocks_again", "in joins_a_blocked_thread"),
+        ("breaks_off_while_it_is_reported", "in joins_a_blocked_thread"),
         ("leaves_a_thread", "in _shutdown"),
     ],
 )

@@ -67,6 +67,11 @@ class Watchdog:
         """Once more: an alarm of pytest-timeout that comes while a failure is handled ends what is called there."""
         self.rearm()
 
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_sessionfinish(self, session: pytest.Session) -> None:
+        """Where an alarm comes while a failure is reported, the run breaks off, and fixtures are torn down here."""
+        self.start(2 * limit_of(session.config))
+
     @pytest.hookimpl(trylast=True)
     def pytest_unconfigure(self, config: pytest.Config) -> None:
         self.start(2 * limit_of(config))
