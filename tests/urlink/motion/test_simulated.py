@@ -18,6 +18,7 @@ from urlink.motion.register_link import RegisterLink
 from urlink.motion.reverse import ReverseLink
 from urlink.motion.trajectory import Trajectory
 from urlink.robot import Robot
+from urlink.simulator import Controller
 
 pytestmark = pytest.mark.simulated_time
 
@@ -201,3 +202,20 @@ def test_a_stop_that_local_control_ignored_is_sent_again(connect: Callable[[str,
     robot.controller.remote_control = True
     until(lambda: stands(robot), 1.0)
     assert robot.realtime.wait(TIMEOUT).q_target[0] > READY[0] - 1.4
+
+
+def test_a_loop_held_up_between_a_state_and_its_set_point_does_not_lead_the_arm_away() -> None:
+    """What it sends then is of before, and the next set-point follows at once; after that it sends nothing."""
+    with Controller("UR5e", "5.11") as controller, urlink.connect(controller.address) as robot:
+        q = robot.realtime.wait(5.0).q_target.copy()
+        start = robot.realtime.wait(5.0).time
+        with robot.motion.servo() as servo:
+            for number, state in enumerate(robot.realtime):
+                goal = [*q[:5], q[5] + 0.15 * (state.time - start)]
+                if number == 100:
+                    time.sleep(0.06)
+                servo.send(goal)
+                if number == 101:
+                    break
+            time.sleep(0.09)
+            assert 0.0 < controller.arm.sample.q_target[5] - goal[5] < 0.01
