@@ -106,11 +106,18 @@ def _others(evidence: Evidence) -> Measured:
     return Measured(float(still.max()), f"joint {int(still.argmax()) + 1} by {still.max() * 1e6:.0f} µrad")
 
 
+def _seen(evidence: Evidence, step: str, found: Measured, most: float) -> Measured:
+    """What was found, if it is not more than that, or if no end of it can have been missed."""
+    if found.value > most and step != "frozen" and (gap := held_up(evidence, step)) > _SILENT:
+        raise NotTried(f"for {gap * 1e3:.0f} ms nothing came from the controller; {found.seen}")
+    return found
+
+
 def _arrives(evidence: Evidence) -> Measured:
     moved = _Moved(evidence, "move")
     if moved.error:
         return Measured(math.inf, moved.error)
-    return Measured(moved.far(), f"{moved.far() * 1e6:.0f} µrad from the goal")
+    return _seen(evidence, "move", Measured(moved.far(), f"{moved.far() * 1e6:.0f} µrad from the goal"), 1e-3)
 
 
 def _scales(evidence: Evidence) -> Measured:
@@ -119,19 +126,13 @@ def _scales(evidence: Evidence) -> Measured:
     if moved.error:
         return Measured(math.inf, moved.error)
     wanted, most = SPEED * said["slider"], float(moved.speed.max())
-    return Measured(
-        abs(most / wanted - 1.0), f"{most:.4f} rad/s, and {SPEED} rad/s at {said['slider']:.0%} are {wanted:.4f}"
-    )
+    seen = f"{most:.4f} rad/s, and {SPEED} rad/s at {said['slider']:.0%} are {wanted:.4f}"
+    return _seen(evidence, "move", Measured(abs(most / wanted - 1.0), seen), 0.1)
 
 
 def _stops(step: str) -> Check:
     def check(evidence: Evidence) -> Measured:
-        moved = _Moved(evidence, step)
-        found = stopped(moved)
-        gap = held_up(evidence, step)
-        if found.value > 0.3 and gap > _SILENT and step != "frozen":
-            raise NotTried(f"for {gap * 1e3:.0f} ms nothing came from the controller; {found.seen}")
-        return found
+        return _seen(evidence, step, stopped(_Moved(evidence, step)), 0.3)
 
     def stopped(moved: _Moved) -> Measured:
         if "told" not in moved.told:

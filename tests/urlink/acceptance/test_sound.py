@@ -87,6 +87,19 @@ def test_a_stream_that_could_not_begin_while_this_computer_was_held_up_is_not_ju
     assert verdict("starved", evidence(np.zeros((300, 6)), notes, arrivals))[0] == state
 
 
+@pytest.mark.parametrize(("gap", "state"), [(1.0, "not tried"), (0.0, "not held")])
+@pytest.mark.parametrize("name", ["move-arrives", "slider-scales"])
+def test_a_move_whose_end_was_not_seen_is_not_judged(name: str, gap: float, state: str) -> None:
+    speeds = np.zeros((300, 6))
+    speeds[100:, 5] = 0.01
+    arrivals = _PERIOD * np.arange(1, 301)
+    arrivals[200:] += gap
+    notes = [Note(0.0, "stage", {"number": 2}), Note(0.05, "moving", {"start": [0.0] * 6, "slider": 0.1})]
+    notes += [Note(0.1, "move", {"event": "begin"})]
+    notes += [Note(arrivals[199] + 0.5 * gap + 1e-4, "move", {"event": "end", "goal": [0.0] * 5 + [0.05]})]
+    assert verdict(name, evidence(speeds, notes, arrivals))[0] == state
+
+
 @pytest.mark.parametrize(("last", "state"), [(0.5, "not tried"), (0.66, "not held")])
 def test_a_stream_that_this_computer_did_not_feed_is_not_judged(last: float, state: str) -> None:
     error = "ConnectionLost: nothing came to the program on the robot in time; it brakes by itself"
