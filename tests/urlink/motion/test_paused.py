@@ -18,6 +18,7 @@ from tests.waiting import until
 from urlink.errors import ProgramStopped, SafetyStop, ToleranceExceeded
 from urlink.firmware import Firmware
 from urlink.interfaces.enums import ProgramState
+from urlink.interfaces.primary.robot_state import RobotModeData
 from urlink.models import model
 from urlink.motion.setpoints import Servoing, dated, setpoint
 from urlink.motion.speed_limit import largest_speeds
@@ -214,6 +215,20 @@ def test_a_safeguard_stop_ends_it_and_nothing_moves_after(
     # The robot stops what is left of the program as soon as it may, so there is nothing to play.
     until(lambda: not one.controller.is_running_program, TIMEOUT)
     one.robot.motion.move_joints(READY).wait(TIMEOUT)
+
+
+def test_closing_during_a_stop_says_that_the_program_is_paused(
+    cell: Callable[[str, str], Cell], caplog: pytest.LogCaptureFixture
+) -> None:
+    one = cell("UR5e", "5.11")
+    motion = one.robot.motion.move_joints(np.array(READY) + 0.3, speed=0.1)
+    until(lambda: one.controller.is_running_program, TIMEOUT)
+    one.controller.faults.safeguard_stop()
+    with pytest.raises(SafetyStop, match="safeguard stop"):
+        motion.wait(TIMEOUT)
+    one.robot.primary.of(RobotModeData).wait_until(lambda mode: mode.is_program_paused, TIMEOUT)
+    one.robot.close()
+    assert "closed during a stop: the controller has" in caplog.text
 
 
 @pytest.mark.parametrize("target_filter", [None, pytest.param("jerk_limited", marks=pytest.mark.slow)])
