@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import itertools
 import os
-import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -18,19 +17,21 @@ from typing import Any
 import numpy as np
 import pytest
 
+import urlink
 from linkcore.errors import Cancelled, ConnectionLost, LinkError
 from linkcore.handle import Motion, Phase
 from linkcore.wire.fields import Since
-from tests.urlink.motion.lockstep import READY, TIMEOUT, Lockstep
 from tests.waiting import until
 from urlink import Joint, Linear, Taught
 from urlink.errors import NotRunning, SafetyStop
 from urlink.firmware import Firmware
+from urlink.interfaces.enums import ProgramState
 from urlink.motion import TaughtPoint
 from urlink.motion.trajectory import Trajectory, TrajectoryPoint
 from urlink.robot import Robot
+from urlink.simulator import Controller, Still
 
-pytestmark = pytest.mark.real_time
+pytestmark = pytest.mark.simulated_time
 
 #: firmware -> arm: each generation, and of the e-Series the ends of what is known.
 GENERATIONS = {"1.8": "ur5", "3.15": "ur5", "5.11": "ur5e", "5.25": "ur5e", "10.12": "ur5e"}
@@ -41,8 +42,52 @@ WATCHDOG, SOON = 1.5, 1.0
 MOVES = 0.02
 UP = np.array([0, 0, 0.1, 0, 0, 0])
 
-#: Both ends of a controller with this firmware, while its time passes.
-Desks = Callable[[str], contextlib.AbstractContextManager[Lockstep]]
+TIMEOUT = 60.0
+#: rad; elbow up, tool down.
+READY = np.array([0.0, -1.6, 1.6, -1.6, -1.6, 0.0])
+
+
+class Desk:
+    """A controller, a robot that is connected to it, and how the arm itself stands."""
+
+    def __init__(self, arm: str, firmware: str, opened: contextlib.ExitStack) -> None:
+        self.controller = opened.enter_context(Controller(arm, firmware, motion=Still(READY.tolist())))
+        self.robot: Robot = opened.enter_context(urlink.connect(self.controller.address))
+
+    @property
+    def speed(self) -> float:
+        """rad/s of the fastest joint, of the arm itself and not as streams tell of it."""
+        return max(map(abs, self.controller.arm.setpoint.qd))
+
+    @property
+    def q(self) -> list[float]:
+        """rad; where the arm is led."""
+        return list(self.controller.arm.setpoint.q)
+
+    @property
+    def is_over(self) -> bool:
+        """The arm stands, and no program commands it: none runs, or it was paused by a stop."""
+        is_paused = self.controller.modes.program_state is ProgramState.PAUSED
+        return self.speed == 0.0 and (is_paused or not self.controller.is_running_program)
+
+    def after(self, seconds: float) -> None:
+        """Wait for so much of the robot's time."""
+        end = self.controller.time + seconds
+        until(lambda: self.controller.time >= end, TIMEOUT)
+
+    def stands_still(self, seconds: float = 0.05) -> bool:
+        """For so much of the robot's time, the arm does not move."""
+        q = self.q
+        self.after(seconds)
+        return self.q == q and self.speed == 0.0
+
+    def is_rigid(self) -> bool:
+        """Pushed, the arm does not yield."""
+        self.controller.push([0, 0, 30.0, 0, 0, 0])
+        try:
+            return self.stands_still()
+        finally:
+            self.controller.push([0.0] * 6)
 
 
 # -- modes: each begins and returns its handle; what is to be closed after it goes onto the stack ------------------
@@ -241,12 +286,12 @@ MODES = {
 # -- ends: each returns what the handle has to say ------------------------------------------------------------------
 
 
-def cancel(desk: Lockstep, mode: Mode, motion: Any, block: contextlib.ExitStack) -> type[LinkError] | None:
+def cancel(desk: Desk, mode: Mode, motion: Any, block: contextlib.ExitStack) -> type[LinkError] | None:
     motion.cancel()
     return Cancelled
 
 
-def leave(desk: Lockstep, mode: Mode, motion: Any, block: contextlib.ExitStack) -> type[LinkError] | None:
+def leave(desk: Desk, mode: Mode, motion: Any, block: contextlib.ExitStack) -> type[LinkError] | None:
     """Its block, or one around the handle."""
     if mode.link in ("own", "rtde") and not motion.name.startswith(("follow", "speed")):
         block.close()
@@ -256,17 +301,17 @@ def leave(desk: Lockstep, mode: Mode, motion: Any, block: contextlib.ExitStack) 
     return Cancelled
 
 
-def protective_stop(desk: Lockstep, mode: Mode, motion: Any, block: contextlib.ExitStack) -> type[LinkError] | None:
+def protective_stop(desk: Desk, mode: Mode, motion: Any, block: contextlib.ExitStack) -> type[LinkError] | None:
     desk.controller.faults.protective_stop()
     return SafetyStop
 
 
-def emergency_stop(desk: Lockstep, mode: Mode, motion: Any, block: contextlib.ExitStack) -> type[LinkError] | None:
+def emergency_stop(desk: Desk, mode: Mode, motion: Any, block: contextlib.ExitStack) -> type[LinkError] | None:
     desk.controller.faults.emergency_stop()
     return SafetyStop
 
 
-def cut(desk: Lockstep, mode: Mode, motion: Any, block: contextlib.ExitStack) -> type[LinkError] | None:
+def cut(desk: Desk, mode: Mode, motion: Any, block: contextlib.ExitStack) -> type[LinkError] | None:
     if mode.link == "own":
         motion._life.brake.__self__._link.close()
         return ConnectionLost
@@ -291,42 +336,14 @@ def table() -> Iterator[tuple[str, str, str]]:
             yield firmware, name, end
 
 
-@pytest.fixture(scope="module")
-def desks() -> Iterator[Desks]:
-    """A controller for each firmware; a new one after a test that failed."""
-    before = set(threading.enumerate())
-    made: dict[str, Lockstep] = {}
-
-    @contextlib.contextmanager
-    def desk(firmware: str) -> Iterator[Lockstep]:
-        if firmware not in made:
-            made[firmware] = Lockstep(GENERATIONS[firmware], firmware)
-        try:
-            with made[firmware].passing():
-                yield made[firmware]
-        except BaseException:
-            made.pop(firmware).close()
-            raise
-
-    yield desk
-    for each in made.values():
-        each.close()
-    until(lambda: set(threading.enumerate()) <= before)
-
-
-@pytest.fixture(autouse=True)
-def leaves_nothing() -> None:
-    """Of threads: what a robot has once begun is there for the next test. `desks` looks at the end."""
-
-
 @pytest.mark.matrix(6)
 @pytest.mark.parametrize(("firmware", "name", "end"), list(table()))
-def test_each_mode_is_ended_each_way(desks: Desks, firmware: str, name: str, end: str) -> None:
+def test_each_mode_is_ended_each_way(firmware: str, name: str, end: str) -> None:
     """The handle says what ended it, the arm comes to rest, nothing of the mode is left, and the arm can go on."""
     mode = MODES[name]
-    with desks(firmware) as desk, contextlib.ExitStack() as block:
+    with contextlib.ExitStack() as opened, contextlib.ExitStack() as block:
+        desk = Desk(GENERATIONS[firmware], firmware, opened)
         robot, controller = desk.robot, desk.controller
-        robot.motion.move_joints(READY, speed=3.0, acceleration=25.0).wait(TIMEOUT)
         motion = mode.begin(robot, block)
         if mode.is_pushed:
             controller.push([0, 0, 20.0, 0, 0, 0])
