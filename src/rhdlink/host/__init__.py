@@ -12,9 +12,5 @@ if TYPE_CHECKING:
 
 else:
     __getattr__, __dir__, __all__ = lazy_names(
-        __name__,
-        {
-            ".config": "Configuration Element read_config",
-            ".host": "HostStatistics",
-        },
+        __name__, {".config": "Configuration Element read_config", ".host": "HostStatistics"}
     )

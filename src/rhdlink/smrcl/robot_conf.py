@@ -257,13 +257,7 @@ def parse_robot_conf(data: bytes | str, source: str = "robot.conf") -> RobotConf
     )
 
 
-_ODOMETRY = {
-    "cl": "left_scale",
-    "cr": "right_scale",
-    "w": "width",
-    "ts": "period",
-    "maxtick": "max_tick",
-}
+_ODOMETRY = {"cl": "left_scale", "cr": "right_scale", "w": "width", "ts": "period", "maxtick": "max_tick"}
 _COMMANDS = {"velcmd": "speed", "acccmd": "acceleration"}
 _MOTION = {
     "ts": "period",

@@ -264,11 +264,7 @@ def likeness(right: Column, wrong: Column) -> str:
     return "other values"
 
 
-_FACTORS = {
-    180.0 / np.pi: " (degrees?)",
-    1000.0: " (thousandths?)",
-    100.0: " (percent?)",
-}
+_FACTORS = {180.0 / np.pi: " (degrees?)", 1000.0: " (thousandths?)", 100.0: " (percent?)"}
 
 
 def _fresh(which: str) -> Check:

@@ -58,6 +58,11 @@ class _Moved:
         """What the step raised, or nothing."""
         return self.said.get("error") or ""
 
+    @property
+    def answered(self) -> float:
+        """Which part of the states this computer has answered with a set-point; 1 where none were sent."""
+        return len(self.words) / len(self.time) if self.words else 1.0
+
     def far(self) -> float:
         """rad from the goal at the end."""
         return float(np.abs(self.q[-1] - np.array(self.said["goal"])).max())
@@ -165,9 +170,8 @@ def _follow(evidence: Evidence) -> Measured:
         took = float(moved.time[going[-1]] - moved.time[going[0]])
         wanted = FOLLOWED / moved.said["slider"]
         worst = max(worst, abs(took / wanted - 1.0))
-        answered = len(moved.words) / len(moved.time) if moved.words else 1.0
-        if abs(took / wanted - 1.0) > 0.1 and ((gap := held_up(evidence, step)) > _SILENT or answered < 0.9):
-            raise NotTried(f"for {gap * 1e3:.0f} ms nothing came, and {answered:.0%} of the states were answered")
+        if abs(took / wanted - 1.0) > 0.1 and ((gap := held_up(evidence, step)) > _SILENT or moved.answered < 0.9):
+            raise NotTried(f"for {gap * 1e3:.0f} ms nothing came, and {moved.answered:.0%} of the states were answered")
         seen.append(f"{moved.said['slider']:.0%}: {took:.2f} s of {wanted:g} s")
     return Measured(worst, ", ".join(seen))
 
@@ -181,7 +185,10 @@ def _lag(evidence: Evidence) -> Measured:
     cycles = 2.0 / (evidence.firmware.rate if evidence.firmware is not None else 500)
     share = (lag - cycles) / moved.said["lookahead"]
     seen = f"{lag * 1e3:.1f} ms, that is two cycles and {share:.2f} of the look-ahead time"
-    return Measured(lag, seen, contradictions([(assumed, Estimate(share, share, share))]))
+    refuted = contradictions([(assumed, Estimate(share, share, share))])
+    if refuted and moved.answered < 0.9:
+        raise NotTried(f"{moved.answered:.0%} of the states were answered: {seen}")
+    return Measured(lag, seen, refuted)
 
 
 WRIST_CHECKS: Mapping[str, Check] = {

@@ -100,6 +100,27 @@ def test_a_move_whose_end_was_not_seen_is_not_judged(name: str, gap: float, stat
     assert verdict(name, evidence(speeds, notes, arrivals))[0] == state
 
 
+@pytest.mark.parametrize(
+    ("late", "drift", "state"), [(0.2, 0.0, "not tried"), (0.0, 3e-3, "not held"), (0.0, 0.0, "held")]
+)
+def test_a_controller_that_is_late_at_once_is_no_drift(late: float, drift: float, state: str) -> None:
+    arrivals = (1.0 + drift) * _PERIOD * np.arange(1, 30001)
+    arrivals[18000:] += late
+    notes = [Note(0.0, "stage", {"number": 0})]
+    assert verdict("clock-drift", evidence(np.zeros((30000, 6)), notes, arrivals))[0] == state
+
+
+@pytest.mark.parametrize("each", [2, 1])
+def test_a_lag_that_was_measured_by_half_of_the_states_contradicts_nothing(each: int) -> None:
+    notes = [Note(0.0, "stage", {"number": 2}), Note(0.1, "servo-lag", {"event": "begin"})]
+    notes.append(Note(1.9, "servo-lag", {"event": "end", "lag": 0.045, "lookahead": 0.03}))
+    of = evidence(np.zeros((1000, 6)), notes)
+    sent = _PERIOD * each * np.arange(1000 // each) + 1e-4
+    of.wires = [Wire("reverse", False, True, 0.1, [(Stamp(at, at), b"point") for at in sent.tolist()])]
+    (found,) = judge(of, {"servo-lag": requirements()["servo-lag"]})
+    assert (found.state, len(found.contradicts)) == (("not tried", 0) if each == 2 else ("held", 1))
+
+
 @pytest.mark.parametrize(("last", "state"), [(0.5, "not tried"), (0.66, "not held")])
 def test_a_stream_that_this_computer_did_not_feed_is_not_judged(last: float, state: str) -> None:
     error = "ConnectionLost: nothing came to the program on the robot in time; it brakes by itself"
