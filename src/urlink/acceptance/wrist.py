@@ -60,8 +60,11 @@ class _Moved:
 
     @property
     def answered(self) -> float:
-        """Which part of the states this computer has answered with a set-point; 1 where none were sent."""
-        return len(self.words) / len(self.time) if self.words else 1.0
+        """Which part of the states that came between set-points was answered with one; 1 where none were sent."""
+        if not self.words:
+            return 1.0
+        there = (self.arrived >= self.words[0]) & (self.arrived <= self.words[-1])
+        return len(self.words) / max(int(there.sum()), 1)
 
     def far(self) -> float:
         """rad from the goal at the end."""

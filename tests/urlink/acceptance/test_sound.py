@@ -63,16 +63,17 @@ def test_a_stream_that_ends_while_this_computer_is_held_up_is_not_judged(gap: fl
 
 @pytest.mark.parametrize(("each", "state"), [(2, "not tried"), (1, "not held")])
 def test_a_trajectory_that_this_computer_answered_too_seldom_is_not_judged(each: int, state: str) -> None:
-    """It takes three times as long as it should."""
+    """It takes three times as long as it should; set-points are sent only meanwhile."""
+    sent: list[float] = []
     notes, speeds = [Note(0.0, "stage", {"number": 2})], np.zeros((12000, 6))
-    for begin, slider in ((0.1, 1.0), (3.3, 0.5), (9.5, 1.0)):
-        step = f"follow-{slider * 100:.0f}" if begin < 9.0 else "follow-10"
+    for begin, slider in ((0.1, 1.0), (4.1, 0.5), (11.1, 1.0)):
+        step = f"follow-{slider * 100:.0f}" if begin < 11.0 else "follow-10"
         took = 3.0 / slider
         speeds[int(begin / _PERIOD) + 50 : int((begin + took) / _PERIOD) + 50, 5] = 0.05
+        sent += (begin + 0.1 + _PERIOD * each * np.arange(int(took / _PERIOD / each)) + 1e-4).tolist()
         goal = {"goal": [0.0] * 6, "slider": slider}
-        notes += [Note(begin, step, {"event": "begin"}), Note(begin + took + 0.15, step, {"event": "end", **goal})]
+        notes += [Note(begin, step, {"event": "begin"}), Note(begin + took + 0.9, step, {"event": "end", **goal})]
     of = evidence(speeds, notes)
-    sent = [0.0001 + _PERIOD * each * number for number in range(len(speeds) // each)]
     of.wires = [Wire("reverse", False, True, 0.1, [(Stamp(at, at), b"point") for at in sent])]
     assert verdict("follow-scales", of)[0] == state
 
