@@ -154,7 +154,7 @@ def _where_it_stands(robot: Robot) -> FloatArray:
     robot.realtime.wait(_SOON)
     try:
         robot.primary.of(RobotModeData).wait_until(
-            lambda mode: mode.is_program_running + mode.is_program_paused == 0, _SOON
+            lambda mode: not (mode.is_program_running or mode.is_program_paused), _SOON
         )
         return robot.realtime.wait_until(lambda state: not state.qd_target.any(), _SOON).q_target.copy()
     except LinkTimeout as error:

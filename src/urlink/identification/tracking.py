@@ -82,7 +82,7 @@ def start_rate(samples: Samples) -> Estimate:
     """1/s with which the scaling of a program rises from 0, by the fastest joint of each movement from rest.
 
     While a joint accelerates by a, and its program's time has passed at a scaling of s, its speed is s √(2 a x) after
-    the way x: each row shows s. The ramp begins with the program, which may wait before it moves.
+    the distance x: each row shows s. The ramp begins with the program, which may wait before it moves.
     """
     times, rest = samples["timestamp"], samples.is_rest
     period = float(np.median(np.diff(times)))
@@ -93,9 +93,9 @@ def start_rate(samples: Samples) -> Estimate:
     for begin in np.flatnonzero(rest[:-1] & ~rest[1:]).tolist():
         rows = slice(begin + 1, min(begin + 1 + int(1.0 / period), len(times)))
         lead = int(np.argmax(np.abs(samples["target_qd"][rows]).max(axis=0)))
-        way = np.abs(samples["target_q"][rows, lead] - samples["target_q"][begin, lead])
+        distance = np.abs(samples["target_q"][rows, lead] - samples["target_q"][begin, lead])
         speed, push = np.abs(samples["target_qd"][rows, lead]), np.abs(samples["target_qdd"][rows, lead])
-        rate = _rate_of(times[rows] - times[begin], way, speed, push, float(np.median(scaling[rows])))
+        rate = _rate_of(times[rows] - times[begin], distance, speed, push, float(np.median(scaling[rows])))
         if rate is not None:
             rates.append(rate)
     if len(rates) < 2:
@@ -103,17 +103,17 @@ def start_rate(samples: Samples) -> Estimate:
     rates_ = np.array(rates)
     middle = float(np.median(rates_))
     spread = 1.4826 * float(np.median(np.abs(rates_ - middle)))
-    # Way and speed may be half a cycle apart, of 2 or 8 ms, in the 80 ms that the ramp costs.
+    # Distance and speed may be half a cycle apart, of 2 or 8 ms, in the 80 ms that the ramp costs.
     unsure = 0.5 * float(np.clip(period, 0.002, 0.008)) * middle * middle
     found = Estimate.around(middle, spread / np.sqrt(len(rates)))
     return Estimate(middle, float(found.low - unsure), float(found.high + unsure))
 
 
-def _rate_of(t: FloatArray, way: FloatArray, speed: FloatArray, push: FloatArray, scale: float) -> float | None:
+def _rate_of(t: FloatArray, distance: FloatArray, speed: FloatArray, push: FloatArray, scale: float) -> float | None:
     """The rate of one ramp up to a speed scaling; None where the movement is too short to show it."""
     expected = scale / number("start_rate")
     top = int(np.argmax(speed))
-    t, way, speed, push = t[:top], way[:top], speed[:top], push[:top]
+    t, distance, speed, push = t[:top], distance[:top], speed[:top], push[:top]
     if top < 5 or t[-1] < 1.6 * expected:
         return None
     steady = (t > 1.3 * expected) & (np.abs(push - np.median(push[t > 1.3 * expected])) < 0.02 * push.max())
@@ -122,7 +122,7 @@ def _rate_of(t: FloatArray, way: FloatArray, speed: FloatArray, push: FloatArray
     a = float(np.polyfit(t[steady], speed[steady], 1)[0])
     if a <= 0.0 or abs(a - np.median(push[steady])) > 0.05 * a:
         return None
-    reached = speed / np.sqrt(2.0 * a * np.maximum(way, 1e-12))
+    reached = speed / np.sqrt(2.0 * a * np.maximum(distance, 1e-12))
     ramp = (reached > 0.3) & (np.arange(top) < np.argmax(reached > 0.9))
     if ramp.sum() < 3:
         return None

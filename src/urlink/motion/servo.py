@@ -310,8 +310,8 @@ class Servo(LinkedBlock):
     def _speeds(self, values: list[float], now: float) -> list[float]:
         """(6,) rad/s since the last set-point: the program goes on at these if the next one is late.
 
-        No faster than over the last `LONGEST_PERIOD`, and in no other direction: when this computer was held up, a
-        set-point from before that may be followed at once by one of now, and the way between them is no speed.
+        No faster than over the last `LONGEST_PERIOD`, and in no other direction: after this computer was held up, an
+        old set-point may be followed at once by a current one, and their difference is no speed.
         """
         recent = self._recent
         if self._begins:
