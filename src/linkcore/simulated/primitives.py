@@ -19,7 +19,7 @@ from typing import Any
 
 from .scheduler import Ended, Scheduler, Task, current
 
-__all__ = ["Lock", "RLock", "SimpleQueue", "is_alive", "join", "start"]
+__all__ = ["Lock", "RLock", "Semaphore", "SimpleQueue", "is_alive", "join", "start"]
 
 #: Seconds between two looks of a thread that takes no part.
 _LOOK = 0.001
@@ -148,6 +148,20 @@ class RLock(_Held):
         return self._count if self._is_owned() else 0
 
 
+class Semaphore(threading.Semaphore):
+    """`threading.Semaphore`; a release that nobody waits for is no step.
+
+    The threads of `concurrent.futures` release one for each call, and from Python 3.12 on only when they are idle.
+    """
+
+    def release(self, n: int = 1) -> None:
+        condition: Any = self._cond  # type: ignore[attr-defined]
+        if n < 1 or current() is None or condition._waiters or condition._lock.locked():
+            super().release(n)
+        else:
+            self._value += n
+
+
 def _from_outside(take: Any, blocking: bool, timeout: float) -> bool:
     """Take a lock in a thread that takes no part, or when the simulation is over."""
     until = None if timeout < 0 else _real_monotonic() + timeout
@@ -159,13 +173,17 @@ def _from_outside(take: Any, blocking: bool, timeout: float) -> bool:
 
 
 class SimpleQueue(_Waited):
-    """`queue.SimpleQueue`, in a step for each call."""
+    """`queue.SimpleQueue`, in a step for each call.
+
+    To look once whether something is there is none: the threads of `concurrent.futures` do so from Python 3.12 on.
+    """
 
     __class_getitem__: Any = classmethod(GenericAlias)
 
     def __init__(self) -> None:
         super().__init__()
         self._items: deque[Any] = deque()
+        self._looked = -1
 
     def put(self, item: Any, block: bool = True, timeout: float | None = None) -> None:
         self._items.append(item)
@@ -181,8 +199,10 @@ class SimpleQueue(_Waited):
             if not _from_outside(lambda: bool(self._items), block, -1 if timeout is None else timeout):
                 raise queue.Empty
             return self._items.popleft()
+        if not block and self.empty():
+            raise queue.Empty
         scheduler.step()
-        if not self._items and block:
+        if block:
             deadline = scheduler.deadline(timeout)
             while not self._items and scheduler.wait(deadline, self._waiters):
                 pass
@@ -194,7 +214,14 @@ class SimpleQueue(_Waited):
         return self.get(block=False)
 
     def empty(self) -> bool:
-        return not self._items
+        if self._items:
+            return False
+        scheduler = current()
+        if scheduler is not None:
+            if self._looked == scheduler.steps:  # nothing is done but to look
+                scheduler.step()
+            self._looked = scheduler.steps
+        return True
 
     def qsize(self) -> int:
         return len(self._items)

@@ -297,6 +297,7 @@ def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
         (threading.Lock, lock(primitives.Lock, threading.Lock)),
         (threading._allocate_lock, lock(primitives.Lock, threading._allocate_lock)),  # type: ignore[attr-defined]
         (threading.RLock, lock(primitives.RLock, threading.RLock)),
+        (threading.Semaphore, primitives.Semaphore),
         (queue.SimpleQueue, primitives.SimpleQueue),
         (_pool._global_shutdown_lock, primitives.Lock()),
         (socket.socket, choose(new_socket, socket.socket)),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import importlib
 import os
 import queue
@@ -368,6 +369,62 @@ def test_asyncio_on_the_same_clock() -> None:
 
     with simulated_time():
         assert asyncio.run(program()) == ["by a thread", 1, 14.25]
+
+
+def calls(sim: Simulation) -> list[int]:
+    """Calls of tasks in two threads, where some queue, and one is given up."""
+
+    async def program() -> list[int]:
+        loop = asyncio.get_running_loop()
+        pool = ThreadPoolExecutor(2)
+        tasks = [asyncio.ensure_future(loop.run_in_executor(pool, slow, each)) for each in (1, 3, 2, 1, 5)]
+        await asyncio.wait(tasks, timeout=2.5)
+        tasks.pop().cancel()
+        done = await asyncio.gather(*tasks)
+        pool.shutdown(wait=False)  # they are a set, and would be waited for in the order of their addresses
+        await asyncio.sleep(10.0)
+        return done
+
+    return asyncio.run(program())
+
+
+def test_the_same_run_on_every_python() -> None:
+    """Asyncio and pools of threads have other code on each. These are the traces of 3.10 to 3.13."""
+    assert [outcome(seed, calls)[1] for seed in range(3)] == [3820643185, 2397085342, 172337981]
+
+
+def test_who_only_looks_into_a_queue_lets_others_run() -> None:
+    with simulated_time() as sim:
+        news: queue.SimpleQueue[str] = queue.SimpleQueue()
+        threading.Timer(1e-4, lambda: news.put("first")).start()
+        while news.empty():
+            pass
+        assert news.get_nowait() == "first"
+        threading.Timer(1e-4, lambda: news.put("second")).start()
+        while True:
+            with contextlib.suppress(queue.Empty):
+                assert news.get_nowait() == "second"
+                break
+        assert 2e-4 < sim.now < 1e-2
+
+
+def test_semaphores() -> None:
+    with simulated_time() as sim:
+        free, taken = threading.Semaphore(2), []
+
+        def take() -> None:
+            with free:
+                time.sleep(1.0)
+                taken.append(round(sim.now, 2))
+
+        threads = [threading.Thread(target=take) for _ in range(5)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert taken == [1.0, 1.0, 2.0, 2.0, 3.0]
+        with pytest.raises(ValueError, match="n must be one or more"):
+            free.release(0)
 
 
 @pytest.mark.real_time
