@@ -8,8 +8,6 @@ from typing import Any
 
 from .errors import BadValue
 
-__all__ = ["check_callable", "check_choice", "check_number", "check_seconds", "check_wait", "check_whole", "other_unit"]
-
 #: Seconds that `wait=True` waits.
 _WAIT = 60.0
 

@@ -11,8 +11,6 @@ from typing import Any, Generic, Protocol, TypeVar
 from .errors import Closed, LocalError
 from .pending_call import PendingCall
 
-__all__ = ["Opening", "Workers", "finished", "happened", "running_loop", "within"]
-
 T = TypeVar("T")
 
 

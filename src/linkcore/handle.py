@@ -50,8 +50,6 @@ from .threads import CallbackThread
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-__all__ = ["AFTER", "TRANSITIONS", "Event", "Handle", "Lifecycle", "Motion", "Occurrence", "Phase"]
-
 _log = logging.getLogger(__name__)
 
 

@@ -8,8 +8,6 @@ from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
 from typing import Any
 
-__all__ = ["lazy_names", "needs"]
-
 
 def lazy_names(
     package: str, homes: Mapping[str, str], modules: str = "", moved: Mapping[str, str] | None = None

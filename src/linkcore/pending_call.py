@@ -16,8 +16,6 @@ from .errors import Cancelled
 if TYPE_CHECKING:
     from .handle import Lifecycle
 
-__all__ = ["PendingCall", "check_wanted", "current_call", "regardless"]
-
 T = TypeVar("T")
 
 _here = threading.local()

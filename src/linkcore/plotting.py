@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from .errors import BadRecording, BadValue
 from .lazy import needs
 
-__all__ = ["Curves", "LivePlot", "Plot", "is_in_notebook"]
-
 #: Points of a line from which on only the least and the greatest of each stretch are drawn.
 _MOST_POINTS = 8000
 #: Of a pose, a speed or a force: its unit names two.

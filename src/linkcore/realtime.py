@@ -19,8 +19,6 @@ from typing import Literal
 
 from .errors import BadValue
 
-__all__ = ["RealtimeReport", "realtime_options", "urgent"]
-
 _log = logging.getLogger(__name__)
 
 #: Of mlockall(2): the pages that there are, and those to come.

@@ -9,8 +9,6 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-__all__ = ["html_table", "printable", "similar", "strict_json"]
-
 
 def printable(text: object) -> str:
     r"""The text of an object on one line, every character that is not printable written as its escape.

@@ -8,8 +8,6 @@ from urllib.parse import urlsplit
 
 from linkcore.errors import BadAddress
 
-__all__ = ["PORT", "Address", "parse_address"]
-
 #: The port of clients that name none; a server has no default (docs/protocols/rhd.md, Transport).
 PORT = 24902
 

@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from .replica import Unsent
     from .wire.decoder import Limits
 
-__all__ = ["AsyncRobot", "connect", "connect_async"]
-
 
 class AsyncRobot(Generic[R]):
     """A connected robot. An asynchronous context manager that closes itself. Made by `connect_async`.

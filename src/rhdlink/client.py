@@ -33,8 +33,6 @@ from .variables.snapshot import Update, Variable, to_html
 from .wire.decoder import Limits
 from .wire.schema import WIDTHS
 
-__all__ = ["Access", "R", "Variables", "connect"]
-
 _log = logging.getLogger(__name__)
 
 #: "r" reads the robot's variables; "w" is its master and writes them too.

@@ -14,8 +14,6 @@ from .errors import AccessDenied
 from .wire.decoder import Limits, ServerDecoder
 from .wire.messages import END, Batch, Handshake, encode_access, encode_ready
 
-__all__ = ["Connection", "Transport"]
-
 #: Seconds that the unsolicited batch is waited for at most, once in a connection. Robots tick every 10 to 25 ms
 #: (docs/protocols/rhd.md, Configuration file), so this covers four ticks of the slowest.
 _MOST_UNSOLICITED_WAIT = 0.1

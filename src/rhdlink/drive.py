@@ -32,8 +32,6 @@ from .world import Pose
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-__all__ = ["Drive"]
-
 #: m, m/s, m/s2 or degrees beyond which no mobile robot is meant.
 _MOST = 1e6
 #: Cycles in which a simulated robot comes to rest after a motion, before it is sent the speed 0: 5 s, in which the

@@ -20,8 +20,6 @@ from .recording import CHANNEL, play
 from .variables.database import Database, VariableTable
 from .variables.declarations import Declaration, Declarations
 
-__all__ = ["RobotTable", "load"]
-
 
 class RobotTable(Table):
     """What was recorded of a robot: a row for each batch that it sent, a column for each variable."""

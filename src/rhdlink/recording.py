@@ -18,8 +18,6 @@ from .variables.database import Database
 from .variables.snapshot import Change, Update
 from .wire.decoder import ServerDecoder
 
-__all__ = ["CHANNEL", "Moment", "RecordedTransport", "Summary", "play", "received", "summarise"]
-
 _log = logging.getLogger(__name__)
 
 #: The name of the channel that holds a robot's bytes.

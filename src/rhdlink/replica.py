@@ -21,8 +21,6 @@ from .variables.value_types import Order
 from .wire.data import Ids
 from .wire.messages import Batch, Handshake
 
-__all__ = ["Replica", "Unsent", "database_of"]
-
 _log = logging.getLogger(__name__)
 
 #: Whether values that were set and not sent are kept when the connection is lost.

@@ -22,8 +22,6 @@ from linkcore.errors import BadValue
 
 from .host.config import LARGEST, Element, parse_xml
 
-__all__ = ["Scene", "Tape"]
-
 Point = tuple[float, float]
 
 #: Pieces of tape and of walls; beyond it no step would take less than a tick.

@@ -19,8 +19,6 @@ from linkcore.threads import started
 
 from .variables.snapshot import Change, Update
 
-__all__ = ["Subscribers", "SyncThread"]
-
 _log = logging.getLogger(__name__)
 
 

@@ -19,8 +19,6 @@ from linkcore.errors import BadValue
 
 from .scene import Scene
 
-__all__ = ["Moved", "Pose", "World", "save", "svg"]
-
 #: m that a robot keeps from a wall within the square.
 _GAP = 1e-4
 #: Points of the path that are kept; beyond it every other one is forgotten.

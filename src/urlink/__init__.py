@@ -87,7 +87,8 @@ if TYPE_CHECKING:
     )
     from .firmware import Firmware as Firmware
     from .group import Group as Group
-    from .interfaces.dashboard.client import Dashboard as Dashboard, DashboardRefused as DashboardRefused
+    from .interfaces.dashboard.client import Dashboard as Dashboard
+    from .interfaces.dashboard.commands import DashboardRefused as DashboardRefused
     from .interfaces.gripper.client import Gripper as Gripper, GripperFault as GripperFault
     from .interfaces.rtde.protocol import (
         InputInUse as InputInUse,
@@ -138,7 +139,8 @@ else:
             """,
             ".firmware": "Firmware",
             ".group": "Group",
-            ".interfaces.dashboard.client": "Dashboard DashboardRefused",
+            ".interfaces.dashboard.client": "Dashboard",
+            ".interfaces.dashboard.commands": "DashboardRefused",
             ".interfaces.gripper.client": "Gripper GripperFault",
             ".interfaces.rtde.protocol": "InputInUse NoSuchVariable RtdeRefused",
             ".kinematics.arm": "Unreachable",

@@ -14,8 +14,6 @@ from linkcore.errors import BadAddress, BadVersion
 from .firmware import Firmware, known_firmware
 from .ports import PORTS
 
-__all__ = ["Address", "Motion", "RecordingAddress", "RobotAddress", "SimulatorAddress", "parse_address"]
-
 #: Whether a simulated arm stands still until a program commands it, or moves slowly about its home posture.
 Motion = Literal["still", "demo"]
 

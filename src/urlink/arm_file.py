@@ -20,8 +20,6 @@ from . import models
 from .kinematics import DhTable
 from .motors import Motors, motors_of
 
-__all__ = ["MOTORS", "SIDES", "ArmFile", "Estimate", "read_arm_file"]
-
 _KIND, _VERSION = "urlink arm", 1
 #: Field of `Motors` -> its name in the file.
 MOTORS = {

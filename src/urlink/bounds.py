@@ -19,23 +19,6 @@ from linkcore.errors import BadValue
 from .parameters import number
 from .vectors import FloatArray, six
 
-__all__ = [
-    "COG",
-    "JOINT_ACCELERATION",
-    "JOINT_SPEED",
-    "POSITION",
-    "TOOL_ACCELERATION",
-    "TOOL_LENGTH",
-    "TOOL_SPEED",
-    "TOOL_TURN",
-    "TURN",
-    "Bound",
-    "check_length",
-    "check_pose",
-    "check_rotations",
-    "check_speeds",
-]
-
 
 class Bound(NamedTuple):
     """The range of a quantity.

@@ -18,8 +18,6 @@ from .commanding.interlock import STALE_AFTER, Policy
 from .urscript.text import integer
 from .urscript.wrapping import StartPlace
 
-__all__ = ["ConnectOptions", "takes_connect_options"]
-
 #: How settings may be sent: RTDE inputs where they are free, else URScript; or URScript alone.
 CommandsVia = Literal["auto", "script"]
 

@@ -39,8 +39,6 @@ from .motion.reverse import ReversePort
 if TYPE_CHECKING:
     from .rtde import Rtde
 
-__all__ = ["Control"]
-
 #: Seconds that the dashboard has to say whether the robot is in remote control, when a setting was not confirmed.
 _ASK_TIMEOUT = 0.5
 #: The first firmware of the e-Series and of PolyScope X that can say so.

@@ -15,8 +15,6 @@ from linkcore.errors import BadValue
 
 from .poses import compose, invert
 
-__all__ = ["Arc", "Curve", "Line"]
-
 # Of the distances between three points: closer to a straight line than that they are on no circle.
 _FLAT = 1e-6
 

@@ -16,8 +16,6 @@ from .interfaces.primary.protocol import PackageBoundary
 from .interfaces.realtime.packets import RealtimeState
 from .interfaces.realtime.protocol import RealtimeBoundary
 
-__all__ = ["INTERFACES", "Interface", "decode"]
-
 Interface = Literal["realtime", "primary", "secondary"]
 INTERFACES: tuple[Interface, ...] = ("realtime", "primary", "secondary")
 

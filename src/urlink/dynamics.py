@@ -31,7 +31,8 @@ from .kinematics import Arm
 from .kinematics.geometry import Angles, chain
 from .models import Model
 from .motors import motors_of
-from .rigid import FLOATS, ROWS, FloatArray, Number, Rigid
+from .rigid import FLOATS, ROWS, Number, Rigid
+from .vectors import FloatArray
 
 __all__ = ["GRAVITY", "Dynamics"]
 

@@ -16,8 +16,6 @@ from typing import NamedTuple
 from linkcore.errors import BadVersion
 from linkcore.wire.fields import parse_version
 
-__all__ = ["NEWEST", "RELEASES", "Firmware", "Release", "infer", "known_firmware", "release_of"]
-
 # Types of sub-packages. Kinematics and configuration come with the first state of a connection only.
 _MASTERBOARD = 3
 _FIRST_STATE_ONLY = frozenset({5, 6})

@@ -6,8 +6,6 @@ from typing import TYPE_CHECKING
 
 from linkcore.text import similar
 
-__all__ = ["AnswersForeignNames", "own_name"]
-
 #: name, in small letters and without underscores -> what does it here
 _OWN = {
     "movej": "robot.motion.move_joints(q)",

@@ -32,8 +32,6 @@ from .motion.trajectory import Trajectory
 from .robot import Robot
 from .vectors import Numbers, six
 
-__all__ = ["WAITING", "Group", "GroupMotion", "GroupStream", "Moments"]
-
 #: Peak of speed and of acceleration of the quintic from 0 to 1 in one second, at rest at both ends.
 _PEAK_SPEED, _PEAK_ACCELERATION = 1.875, 10.0 / math.sqrt(3.0)
 #: s of a movement at least: of arms that are at their goal already.

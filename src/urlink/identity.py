@@ -30,8 +30,6 @@ from .ports import refusal_hint
 if TYPE_CHECKING:
     from .kinematics import Arm, DenavitHartenberg
 
-__all__ = ["Identity", "Introduction", "KnownIdentity", "described_identity", "identify"]
-
 #: How long to wait for the rest once a part is known: the first state follows within 0.1 s.
 _GRACE = 1.0
 

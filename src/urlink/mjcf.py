@@ -22,8 +22,6 @@ from .poses import rotvec_to_quaternion
 from .rigid import Rigid
 from .urdf import JOINTS, LINKS, RADIUS, link_frames
 
-__all__ = ["to_mjcf"]
-
 
 def to_mjcf(
     arm: Arm | Model | str, *, name: str | None = None, motors: Motors | None = None, shapes: bool = False

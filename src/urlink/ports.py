@@ -11,8 +11,6 @@ from types import MappingProxyType
 
 from .firmware import Firmware
 
-__all__ = ["PORTS", "interface", "refusal_hint", "service_of"]
-
 #: name -> the number it has on a real controller
 PORTS: Mapping[str, int] = MappingProxyType(
     {

@@ -29,7 +29,8 @@ from numpy.typing import ArrayLike
 from linkcore.errors import BadValue
 
 from . import rigid
-from .rigid import FloatArray, Rigid
+from .rigid import Rigid
+from .vectors import FloatArray
 
 __all__ = [
     "compose",

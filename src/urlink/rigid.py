@@ -23,35 +23,6 @@ from linkcore.errors import BadValue
 
 from .vectors import FloatArray
 
-__all__ = [
-    "FLOATS",
-    "IDENTITY",
-    "ROWS",
-    "FloatArray",
-    "MathFunctions",
-    "Number",
-    "Rigid",
-    "Six",
-    "aligned",
-    "floats",
-    "from_matrices",
-    "from_matrix",
-    "from_pose",
-    "from_poses",
-    "invert",
-    "is_single",
-    "product",
-    "quaternions",
-    "rotation_vector",
-    "row",
-    "rows",
-    "take",
-    "to_matrices",
-    "to_matrix",
-    "to_pose",
-    "to_poses",
-]
-
 Number = TypeVar("Number", float, FloatArray)
 
 #: Rotation by rows, then position: r00 r01 r02 r10 r11 r12 r20 r21 r22 px py pz.

@@ -50,8 +50,6 @@ if TYPE_CHECKING:
     from .vectors import Numbers
     from .view.arm_view import ArmView
 
-__all__ = ["Robot", "connect"]
-
 
 @takes_connect_options
 def connect(options: ConnectOptions) -> Robot:

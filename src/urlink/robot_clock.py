@@ -15,8 +15,6 @@ from .identity import KnownIdentity
 from .interfaces.realtime.packets import RealtimeState
 from .parameters import number
 
-__all__ = ["RobotClock"]
-
 
 class RobotClock:
     """The clock of a controller, and this computer's monotonic clock; made by `Robot.clock`.

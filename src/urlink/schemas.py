@@ -16,8 +16,6 @@ from .interfaces.rtde.recipes import DATA_HEADER, Recipe
 if TYPE_CHECKING:
     from construct import Construct
 
-__all__ = ["schema"]
-
 
 def schema(packet: type[State] | Recipe, version: str | Firmware | None = None) -> Construct[Any, Any]:
     """The construct schema of one packet, as a firmware sends it: it parses, builds and checks sizes.

@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from .interfaces.rtde.protocol import Requests
     from .interfaces.rtde.transport import RtdeTransport
 
-__all__ = ["Source", "networked", "recorded"]
-
 
 class Source(NamedTuple):
     """The parts of a robot's streams.

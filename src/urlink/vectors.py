@@ -10,8 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from linkcore.errors import BadValue
 
-__all__ = ["JOINTS", "FloatArray", "Numbers", "numbers", "six", "six_limits"]
-
 FloatArray = NDArray[np.float64]
 #: A row of numbers as users give it: joints, a pose. Text is none, which `numpy.typing.ArrayLike` would take.
 Numbers = Sequence[float] | NDArray[np.floating[Any]] | NDArray[np.integer[Any]]

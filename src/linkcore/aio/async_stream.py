@@ -18,8 +18,6 @@ from ..streaming.subscription import Subscription
 from .loop_connection import LoopConnection
 from .packets import Packets
 
-__all__ = ["AsyncFeed", "AsyncStream"]
-
 T = TypeVar("T")
 K = TypeVar("K")
 

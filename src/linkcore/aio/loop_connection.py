@@ -25,8 +25,6 @@ from ..realtime import urgent
 from ..streaming.connection import Connection
 from ..streaming.receiver import Receiver
 
-__all__ = ["LoopConnection"]
-
 #: Seconds that another thread leaves to the loop to close a socket. After that it does so itself: what was given up
 #: must not be sent, also where the loop is held up.
 _HANDOVER = 0.05

@@ -16,8 +16,6 @@ from .loop_connection import LoopConnection
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-__all__ = ["LoopQueue", "Packets"]
-
 T = TypeVar("T")
 
 

@@ -13,23 +13,6 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 from ..recording.file import Progress
 from .terminal import ProgressBar
 
-__all__ = [
-    "DURATION",
-    "RECORDING",
-    "Exportable",
-    "Row",
-    "Subcommand",
-    "argument",
-    "command",
-    "completed_words",
-    "export",
-    "exporting",
-    "one_of",
-    "positive_int",
-    "positive_number",
-    "seconds",
-]
-
 #: What declares arguments at a parser, or at a group of one.
 Row = Callable[[Any], None]
 #: The attribute of argparse's own argument with the words that it takes.

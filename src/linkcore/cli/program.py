@@ -16,9 +16,6 @@ from ..text import printable, similar
 from .options import Subcommand
 from .terminal import Interrupted, raise_on_sigterm
 
-__all__ = ["program"]
-
-
 #: The distribution of all packages.
 _DISTRIBUTION = "urlink"
 

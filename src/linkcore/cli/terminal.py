@@ -17,8 +17,6 @@ from ..text import printable
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-__all__ = ["Interrupted", "Interruption", "ProgressBar", "drawing", "raise_on_sigterm"]
-
 
 class Interrupted(KeyboardInterrupt):
     """Raised by a signal that ends the program.

@@ -20,8 +20,6 @@ from ..clock import Stamp
 from ..errors import ConnectionLost, LinkTimeout, LocalError, RemoteError
 from .reader import CONNECTED, DATA, LOST, HandedOver, Records, Slot
 
-__all__ = ["IsolatedTransport"]
-
 _PROGRAM = (
     "import json, sys; path, arguments = json.loads(sys.argv[1]); sys.path[:] = path; "
     "from linkcore.isolation.reader import read_for; read_for(**arguments)"

@@ -30,8 +30,6 @@ from ..errors import RemoteError
 from ..net.transport import TcpTransport
 from ..wire.framing import FrameBoundary, Framer
 
-__all__ = ["CONNECTED", "DATA", "LOST", "HandedOver", "Records", "Slot", "read_for"]
-
 #: Bytes that wait for the other process: 25 s of real-time packets at 500 Hz.
 _MOST_WAITING = 1 << 24
 #: Bytes handed to the pipe at once: what it holds on Linux.

@@ -17,9 +17,6 @@ from ..errors import ConnectFailed, LinkTimeout, LocalError
 from ..event_loop import happened, within
 from .transport import TcpTransport, Transport
 
-__all__ = ["AwaitedTcp", "AwaitedTransport", "watch"]
-
-
 #: What a connection that does not wait answers while it is made; 10035 is WSAEWOULDBLOCK, of Windows.
 _IN_PROGRESS = (errno.EINPROGRESS, errno.EWOULDBLOCK, 10035)
 

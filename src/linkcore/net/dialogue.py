@@ -16,8 +16,6 @@ from ..errors import Closed, ConnectionLost, LinkTimeout, WrongPeer
 from .recall import MAY_STILL
 from .transport import TcpTransport
 
-__all__ = ["Dialogue", "DialogueProtocol"]
-
 
 class DialogueProtocol(Protocol):
     """One connection, sans-IO; a new one for each connection."""

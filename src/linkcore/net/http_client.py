@@ -16,8 +16,6 @@ from ..wire.http import HttpParser, HttpRequest, HttpResponse
 from .recall import MAY_STILL
 from .transport import TcpTransport
 
-__all__ = ["HttpClient"]
-
 #: Redirects that are followed.
 _MOST_REDIRECTS = 5
 _MOVED = (301, 302, 303, 307, 308)

@@ -18,8 +18,6 @@ import socket
 from ..errors import BadAddress, ConnectFailed, ConnectionLost, LinkTimeout
 from .transport import TcpTransport, mapped
 
-__all__ = ["TcpListener", "addresses", "bound_socket", "local_address", "numeric_host"]
-
 #: Seconds without a byte after which a connection that was accepted counts as silent, by default.
 _SILENCE = 2.0
 

@@ -41,8 +41,6 @@ from ..clock import monotonic
 from ..errors import BadAddress, LinkTimeout
 from .listener import bound_socket, numeric_host
 
-__all__ = ["Connection", "Handler", "ListeningPort", "SelectorLoop"]
-
 _log = logging.getLogger(__name__)
 
 #: Clients of one port, by default.

@@ -11,8 +11,6 @@ import ipaddress
 import socket
 from typing import Literal
 
-__all__ = ["PolledConnection", "State"]
-
 #: "closed" by either side, after it was open; "failed" before it was.
 State = Literal["connecting", "open", "failed", "closed"]
 

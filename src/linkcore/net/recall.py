@@ -24,8 +24,6 @@ from typing import Any, Generic, Protocol, TypeVar
 from ..errors import Closed, LinkError, LinkTimeout, LocalError
 from ..threads import started
 
-__all__ = ["MAY_STILL", "Recall", "TakeBack"]
-
 #: How the error of a command ends that was sent and not answered.
 MAY_STILL = "it may still be carried out"
 #: Seconds between two attempts: at first, and at most. It grows where they fail at once. One that lasts longer has met

@@ -38,8 +38,6 @@ if sys.platform == "linux":
     import fcntl
     import termios
 
-__all__ = ["Finished", "TcpTransport", "Transport", "witnessed"]
-
 #: Bytes asked for at a time: some 60 packets, when the reader has fallen behind.
 _CHUNK = 65536
 

@@ -15,8 +15,6 @@ from ..wire.layout import NATIVE_DOUBLE, WIRE_DOUBLE, Layout, Place
 from ..wire.packet import State
 from .packets import Part
 
-__all__ = ["ArrayColumns", "Column", "Columns", "JoinedColumns", "PacketColumns", "columns_of", "is_continuous"]
-
 #: Packets whose columns are made together: few enough that their bytes stay in the cache of a processor.
 _BLOCK = 512
 #: Bytes of a cache line; every column begins at one.

@@ -22,8 +22,6 @@ from ..wire.packet import State
 from .file import Kind, Progress, described, unseen
 from .index import Numbers, RecordIndex
 
-__all__ = ["Channel", "Part", "read_channel", "states_of"]
-
 
 class Part:
     """Packets of one layout, by the offsets of their bytes.

@@ -13,8 +13,6 @@ from ..errors import BadValue, ConnectFailed, ConnectionLost, LinkTimeout
 from ..net.transport import Finished
 from .file import Kind, Record, RecordingFile
 
-__all__ = ["ReplayClock", "ReplayTransport"]
-
 
 class ReplayClock:
     """The time line that the channels of one replay share; it starts when the first one opens.

@@ -15,9 +15,6 @@ from ..streaming.stream import Stream
 from ..streaming.subscription import Subscription
 from .file import RecordingWriter
 
-__all__ = ["Recorder"]
-
-
 #: Seconds for which bytes are gathered before they are written: the most that a killed program loses.
 _GATHER = 0.02
 

@@ -20,8 +20,6 @@ from .columns import ArrayColumns, Column, Columns, PacketColumns, is_continuous
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-__all__ = ["PeerClock", "Table", "flat_columns"]
-
 #: Gaps whose times are listed.
 _LISTED = 5
 

@@ -19,8 +19,6 @@ from .file import Progress, unseen
 from .mcap_file import write_mcap
 from .table import Table, flat_columns
 
-__all__ = ["TABLE_WRITERS", "FileWriter", "chosen", "export"]
-
 #: Writes tables, by name, to a path, with a description of where they come from.
 FileWriter = Callable[[Path, Mapping[str, Table], Mapping[str, str], Progress], None]
 

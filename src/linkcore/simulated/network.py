@@ -16,8 +16,6 @@ from typing import Protocol
 
 from .scheduler import Scheduler, Task
 
-__all__ = ["BUFFER", "Computer", "End", "Listener", "Network", "Route"]
-
 #: Bytes that a kernel holds for one direction of a connection, at each end.
 BUFFER = 128 * 1024
 #: Seconds until something is sent again for the first time, and at most.

@@ -24,8 +24,6 @@ from types import CodeType, FrameType, ModuleType
 
 from .scheduler import Scheduler, Tracer
 
-__all__ = ["Preemption", "is_importing"]
-
 #: Bounds of the share of functions in which threads make way; the seed draws it.
 _SHARE = (0.02, 0.5)
 #: Bounds of the mean number of lines between two such moments in one function; drawn for each.

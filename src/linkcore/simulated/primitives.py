@@ -19,8 +19,6 @@ from typing import Any
 
 from .scheduler import Ended, Scheduler, Task, current
 
-__all__ = ["Lock", "RLock", "Semaphore", "SimpleQueue", "is_alive", "join", "start"]
-
 #: Seconds between two looks of a thread that takes no part.
 _LOOK = 0.001
 

@@ -23,8 +23,6 @@ from struct import Struct
 from types import FrameType
 from typing import Any, Protocol
 
-__all__ = ["Deadlock", "Ended", "Process", "Scheduler", "Task", "TimeLimit", "Tracer", "current"]
-
 #: As `sys.settrace` takes it.
 Tracer = Callable[[FrameType, str, Any], Any]
 

@@ -15,8 +15,6 @@ from typing import Any
 from .network import BUFFER, Computer, End, Listener, Network
 from .scheduler import Scheduler, Task, current
 
-__all__ = ["Poll", "Selector", "Socket", "Sockets"]
-
 #: The first descriptor: above those that a process usually has, and with room below 1024, where `select` ends.
 _FIRST = 400
 

@@ -29,8 +29,6 @@ from .preemption import Preemption, is_importing
 from .scheduler import STEP, Scheduler, current, install
 from .sockets import Poll, Selector, Socket, Sockets
 
-__all__ = ["Simulation", "simulated_time"]
-
 #: Seconds since 1970 at which a simulation begins: 2026-01-01.
 _EPOCH = 1767225600.0
 

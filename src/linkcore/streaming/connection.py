@@ -35,8 +35,6 @@ from .silence import SilenceMonitor
 from .statistics import StreamCounters
 from .subscription import InlineDelivery, Subscription, ThreadedDelivery
 
-__all__ = ["Connection"]
-
 _log = logging.getLogger(__name__)
 
 

@@ -14,8 +14,6 @@ from ..clock import Stamp
 from .connection_life import Chunk, ConnectionEvent, Traffic
 from .subscription import Delivery
 
-__all__ = ["FanOut", "Sink"]
-
 #: A NamedTuple made without its own `__new__`, which is a call of Python code for each packet.
 _new = tuple.__new__
 

@@ -18,8 +18,6 @@ from .subscription import Subscription
 if TYPE_CHECKING:
     from ..plotting import Plot
 
-__all__ = ["Feed", "check_deadline"]
-
 T = TypeVar("T")
 
 #: Packets that may wait for a consumer that has to look at every one.

@@ -20,8 +20,6 @@ from .subscription import Subscription
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-__all__ = ["History"]
-
 #: Columns that say when the bytes came.
 _WHEN = ("received", "received_wall")
 

@@ -23,8 +23,6 @@ from typing import Any
 from ..arguments import check_seconds
 from ..errors import BadValue
 
-__all__ = ["PacketQueue", "Policy", "block", "check_lifespan", "check_policy", "drop_oldest", "is_older", "latest"]
-
 
 @dataclass(frozen=True)
 class Policy:

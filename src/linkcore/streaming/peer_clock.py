@@ -14,8 +14,6 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-__all__ = ["EARLIER", "ClockEstimator", "ClockRelation"]
-
 #: Seconds by which a packet may be quicker than the quickest before it. If it is more, a clock was set.
 EARLIER = 0.1
 #: The most that two clocks drift apart, as a fraction: Linux adjusts its own by up to 500 ppm, and a crystal is within

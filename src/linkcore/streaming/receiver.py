@@ -16,8 +16,6 @@ from ..text import printable
 from ..wire.framing import PacketProtocol, is_strict, strictly
 from .statistics import StreamCounters
 
-__all__ = ["Receiver"]
-
 _log = logging.getLogger(__name__)
 
 #: No comparison with it holds.

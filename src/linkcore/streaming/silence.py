@@ -13,8 +13,6 @@ from collections.abc import Callable
 
 from ..errors import BadValue, LinkTimeout
 
-__all__ = ["SilenceMonitor"]
-
 _log = logging.getLogger(__name__)
 
 #: Seconds by which a sum of waits may fall short of a limit, for the rounding of floating-point numbers.

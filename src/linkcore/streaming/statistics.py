@@ -20,8 +20,6 @@ from ..wire.cycles import MissedCycles, Missing
 from ..wire.framing import PacketProtocol
 from .peer_clock import ClockEstimator
 
-__all__ = ["SLOW_INLINE", "StreamCounters", "StreamStatistics", "SubscriptionStatistics", "snapshot"]
-
 #: Seconds that a call in the reader thread may last; longer ones count as `slow_inline`. A quarter of the 2 ms between
 #: two packets of an e-Series controller.
 SLOW_INLINE = 0.5e-3

@@ -16,8 +16,6 @@ from .packet_queue import Policy
 from .statistics import StreamStatistics
 from .subscription import Subscription
 
-__all__ = ["Stream"]
-
 T = TypeVar("T")
 K = TypeVar("K")
 

@@ -18,8 +18,6 @@ from ..threads import started
 from .packet_queue import PacketQueue
 from .statistics import SLOW_INLINE, StreamCounters, SubscriptionStatistics, snapshot
 
-__all__ = ["Delivery", "InlineDelivery", "Subscription", "ThreadedDelivery"]
-
 _log = logging.getLogger(__name__)
 
 _NEVER = float("inf")

@@ -16,8 +16,6 @@ from ..threads import started
 from .connection import Connection
 from .receiver import Receiver
 
-__all__ = ["ThreadConnection"]
-
 
 class ThreadConnection(Connection):
     """A connection with a reader thread of its own; the arguments are those of `Connection`."""

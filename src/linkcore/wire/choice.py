@@ -10,8 +10,6 @@ from ..errors import PacketError
 from .fields import Field, Shape, Version, parse_version, version_text
 from .layout import Layout
 
-__all__ = ["Layouts"]
-
 L = TypeVar("L", bound=Layout)
 
 

@@ -16,8 +16,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Gap", "MissedCycles", "Missing", "gaps_of"]
-
 #: Seconds that a clock goes on at most between two packets of one connection; more is the time of something else.
 ANOTHER_CLOCK = 3600.0
 #: Parts of a period by which two packets in a row may be late: the primary interface has a period of 12.5 cycles, and

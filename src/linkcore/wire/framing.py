@@ -22,8 +22,6 @@ from ..clock import Stamp
 from ..errors import PacketError, WrongPeer
 from .cycles import MissedCycles
 
-__all__ = ["FrameBoundary", "Framer", "PacketProtocol", "check_explained", "is_strict", "strictly"]
-
 
 class FrameBoundary(Protocol):
     """How the packets of a protocol are delimited. Sizes count the header.

@@ -14,8 +14,6 @@ from typing import Literal, TypeAlias, TypeVar
 
 from ..errors import BadValue, PacketError
 
-__all__ = ["LONGEST_BODY", "LONGEST_HEAD", "HttpParser", "HttpRequest", "HttpResponse"]
-
 #: Bytes of the start line and headers, and of a body.
 LONGEST_HEAD = 1 << 14
 LONGEST_BODY = 1 << 20

@@ -25,8 +25,6 @@ import numpy as np
 from ..errors import BadValue, PacketError
 from .fields import Field, Header, Mask64, Number, Raw, Shape, Version, version_text
 
-__all__ = ["Layout", "Place", "indices", "is_of_cells"]
-
 WIRE_DOUBLE = np.dtype(">f8")
 NATIVE_DOUBLE = np.dtype("=f8")
 

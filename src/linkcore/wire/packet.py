@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from ..clock import Stamp
     from .schema import Row
 
-__all__ = ["IntVector", "State", "StateLayout", "StateLayouts", "Vector", "packet", "wire"]
-
 #: Read-only float64 array; the declaration of the field says its length.
 Vector = npt.NDArray[np.float64]
 #: Read-only integer array.

@@ -19,8 +19,6 @@ import construct
 from .fields import Array, Field, Header, Number, Raw, Shape
 from .layout import Layout
 
-__all__ = ["Row", "as_construct", "as_struct", "checked_fields", "dissect", "header_rows", "packet_schema", "sized"]
-
 #: What becomes of the construct of one field.
 Wrap = Callable[[Field, Any], Any]
 

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from .fields import Field, Shape
     from .layout import Place
 
-__all__ = ["Split", "is_split", "split_indices"]
-
 
 def _is_vector(shape: Shape) -> bool:
     """A field of this shape is an array of doubles."""

@@ -17,8 +17,6 @@ from linkcore.text import printable, strict_json
 from ..recording import received
 from ..wire.dissection import PackagePart, Piece, dissect, guess_sender, tables_in
 
-__all__ = ["lines"]
-
 
 @command(
     "dissect",

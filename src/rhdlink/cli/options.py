@@ -12,8 +12,6 @@ from linkcore.text import printable
 from ..scene import Scene
 from ..world import World
 
-__all__ = ["ADDRESS", "WORLD", "port", "tell", "world"]
-
 #: The address of a robot, and how long to wait for it.
 ADDRESS = (
     argument("address", metavar="ADDRESS", help="a host, or host:port; the port is 24902 unless named"),

@@ -20,8 +20,6 @@ from ..variables.snapshot import Update, Variable
 from ..variables.value_types import Bool, Float32, Float64, Int32, Int64, Millionths, Order, UInt32, ValueType
 from ..wire.data import Words
 
-__all__ = ["TYPES", "as_columns", "as_json", "in_units", "typed", "update_as_json", "words_of", "words_text"]
-
 #: Types that can be named on the command line.
 TYPES: dict[str, ValueType[Any, Any, Any]] = {
     "int32": Int32,

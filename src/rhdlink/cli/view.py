@@ -20,8 +20,6 @@ from .units import in_units, words_of, words_text
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderResult
 
-__all__ = ["RateCounter", "View", "ViewPanel"]
-
 #: Seconds over which rates are counted.
 WINDOW = 2.0
 

@@ -32,8 +32,6 @@ from ..wire.decoder import Limits
 from ..wire.schema import WIDTHS
 from .service import Resend
 
-__all__ = ["BadConfiguration", "Configuration", "Element", "PluginEntry", "parse_config", "parse_xml", "read_config"]
-
 #: Bytes of a file, levels and elements in it, that are read.
 LARGEST = 1 << 20
 DEEPEST = 32

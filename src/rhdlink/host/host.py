@@ -35,8 +35,6 @@ from .service import Resend, Service
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-__all__ = ["Host", "HostFailed", "HostStatistics", "Pacing", "PluginFailed"]
-
 _log = logging.getLogger(__name__)
 
 #: When the next tick comes: after a period, at once, or with the master's request.

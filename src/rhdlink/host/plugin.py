@@ -10,8 +10,6 @@ from .config import Element
 if TYPE_CHECKING:
     from .host import Host
 
-__all__ = ["Plugin"]
-
 
 class Plugin(Declarations):
     """A part of a robot; subclass it::

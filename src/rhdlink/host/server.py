@@ -19,8 +19,6 @@ from linkcore.net.loop import Connection, Handler, SelectorLoop
 
 from .service import Client, Service
 
-__all__ = ["MOST_NEW", "Server", "TickSchedule"]
-
 #: Ticks whose lateness is remembered for its percentiles.
 _REMEMBERED = 4096
 

@@ -22,8 +22,6 @@ from ..wire.decoder import ClientDecoder, Limits
 from ..wire.messages import END, Request, encode_data
 from ..wire.schema import WORD
 
-__all__ = ["Client", "Resend", "Service"]
-
 _log = logging.getLogger(__name__)
 
 #: The read variables in a reply: those set since the client's last one, or, as in the original, all that

@@ -29,8 +29,6 @@ from ..variables.value_types import Order
 from ..wire.data import Stamps, Words
 from ..wire.messages import END, encode_data
 
-__all__ = ["Logger"]
-
 _log = logging.getLogger(__name__)
 
 #: Ticks that wait for the disk; at 10 ms, 40 s of them.

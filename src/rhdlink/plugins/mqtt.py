@@ -34,8 +34,6 @@ from .velocity import Twist, VelocityBridge
 if TYPE_CHECKING:
     from paho.mqtt.client import Client, MQTTMessage
 
-__all__ = ["ROBOBOT", "MqttRobot", "MqttStatistics", "MqttTopic", "MqttTurtle", "Topics", "parse_topics", "read_topics"]
-
 _log = logging.getLogger(__name__)
 
 #: Seconds without a message of its master after which a robot stops.

@@ -20,8 +20,6 @@ from ..variables.value_types import Int32
 from ..world import World
 from .velocity import wrapped
 
-__all__ = ["SmrTurtle", "Turtle"]
-
 #: The SMR's line sensors: m before the robot's middle, and m to the left of it, of each. How far apart they are follows
 #: from MRC, which takes 2 cm for each (linesensor.c); that they are 21 cm ahead from its test of `followline`.
 _LINE_AHEAD = 0.21

@@ -22,8 +22,6 @@ from ..host.plugin import Plugin
 from ..variables.declarations import Read, Write
 from ..variables.value_types import Int32
 
-__all__ = ["Odometer", "Twist", "VelocityBridge", "wrapped"]
-
 
 def wrapped(count: float) -> int:
     """The nearest 32-bit counter value: after 2147483647 comes -2147483648, as in the robots' counters."""

@@ -32,8 +32,6 @@ from .syntax import (
     WaitFor,
 )
 
-__all__ = ["check"]
-
 
 def check(
     plan: MissionPlan,

@@ -18,8 +18,6 @@ from .parser import FUNCTIONS, KEYWORDS
 from .plan import Outcome
 from .syntax import Operand, TextLiteral
 
-__all__ = ["COMMANDS", "MOST_PARAMETERS", "RESERVED", "ParameterKind", "ScriptCommand"]
-
 #: Parameters of a command whose last one may be repeated, as in MRC, which calls it "up to 9".
 MOST_PARAMETERS = 49
 #: m, or rad, beyond which no motion is meant.

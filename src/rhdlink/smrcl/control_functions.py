@@ -7,8 +7,6 @@ from operator import attrgetter
 
 from .motion.control import MotionControl
 
-__all__ = ["CONTROL_FUNCTIONS", "ControlFunctions"]
-
 #: Parameters, by module, function and name: the attribute of `ControlParameters`.
 _PARAMETERS: Mapping[tuple[str, str, str], str] = {
     ("motioncontrol", "followwall", "gain"): "wall_gain",

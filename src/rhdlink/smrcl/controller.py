@@ -33,8 +33,6 @@ from .recipients import Outbox, Said
 from .robot_conf import RobotConf
 from .vehicle import Vehicle
 
-__all__ = ["CycleProgram", "MissionController", "PlanProgram"]
-
 #: As many as MRC has.
 _WARM_UP = 20
 

@@ -22,8 +22,6 @@ from .plan import ERROR, FREE_LINE, Failure, MissionPlan, PlanLine, Run
 from .recipients import Outbox, Session
 from .vehicle import Vehicle
 
-__all__ = ["ClientDialogue"]
-
 #: Commands that wait, and plans: as in MRC.
 MOST_COMMANDS, MOST_PLANS = 400, 10
 #: Lines of a plan. MRC has 100000 bytes for them.

@@ -25,8 +25,6 @@ from .robot_link import RobotLink
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-__all__ = ["Callbacks", "MissionExecution", "Provider", "WithCallbacks", "error_of", "leaving_at_exit", "log_saver"]
-
 _log = logging.getLogger(__name__)
 
 #: Gives a value in each cycle: a number, or for "line" and "ir" as many as there are sensors.

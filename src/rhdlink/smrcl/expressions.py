@@ -23,8 +23,6 @@ from .profile import Profile
 from .symbols import Symbol, Symbols
 from .syntax import ArrayElement, Call, Expression, Negate, NumberLiteral, VariableName
 
-__all__ = ["BEYOND", "Compiler", "LineFault", "Value"]
-
 #: A compiled expression.
 Value = Callable[[], float]
 

@@ -25,8 +25,6 @@ from .vehicle import Vehicle
 if TYPE_CHECKING:
     from .commands import ScriptCommand
 
-__all__ = ["MissionLimits", "ScriptInterpreter", "never"]
-
 
 @dataclass(frozen=True)
 class MissionLimits:

@@ -12,8 +12,6 @@ from dataclasses import dataclass
 
 from .arithmetic import parse_number
 
-__all__ = ["LONGEST_NAME", "Token", "TokenType", "tokenize"]
-
 #: MRC keeps a name in 80 bytes and overruns them; a longer name is an error here.
 LONGEST_NAME = 79
 

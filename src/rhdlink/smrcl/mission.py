@@ -33,8 +33,6 @@ from .robot_link import RobotLink, open_link
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-__all__ = ["Debugger", "Mission", "MissionRun", "Robot", "read_script", "suitable_conf"]
-
 #: The robots that a mission can run on: a connected robot, an address, a plugin such as `Turtle()`, or a link.
 Robot = Variables | Plugin | RobotLink | str
 

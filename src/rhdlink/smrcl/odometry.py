@@ -15,8 +15,6 @@ from dataclasses import dataclass
 
 from .arithmetic import cosine, divide, normalize_angle, sine
 
-__all__ = ["Covariance", "Odometry", "Pose"]
-
 #: A difference beyond half of this is a counter of 30 bits that has wrapped.
 _COUNTER = 1 << 30
 

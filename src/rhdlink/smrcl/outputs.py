@@ -9,8 +9,6 @@ from .profile import Profile
 from .robot_conf import RobotConf
 from .symbols import Symbols
 
-__all__ = ["VehicleOutputs"]
-
 _INT_MIN, _INT_MAX = -(2**31), 2**31 - 1
 
 

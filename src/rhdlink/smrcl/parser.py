@@ -51,8 +51,6 @@ from .syntax import (
     WaitFor,
 )
 
-__all__ = ["DEEPEST", "FUNCTIONS", "KEYWORDS", "Parser"]
-
 #: Words that are statements rather than names.
 KEYWORDS = frozenset(("if", "eval", "switch", "case", "endswitch"))
 

@@ -10,19 +10,6 @@ from typing import Any
 
 from .syntax import ScriptLine
 
-__all__ = [
-    "ERROR",
-    "FREE_LINE",
-    "LONGEST_LINE",
-    "Failure",
-    "MissionPlan",
-    "Outcome",
-    "PlanLine",
-    "Run",
-    "Stage",
-    "split_lines",
-]
-
 #: Characters of a line. MRC cuts longer ones, and takes the rest for the next line.
 LONGEST_LINE = 255
 

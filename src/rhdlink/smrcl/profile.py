@@ -12,8 +12,6 @@ from typing import Any
 
 from linkcore.errors import BadValue
 
-__all__ = ["BOTH", "MRC", "PROFILES", "SOUND", "Difference", "Profile", "differences", "find_profile"]
-
 
 def _fixed(mrc: str, sound: str) -> Any:
     return field(default=True, metadata={"mrc": mrc, "sound": sound})

@@ -14,8 +14,6 @@ from .plan import LONGEST_LINE, MissionPlan, PlanLine
 if TYPE_CHECKING:
     from .dialogue import ClientDialogue
 
-__all__ = ["Outbox", "Recipient", "Said", "SaidKind", "Session"]
-
 #: Messages of one cycle that are kept; a script can print 20000.
 _MOST = 50_000
 #: Events of a client, and variables in its stream: as in MRC.

@@ -18,8 +18,6 @@ from typing import Any
 from ..host.config import LARGEST, BadConfiguration, Element, parse_xml
 from .motion.control import DriveKind, MotionParameters
 
-__all__ = ["SMR", "VELOMEGA", "InputRoute", "RobotConf", "Scale", "Setting", "parse_robot_conf", "read_robot_conf"]
-
 _log = logging.getLogger(__name__)
 
 

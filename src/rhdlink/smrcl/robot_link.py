@@ -23,8 +23,6 @@ from ..variables.declarations import bind, create_variables
 if TYPE_CHECKING:
     from ..host.host import Host
 
-__all__ = ["ClientLink", "PluginLink", "RobotLink", "Words", "open_link"]
-
 #: The words of read variables, by name.
 Words = Mapping[str, Sequence[int]]
 

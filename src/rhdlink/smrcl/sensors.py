@@ -17,8 +17,6 @@ from struct import Struct
 
 from .arithmetic import divide, truncate
 
-__all__ = ["IR_NAMES", "InfraredSensors", "LineKind", "LineSensor"]
-
 #: The infrared sensors, in the order of the robot's variable.
 IR_NAMES = ("left", "front left", "front middle", "front right", "right", "unused")
 

@@ -27,8 +27,6 @@ from .recipients import MOST_BACKLOG, Session
 from .robot_conf import RobotConf
 from .robot_link import PluginLink, RobotLink, open_link
 
-__all__ = ["PORT", "MissionServer"]
-
 _log = logging.getLogger(__name__)
 
 #: The port that MRC listens on unless an option names another.

@@ -27,8 +27,6 @@ from .syntax import (
 if TYPE_CHECKING:
     from .interpreter import ScriptInterpreter
 
-__all__ = ["Step", "column_of", "compile_statement"]
-
 #: One statement of a line; None where the next one of the line follows.
 Step = Callable[[Run], Outcome | None]
 

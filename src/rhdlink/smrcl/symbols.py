@@ -18,8 +18,6 @@ from types import MappingProxyType
 
 from .arithmetic import format_number
 
-__all__ = ["POOL_SIZE", "DataLog", "Symbol", "Symbols", "split_index"]
-
 #: Doubles in the pool, as in MRC, which writes beyond it.
 POOL_SIZE = 10_000
 #: Variables that a script can make, as in MRC.

@@ -12,8 +12,6 @@ from .profile import Profile
 from .sensors import InfraredSensors, LineSensor
 from .symbols import Symbols
 
-__all__ = ["BUILT_IN", "SYSTEM_NAMES", "SystemVariables"]
-
 _RESULTS = tuple(f"res{number}" for number in range(10))
 _LINES = tuple(f"line{number}" for number in range(8))
 _RAW_LINES = tuple(f"lineraw{number}" for number in range(8))

@@ -27,8 +27,6 @@ from .sensors import InfraredSensors, LineKind, LineSensor
 from .symbols import Symbols, split_index
 from .system_variables import SYSTEM_NAMES, SystemVariables
 
-__all__ = ["Vehicle"]
-
 #: m to an obstacle where nothing measures it: ahead, and behind.
 _FREE_AHEAD, _FREE_BEHIND = 50.0, 1.0
 #: Ticks that can have been missed; more are a host that was started again.

@@ -40,8 +40,6 @@ from ..wire.messages import END, LONGEST_NAME, SymbolRow, encode_access, encode_
 from ..wire.schema import WORD
 from .dirty_set import DirtySet
 
-__all__ = ["Database", "TimeStamp", "VariableTable", "now"]
-
 #: Selections that a table remembers, one for each number of variables. Working one out takes ten times as long as using
 #: it, and a robot whose plugins set things at different rates has a few that come again and again.
 _REMEMBERED = 8

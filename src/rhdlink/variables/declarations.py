@@ -20,8 +20,6 @@ from ..wire.schema import WORD
 from .database import Database, VariableTable
 from .value_types import Order, Packer, ValueType
 
-__all__ = ["Declaration", "Declarations", "Read", "Write", "bind", "create_variables", "refuse_hiding"]
-
 V = TypeVar("V")
 S = TypeVar("S")
 V2 = TypeVar("V2")

@@ -6,8 +6,6 @@ import numpy as np
 
 from ..wire.data import Ids
 
-__all__ = ["DirtySet"]
-
 #: So many ids are sorted in a list; beyond it, looking at the flag of every variable is quicker.
 _FEW = 64
 

@@ -11,8 +11,6 @@ from linkcore.clock import Stamp
 
 from .database import TimeStamp
 
-__all__ = ["Change", "Update", "Variable", "to_html"]
-
 
 @dataclass(frozen=True)
 class Variable:

@@ -22,23 +22,6 @@ from linkcore.errors import BadValue
 
 from ..wire.data import Words
 
-__all__ = [
-    "Bool",
-    "Float32",
-    "Float64",
-    "Int32",
-    "Int64",
-    "Millionths",
-    "Order",
-    "Packer",
-    "Reader",
-    "Scaled",
-    "Structure",
-    "Text",
-    "UInt32",
-    "ValueType",
-]
-
 #: Which byte of a number stands first in the memory of the robot's machine.
 Order = Literal["little", "big"]
 

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from .schema import INT, WORD
 
-__all__ = ["Cursor", "DataPackage", "Ids", "Selection", "Stamps", "TableLayout", "Words"]
-
 #: Ids of variables.
 Ids = NDArray[np.int64]
 #: Values of variables, one after another.

@@ -17,8 +17,6 @@ from .data import Cursor, DataPackage, Selection, TableLayout
 from .messages import Batch, Handshake, Request, SymbolRow
 from .schema import ACCESS, DATA, END, HEAD_SIZE, INT, READY, TABLE, WIDTHS, WORD
 
-__all__ = ["ClientDecoder", "Limits", "ServerDecoder"]
-
 #: Selections that a decoder remembers, one for each direction and number of entries. A robot whose plugins set things
 #: at different rates has a few kinds of batches that come again and again.
 _REMEMBERED = 8

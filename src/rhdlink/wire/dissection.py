@@ -16,8 +16,6 @@ from .decoder import Limits, ServerDecoder
 from .messages import SymbolRow
 from .schema import ACCESS, DATA, END, HEAD_SIZE, INT, PACKAGES, READY, TABLE, Package, item_schema
 
-__all__ = ["PackagePart", "Piece", "dissect", "guess_sender", "tables_in"]
-
 _DIRECTION = {"r": "read", "w": "write"}
 _ROLE = {"r": "reader", "w": "master"}
 

@@ -20,24 +20,6 @@ from linkcore.errors import BadValue
 if TYPE_CHECKING:
     from construct import Construct
 
-__all__ = [
-    "ACCESS",
-    "DATA",
-    "END",
-    "HEAD_SIZE",
-    "INT",
-    "NAME_SIZE",
-    "PACKAGES",
-    "READY",
-    "TABLE",
-    "WIDTHS",
-    "WORD",
-    "Field",
-    "Package",
-    "item_schema",
-    "schema",
-]
-
 #: Bytes of a word.
 WORD = 4
 #: Bytes of a name: 32 characters and a terminating NUL.

@@ -17,8 +17,6 @@ from .arrivals import moments
 from .evidence import Came, Evidence
 from .requirements import Check, Measured, NotTried, counted
 
-__all__ = ["AGREEMENT", "RTDE_NAMES"]
-
 Column = NDArray[np.float64]
 
 

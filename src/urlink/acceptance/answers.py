@@ -15,8 +15,6 @@ from ..rtde import OUTPUTS
 from .evidence import Evidence
 from .requirements import Check, Measured, NotTried, counted
 
-__all__ = ["ANSWERS"]
-
 #: What backs a release in the table of variables, where a controller that lacks one contradicts it.
 _BACKED = ("vendor", "drivers")
 

@@ -17,8 +17,6 @@ from ..interfaces.rtde.packets import ControllerVersionReply
 from .evidence import Came, Evidence
 from .requirements import Check, Measured, NotTried, counted
 
-__all__ = ["ARRIVALS", "moments"]
-
 #: Type and bytes of the sub-package that grows with a Euromap interface.
 _MASTERBOARD, _EUROMAP = 3, (0, 12, 16)
 #: The last release of CB3, which has no row of its own.

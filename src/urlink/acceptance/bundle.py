@@ -28,8 +28,6 @@ from .evidence import Evidence
 from .logbook import NOTES
 from .requirements import Requirement, read, written
 
-__all__ = ["Bundle", "opened", "pack", "recording_in"]
-
 _BYTES, _REQUIREMENTS, _MANIFEST = "bytes.urlog", "requirements.toml", "MANIFEST.json"
 _FORMAT = 1
 #: Of archives, so that the same run makes the same bytes.

@@ -29,8 +29,6 @@ from ..interfaces.rtde.protocol import Requests, RtdeProtocol
 from ..interfaces.rtde.recipes import Outputs
 from .logbook import NOTES, SENT
 
-__all__ = ["Came", "Evidence", "Note", "Wire"]
-
 
 class Note(NamedTuple):
     """A note.

@@ -18,8 +18,6 @@ from ..rtde import OUTPUTS
 from .agreement import RTDE_NAMES
 from .logbook import Logbook
 
-__all__ = ["listen"]
-
 #: What the dashboard is not asked: it ends the connection, and it would show which arm this is.
 _NOT_ASKED = ("quit", "get serial number")
 _TIMEOUT = 5.0

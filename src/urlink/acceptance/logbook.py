@@ -21,8 +21,6 @@ from linkcore.net.transport import TcpTransport, witnessed
 from linkcore.recording.file import Kind, RecordingWriter
 from linkcore.text import strict_json
 
-__all__ = ["NOTES", "REVERSE", "SENT", "Logbook"]
-
 #: The channel of the notes, the interface of the connections that programs make, and the end of names of what was sent.
 NOTES, REVERSE, SENT = "notes", "reverse", " sent"
 

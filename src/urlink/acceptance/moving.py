@@ -26,8 +26,6 @@ from .logbook import Logbook
 from .person import Person, is_held_by
 from .standing import Told, try_each
 
-__all__ = ["BOX", "FOLLOWED", "SPEED", "SWING", "WATCHDOG", "WRIST", "move"]
-
 #: The joint that moves; rad by which it is moved, and beyond which it is stopped; rad/s and rad/s² of its moves.
 WRIST, SWING, BOX, SPEED, _ACCELERATION = 5, 0.05, math.radians(5.5), 0.3, 3.0
 #: s of the trajectory at a slider of 100 %, of the watchdog of a starved stream, and for which this program is frozen.

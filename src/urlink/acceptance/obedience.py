@@ -15,8 +15,6 @@ from .evidence import Evidence
 from .requirements import Check, Measured, NotTried, counted
 from .standing import BEGIN, END, SLEEP
 
-__all__ = ["OBEDIENCE", "held_up", "span"]
-
 Told = Mapping[str, Any]
 
 #: s of silence of the real-time interface after which times say nothing, and what is quick in spite of it.

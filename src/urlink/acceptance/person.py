@@ -11,8 +11,6 @@ from ..identification.exercise import input_is_on
 from ..interfaces.realtime.packets import RealtimeState
 from ..simulator import Controller
 
-__all__ = ["DEEDS", "AtTheTerminal", "Deed", "Nobody", "OfTheSimulator", "Person", "is_held_by"]
-
 Deed = Literal["local", "remote", "protective-stop", "unlock"]
 
 #: What a person is asked to do.

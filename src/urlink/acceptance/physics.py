@@ -16,8 +16,6 @@ from .arrivals import moments
 from .evidence import Evidence
 from .requirements import Check, Measured, NotTried, counted
 
-__all__ = ["PHYSICS"]
-
 #: rad/s below which an arm stands, and above which it moves enough for its velocities to be judged.
 _STANDS, _MOVES = 1e-3, 0.02
 #: Nm from which on the direction of a current is that of its moment, whatever the friction.

@@ -24,8 +24,6 @@ from .requirements import Check, NotTried, Requirement
 from .swings import SWINGS
 from .wrist import WRIST_CHECKS
 
-__all__ = ["CHECKS", "State", "Verdict", "as_html", "as_text", "is_accepted", "judge"]
-
 State = Literal["held", "not held", "not tried"]
 
 #: requirement -> what measures it

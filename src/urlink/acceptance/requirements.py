@@ -21,8 +21,6 @@ from linkcore.errors import BadValue
 if TYPE_CHECKING:
     from .evidence import Evidence
 
-__all__ = ["Check", "Measured", "NotTried", "Requirement", "counted", "from_file", "read", "requirements", "written"]
-
 _TABLE = Path(__file__).with_name("requirements.toml")
 _HEAD = re.compile(r"\[([a-z][a-z0-9-]*)\]")
 _PAIR = re.compile(r"([a-z][a-z0-9_]*) *= *(.*)")

@@ -24,8 +24,6 @@ from .person import Nobody, OfTheSimulator, Person, is_held_by
 from .standing import stand
 from .swings import swing
 
-__all__ = ["STAGES", "run"]
-
 #: What each stage does, for the question whether it may.
 STAGES: Mapping[int, str] = MappingProxyType(
     {

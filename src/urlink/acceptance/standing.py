@@ -21,8 +21,6 @@ from ..rtde import INPUTS, OUTPUTS, Inputs
 from .logbook import Logbook
 from .person import Person
 
-__all__ = ["BEGIN", "END", "SLEEP", "Told", "stand", "try_each"]
-
 #: What the programs of this stage say, and s for which one sleeps.
 BEGIN, END, SLEEP = "urlink accept: begins", "urlink accept: ends", 1.0
 #: Which register is written; others may use the lower half, and the last ones are the library's own.

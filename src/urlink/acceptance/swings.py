@@ -33,8 +33,6 @@ from .evidence import Evidence
 from .logbook import Logbook
 from .requirements import Check, Measured, NotTried
 
-__all__ = ["SWINGS", "contradictions", "rows_of", "swing"]
-
 #: A row of one arm that gives no interval, and is not of joints that were measured, is taken within this factor: the
 #: widest that such a row names in its source.
 _FACTOR = 1.5

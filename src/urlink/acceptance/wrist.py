@@ -18,8 +18,6 @@ from .obedience import held_up, span
 from .requirements import Check, Measured, NotTried
 from .swings import contradictions
 
-__all__ = ["WRIST_CHECKS"]
-
 #: rad/s below which the wrist stands.
 _STANDS = 2e-3
 #: s without a packet after which times say nothing.

@@ -7,7 +7,8 @@ from collections.abc import AsyncIterator
 from linkcore.errors import BadValue
 from linkcore.streaming.packet_queue import drop_oldest, latest
 
-from ..group import WAITING, Group, GroupStream
+from ..group import WAITING, Group
+from ..motion.group_motion import GroupStream
 from ..interfaces.realtime.packets import RealtimeState
 from .async_robot import AsyncRobot
 from .awaited import AwaitedHandle, AwaitedPart, attribute, awaited, block, motion

@@ -49,8 +49,6 @@ if TYPE_CHECKING:
         AsyncToolSerial,
     )
 
-__all__ = ["AsyncRobot", "connect_async"]
-
 P = ParamSpec("P")
 T = TypeVar("T")
 

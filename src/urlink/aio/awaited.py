@@ -27,8 +27,6 @@ from ..interfaces.rtde.transport import RtdeDialogue, RtdeTransport
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-__all__ = ["AwaitedHandle", "AwaitedPart", "AwaitedRtde", "Block", "attribute", "awaited", "block", "motion"]
-
 B = TypeVar("B")
 C = TypeVar("C", bound=AbstractContextManager[Any])
 H = TypeVar("H", bound=Handle)

@@ -32,8 +32,6 @@ from ..interfaces.realtime.protocol import RealtimeBoundary
 from .options import argument, command, positive_int
 from .values import as_text, plain
 
-__all__ = ["PacketPiece", "Stretch", "cut", "dissect", "guess_interface"]
-
 _BOUNDARIES: dict[Interface, Callable[[], PackageBoundary | RealtimeBoundary]] = {
     "primary": PackageBoundary,
     "realtime": RealtimeBoundary,

@@ -26,8 +26,6 @@ from .glance import counted
 from .options import ADDRESS, DURATION, Tap, argument, command, interface_of, positive_int, seconds
 from .values import NoSuchField, as_json, as_line, as_text, getter, plain
 
-__all__ = ["PRINTED", "echo", "kind_of", "line", "measure", "shower"]
-
 
 def _packet_class(name: str) -> type[State]:
     kind = getattr(packets, name, None)

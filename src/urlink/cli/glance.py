@@ -13,8 +13,6 @@ from linkcore.text import printable
 
 from .reading import Reading
 
-__all__ = ["Glance", "StreamStatus", "age_text", "counted", "line", "rate_text", "status_of"]
-
 #: Data older than this, in seconds, counts as old although the connection stands: five states of the 10 Hz
 #: interfaces, 60 and more of the real-time one.
 FRESH = 0.5

@@ -25,8 +25,6 @@ from .values import as_text
 if TYPE_CHECKING:
     from .picture import Picture
 
-__all__ = ["watch", "with_motion"]
-
 
 @command(
     "monitor",

@@ -18,8 +18,6 @@ from linkcore.text import printable
 from .glance import Glance, StreamStatus, age_text, rate_text
 from .reading import Reading
 
-__all__ = ["WIDTH", "Picture"]
-
 #: Columns of the picture, if the terminal has as many.
 WIDTH = 100
 #: Columns below which the bars are left out.

@@ -13,8 +13,6 @@ from ..interfaces.enums import AnalogDomain
 from ..interfaces.primary.robot_state import MasterboardData, RobotModeData, RobotState, ToolData
 from ..interfaces.realtime.packets import RealtimeState
 
-__all__ = ["AnalogSignal", "Reading", "read"]
-
 
 @dataclass(frozen=True)
 class AnalogSignal:

@@ -17,8 +17,6 @@ from ..commanding.interlock import Policy
 from ..robot import Robot, connect
 from .options import CONNECT_TIMEOUT, DURATION, argument, command, seconds, tell
 
-__all__ = ["GROUP", "Adapter", "named"]
-
 #: The group of entry points in which a distribution names its adapter.
 GROUP = "urlink.serve"
 

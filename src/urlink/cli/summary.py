@@ -19,8 +19,6 @@ from ..interfaces.rtde.protocol import RtdeProtocol
 from ..interfaces.rtde.recipes import Outputs
 from ..rtde.outputs import recorded_plan
 
-__all__ = ["ChannelSummary", "Summary", "summarise"]
-
 #: A gap is a silence of at least so many usual periods, and at least so many seconds.
 _GAP_PERIODS, _GAP_SECONDS = 5, 0.05
 

@@ -15,8 +15,6 @@ from ..interfaces.primary.robot_message import OtherPackage
 from ..interfaces.primary.robot_state import SUB_PACKAGES, RobotState, UnknownSubPackage, snake_case
 from ..interfaces.realtime.packets import RealtimeState
 
-__all__ = ["NoSuchField", "as_json", "as_line", "as_text", "getter", "plain"]
-
 
 class NoSuchField(ValueError):
     """A field that packets of the class do not have."""

@@ -23,8 +23,6 @@ from linkcore.streaming.connection import Connection
 from .monitor import SafetyMonitor
 from .section import Section
 
-__all__ = ["CommandChannel"]
-
 #: Seconds that the controller may take to accept text.
 SEND_TIMEOUT = 0.5
 #: Seconds for what was given up to be taken back, before what is newer supersedes it.

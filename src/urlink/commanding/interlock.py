@@ -14,8 +14,6 @@ from linkcore.errors import BadValue, LinkError
 from ..errors import NotEnabled, NotRunning, SafetyStop
 from ..interfaces.enums import MasterSafetyState, RobotMode, RobotModeCB2, SafetyMode
 
-__all__ = ["STALE_AFTER", "Interlock", "Policy", "Status"]
-
 #: Whether a person has to call `enable()`: never; once; at first and after every stop.
 Policy = Literal["never", "on_startup", "always"]
 

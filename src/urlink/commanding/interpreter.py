@@ -33,8 +33,6 @@ from .channel import CommandChannel
 from .programs import Programs
 from .scripts import TEXTS, Program
 
-__all__ = ["CLEAR_AFTER", "Interpreter", "InterpreterState", "Interpreters"]
-
 _SINCE = Since("5.10")
 #: Statements after which those before are cleared on the controller, which keeps a limited number of them. As public
 #: clients do it.

@@ -21,8 +21,6 @@ from ..urscript.commands import CONFIGURABLE, STANDARD, TOOL, DigitalBank
 from ..urscript.text import boolean, integer
 from .settings import Echo, Settings
 
-__all__ = ["IO", "Analog"]
-
 T = TypeVar("T")
 
 #: Digital signals that a state has, at most.

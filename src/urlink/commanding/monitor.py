@@ -24,8 +24,6 @@ from ..interfaces.realtime.packets import RealtimeState
 from .interlock import Interlock, Status
 from .section import Section
 
-__all__ = ["SafetyMonitor"]
-
 #: Seconds that an interface has for its first state.
 _FIRST_WORD = 2.0
 #: Seconds within which every working interface reports again, also over a connection that is made anew. The slowest

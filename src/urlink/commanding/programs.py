@@ -40,8 +40,6 @@ from .channel import CommandChannel
 from .monitor import SafetyMonitor
 from .section import Section
 
-__all__ = ["Programs"]
-
 _log = logging.getLogger(__name__)
 
 #: Seconds after an error within which the controller reports the end of the program; after that it is taken to be over.

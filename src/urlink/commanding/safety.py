@@ -12,8 +12,6 @@ from ..interfaces.enums import RobotMode, RobotModeCB2, SafetyMode
 from .interlock import Interlock, Policy, Status
 from .monitor import SafetyMonitor
 
-__all__ = ["Safety"]
-
 
 class Safety(AnswersForeignNames):
     """The interlock that every motion has to pass, kept up to date from the robot's streams.

@@ -15,8 +15,6 @@ from linkcore.threads import CallbackThread
 from .channel import CommandChannel
 from .programs import Programs
 
-__all__ = ["TEXTS", "Program", "Scripts"]
-
 #: Lines of `textmsg` that are kept of a program.
 TEXTS = 1000
 

@@ -19,8 +19,6 @@ from collections.abc import Callable, Iterator
 
 from linkcore.errors import LocalError
 
-__all__ = ["Section"]
-
 
 class Section:
     """A lock around decisions, as a context manager.

@@ -23,8 +23,6 @@ from linkcore.text import printable
 from .channel import CommandChannel
 from .section import Section
 
-__all__ = ["BriefInputs", "SettingChannel", "Values"]
-
 #: RTDE inputs of a setting, masks included; called when it is known that the robot runs. None where only text will do.
 Values = Callable[[], Mapping[str, Any] | None]
 

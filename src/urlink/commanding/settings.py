@@ -35,8 +35,6 @@ from ..urscript.wrapping import StartPlace
 from .section import Section
 from .setting_channel import SettingChannel, Values
 
-__all__ = ["Echo", "Settings"]
-
 T = TypeVar("T")
 
 #: Factor by which a mass may exceed the payload of the arm. Software updates have raised that of some arms by a quarter

@@ -24,8 +24,6 @@ from .ros_messages import description_topic
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-__all__ = ["FoxgloveServer", "RobotView"]
-
 #: Seconds after which the arm is described again: the server keeps no message for viewers that connect later.
 _AGAIN = 2.0
 #: Most messages of the controller that are kept until the next `show`; the oldest are dropped.

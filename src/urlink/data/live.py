@@ -31,8 +31,6 @@ from ..kinematics import Arm
 from .robot_states import RobotStates
 from .ros_messages import description_topic, log_topic, topics_of
 
-__all__ = ["McapRecorder", "table_of", "topics_of_states"]
-
 _log = logging.getLogger(__name__)
 
 #: Seconds for which packets are gathered: making many messages at a time is quicker.

@@ -37,8 +37,6 @@ from ..rtde.outputs import recorded_plan
 from .robot_states import RobotStates
 from .ros_messages import description_topic, log_topic, topics_of
 
-__all__ = ["Recording", "load"]
-
 
 def load(path: str | os.PathLike[str], *, progress: Progress | None = None) -> Recording:
     """Load a recording as arrays.

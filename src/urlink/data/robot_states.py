@@ -16,8 +16,6 @@ from linkcore.wire.packet import State
 from ..interfaces.primary.robot_message import OtherPackage, RobotMessage
 from ..interfaces.primary.robot_state import SUB_PACKAGES, RobotState, SubPackage, UnknownSubPackage, snake_case
 
-__all__ = ["RobotStates"]
-
 _CLASSES = {
     snake_case(kind.__name__): kind
     for kinds in SUB_PACKAGES.values()

@@ -24,8 +24,6 @@ from ..kinematics import Arm
 from ..poses import rotvec_to_quaternion
 from ..urdf import JOINTS, link_poses, to_urdf
 
-__all__ = ["description_topic", "log_topic", "topics_of"]
-
 _FRAME = "base_link"
 
 _VECTOR = "geometry_msgs/Vector3", "float64 x\nfloat64 y\nfloat64 z"

@@ -19,8 +19,6 @@ from ..models import Model
 from ..poses import compose, from_matrix, invert, rotvec_to_matrix, to_matrix
 from ..vectors import FloatArray
 
-__all__ = ["Calibration", "fit_calibration"]
-
 # Of each link: offset, a, d, alpha, beta. Joints 2 and 3 have an angle beta instead of an offset d along parallel axes.
 _FREE = np.array(
     [(1, 1, 1, 1, 0), (1, 1, 0, 1, 1), (1, 1, 0, 1, 1), (1, 1, 1, 1, 0), (1, 1, 1, 1, 0), (1, 1, 1, 1, 0)], dtype=bool

@@ -18,8 +18,6 @@ from ..simulator import Controller, Still
 from ..vectors import FloatArray
 from .samples import COLUMNS, Samples
 
-__all__ = ["Disagreement", "Movement", "compare"]
-
 #: rad by which the targets of a movement may be off for it to count as the same command.
 _SAME = 0.1
 #: Quantities that are compared, and their units.

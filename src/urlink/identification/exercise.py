@@ -26,19 +26,6 @@ from ..motion.path import shown_tcp
 from ..robot import Robot
 from ..vectors import FloatArray
 
-__all__ = [
-    "BESIDE",
-    "SWING",
-    "Exercise",
-    "Guard",
-    "Leg",
-    "exercise",
-    "input_is_on",
-    "plan",
-    "plan_from_here",
-    "slider_of",
-]
-
 #: rad by which each joint swings to either side, and by which it may be beside that before it is stopped.
 SWING, BESIDE = 0.3, 0.05
 #: m/s that no point of the arm's centre lines exceeds: the reduced speed of ISO 10218-1.

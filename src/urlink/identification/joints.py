@@ -19,8 +19,6 @@ from ..models import Model
 from ..motors import FULL_SPEED, Motors, motors_of
 from ..vectors import JOINTS, FloatArray
 
-__all__ = ["JointFit", "fit", "fit_joints", "of_ratio"]
-
 #: rad/s²: a joint that never accelerates by as much does not show its rotor.
 _ACCELERATION = 0.3
 #: rad/s: a joint that is never as fast does not show how friction grows.

@@ -15,8 +15,6 @@ from linkcore.errors import BadRecording
 from ..data.recording import load
 from ..vectors import FloatArray
 
-__all__ = ["COLUMNS", "Samples", "read_samples"]
-
 #: RTDE's name of a column -> that of the real-time interface.
 COLUMNS = {
     "timestamp": "time",

@@ -13,8 +13,6 @@ from ..vectors import FloatArray
 from .joints import fit
 from .samples import Samples
 
-__all__ = ["clock_drift", "noise", "start_rate", "tracking_lag"]
-
 #: s that an arm needs to settle after a movement.
 _SETTLING = 0.3
 #: Rows of one rest that show something of it.

@@ -8,17 +8,6 @@ from __future__ import annotations
 
 from linkcore.wire.fields import Header, Int8ub, Int32sb
 
-__all__ = [
-    "DASHBOARD_GREETING",
-    "PACKAGE",
-    "PACKAGE_INTERFACE",
-    "PACKAGE_SIZES",
-    "REALTIME",
-    "REALTIME_INTERFACE",
-    "REALTIME_SIZES",
-    "interface_of",
-]
-
 #: Real-time interface: the size and nothing else. No byte holds the type of packet.
 REALTIME = Header(size=Int32sb)
 

@@ -11,8 +11,6 @@ from typing import NamedTuple
 
 from linkcore.errors import BadValue, LocalError, PacketError, WrongPeer
 
-__all__ = ["WORDS", "InterpreterProtocol", "Reply", "parse_reply", "statement_line"]
-
 #: Words that are not statements.
 WORDS = (
     "skipbuffer",

@@ -17,8 +17,6 @@ from linkcore.errors import BadValue, Closed, ConnectionLost, LinkTimeout
 from linkcore.net.recall import MAY_STILL
 from linkcore.net.transport import TcpTransport
 
-__all__ = ["ToolSerial"]
-
 #: The message where the port is refused.
 _NEEDED = (
     "the tool's serial line is served by a URCap: the vendor's RS485 daemon, on PolyScope X the Tool Comm Forwarder; "

@@ -15,12 +15,11 @@ from .. import rigid
 from ..bounds import TURN, check_length, check_rotations
 from ..models import Model
 from ..models import model as model_called
-from ..rigid import FLOATS, ROWS, FloatArray, MathFunctions, Number, Rigid
+from ..rigid import FLOATS, ROWS, MathFunctions, Number, Rigid
+from ..vectors import FloatArray
 from .closed_form import BRANCHES, wrapped
 from .geometry import Angles, DenavitHartenberg, Geometry, calibrated, chain, flange, jacobian, nominal, velocity
 from .inverse import around, branches, branches_of_rows, closest, closest_of_rows, distance
-
-__all__ = ["Arm", "Unreachable"]
 
 # Solutions closer than this, rad, count as one: where two branches meet, rounding errors separate them by about the
 # square root of the precision.

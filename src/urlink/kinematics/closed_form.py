@@ -16,10 +16,9 @@ import math
 
 import numpy as np
 
-from ..rigid import FLOATS, ROWS, FloatArray, MathFunctions, Number, Rigid
+from ..rigid import FLOATS, ROWS, MathFunctions, Number, Rigid
+from ..vectors import FloatArray
 from .geometry import Angles, Lengths
-
-__all__ = ["BRANCHES", "SINGULAR", "SLACK", "solve", "solve_rows", "wrapped"]
 
 #: Number of branches.
 BRANCHES = 8

@@ -33,20 +33,6 @@ from ..models import Model
 from ..rigid import MathFunctions, Number, Rigid, Six, invert
 from ..vectors import six
 
-__all__ = [
-    "Angles",
-    "DenavitHartenberg",
-    "DhTable",
-    "Geometry",
-    "Lengths",
-    "calibrated",
-    "chain",
-    "flange",
-    "jacobian",
-    "nominal",
-    "velocity",
-]
-
 #: d1, a2, a3, d4, d5, d6 in m: all the geometry that a published UR arm has.
 Lengths = tuple[float, float, float, float, float, float]
 

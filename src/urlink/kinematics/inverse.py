@@ -16,12 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import rigid
-from ..rigid import FLOATS, ROWS, FloatArray, Rigid
+from ..rigid import FLOATS, ROWS, Rigid
+from ..vectors import FloatArray
 from .closed_form import BRANCHES, SINGULAR, SLACK, solve, solve_rows
 from .geometry import Angles, Geometry
 from .refinement import error_at, refine, refine_anywhere, refine_rows
-
-__all__ = ["around", "branches", "branches_of_rows", "closest", "closest_of_rows", "distance"]
 
 # `near` is a seed if it misses the pose by less than `_ALMOST`, m and rad. A solution further away from `near` than
 # `_CONTINUES`, rad, does not count as its continuation.

@@ -15,11 +15,10 @@ import math
 
 import numpy as np
 
-from ..rigid import FLOATS, ROWS, FloatArray, MathFunctions, Number, Rigid, Six, product, take
+from ..rigid import FLOATS, ROWS, MathFunctions, Number, Rigid, Six, product, take
 from ..rigid import row as row_of
+from ..vectors import FloatArray
 from .geometry import Angles, Geometry, chain, jacobian
-
-__all__ = ["error_at", "refine", "refine_anywhere", "refine_rows"]
 
 #: m and rad. Joint positions with an error below this are a solution.
 CONVERGED = 5e-14

@@ -18,8 +18,6 @@ from ..interfaces.realtime.packets import RealtimeState
 from .controller_clock import RAMP, ProgramClock
 from .following import AHEAD
 
-__all__ = ["CommonPace", "CommonTime", "MemberClock", "MemberPace"]
-
 #: s from when the last arm is ready to the beginning: states and set-points of all arms get through in that. Chosen; an
 #: arm whose states take longer begins late, and catches up.
 _LEAD = 0.05

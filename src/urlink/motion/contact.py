@@ -11,8 +11,6 @@ from ..errors import NoContact
 from ..urscript import yielding
 from ..vectors import FloatArray, six
 
-__all__ = ["Contact", "ContactMotion"]
-
 
 @dataclass(frozen=True, eq=False)
 class Contact:

@@ -17,8 +17,6 @@ from .point_registers import PointRegisterLink
 from .register_link import RegisterLink, RegisterPort
 from .reverse import ReversePort
 
-__all__ = ["MotionContext"]
-
 
 @dataclass(frozen=True)
 class MotionContext:

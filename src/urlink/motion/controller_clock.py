@@ -21,18 +21,6 @@ from ..interfaces.enums import ProgramState
 from ..interfaces.realtime.packets import RealtimeState
 from ..vectors import JOINTS
 
-__all__ = [
-    "MOVED",
-    "RAMP",
-    "ControllerClock",
-    "Pause",
-    "ProgramClock",
-    "ScalingName",
-    "end_where_moved",
-    "is_paused",
-    "reported_scaling",
-]
-
 #: Whose time a trajectory has: that of the program on the robot, or that of the controller's clock.
 ScalingName = Literal["follow", "ignore"]
 

@@ -28,8 +28,6 @@ from .following import AHEAD, Following, Tolerances
 from .setpoints import STOP_WORD, WAIT_WORD, Servoing, SetpointStream
 from .trajectory import Trajectory
 
-__all__ = ["Follower"]
-
 #: rad/s, at most, of the correction from the position of the arm to the trajectory.
 _FADE_SPEED = 0.25
 #: Seconds, at least, that this correction takes.

@@ -23,8 +23,6 @@ from ..vectors import JOINTS, FloatArray
 from .controller_clock import ProgramClock
 from .trajectory import Trajectory
 
-__all__ = ["AHEAD", "Following", "Rest", "Tolerances", "TrajectoryFeedback"]
-
 #: Cycles from a state to the one in which its set-point takes effect: it is sent within the next cycle, and the program
 #: applies it at the beginning of the one after.
 AHEAD = 2

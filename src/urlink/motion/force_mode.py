@@ -17,8 +17,6 @@ from .context import MotionContext
 from .linked import Link
 from .linked_block import KeptWord, LinkedBlock
 
-__all__ = ["ForceMode", "Freedrive", "Pressing", "axes_of", "frame_of"]
-
 #: N and Nm; no arm exerts more.
 _LARGEST = 1000.0
 #: m and rad, m/s and rad/s; a smaller limit holds the tool where it is.

@@ -22,8 +22,6 @@ from .stream_steps import Aim, Handed
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-__all__ = ["GroupMotion", "GroupStream", "end_all"]
-
 #: s by which the points of two arms may end at different times.
 _SAME_TIME = 1e-6
 #: s within which the ways of all arms onto other points have been found. Chosen: two take a few ms; if it takes longer,

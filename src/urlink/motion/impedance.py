@@ -27,8 +27,6 @@ from .path import shown_tcp
 from .setpoints import STOP_WORD, packed
 from .softness import Softness, damping_of, stiffness_of
 
-__all__ = ["Impedance"]
-
 #: One word of so many has the gains or the posture. No simple fraction: a program that takes each n-th word meets them
 #: all the same.
 _GOLDEN, _GAINS_SHARE = 0.6180339887, 0.25

@@ -27,8 +27,6 @@ from linkcore.arguments import check_number
 from ..models import Model
 from ..vectors import JOINTS, six_limits
 
-__all__ = ["JointLimit", "Profile", "TargetFilter", "joint_limits", "root"]
-
 #: Most steps: each halves the bracket at least, so nothing is left of it. Six are usual.
 _MOST_STEPS = 60
 

@@ -21,8 +21,6 @@ from .linked_block import LinkedBlock
 from .setpoints import STOP_WORD, WAIT_WORD, setpoint
 from .speed_limit import check_joint_speeds
 
-__all__ = ["FULL_SPEED", "UNLED", "FrameName", "HeldSpeed", "Jog"]
-
 #: The frame of the six speeds.
 FrameName = Literal["joints", "base", "tool"]
 

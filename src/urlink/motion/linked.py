@@ -27,8 +27,6 @@ from .controller_clock import MOVED, ControllerClock, Pause, is_paused
 from .following import stands
 from .setpoints import dated
 
-__all__ = ["CONNECT_TIMEOUT", "Dialogue", "Link", "LinkedProgram"]
-
 #: Seconds within which the program must connect.
 CONNECT_TIMEOUT = 5.0
 #: Seconds after a lost connection in which its reason may arrive over the other interfaces.

@@ -25,8 +25,6 @@ from .setpoints import STOP_WORD, WAIT_WORD, setpoint
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-__all__ = ["KeptWord", "LinkedBlock", "word"]
-
 #: Seconds to wait for the program to connect if no states come; if they do, `CONNECT_TIMEOUT` ends it before.
 _LONGEST = 6.0
 #: Seconds to wait for the reason of a lost connection.

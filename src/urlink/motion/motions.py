@@ -41,8 +41,6 @@ from .torque import Torque
 from .trajectory import Trajectory
 from .waypoints import WaypointServer
 
-__all__ = ["Motions"]
-
 #: The smallest value of what must be positive; and an hour: a longer duration is a mistake.
 _LEAST, _HOUR = 1e-3, 3600.0
 #: The first releases that have the registers from 24 on (RTDE guide of the vendor).

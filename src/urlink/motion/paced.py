@@ -18,8 +18,6 @@ from .following import Rest
 from .jerk_limited import JointLimit, TargetFilter
 from .setpoints import WAIT_WORD, Servoing, SetpointStream
 
-__all__ = ["FilteredTargets", "PacedSetpoints", "SetpointSource"]
-
 #: rad and rad/s, in any joint; a larger gap is not faded out. Chosen: at 1 rad/s it is the gap after 20 ms without
 #: set-points, with the default watchdog.
 _WIDEST_GAP, _LARGEST_CHANGE = 0.005, 0.2

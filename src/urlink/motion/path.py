@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from ..curves import Curve
     from ..kinematics import Arm
 
-__all__ = ["Circular", "Joint", "Linear", "PathMotion", "Plan", "Rates", "Section", "Waypoint", "plan", "shown_tcp"]
-
 #: m; a larger blend has the wrong unit, since no arm is longer.
 _WIDEST = 2.0
 #: Most waypoints of a path. The limit of a controller is not known; the text of so many has 200 kB.

@@ -19,8 +19,6 @@ from linkcore.streaming.stream import Stream
 from ..urscript.buffering import REPORTED, WORD, PointRegisters
 from .register_link import Inputs, random_token
 
-__all__ = ["INPUTS", "OUTPUTS", "PointLinks", "PointRegisterLink"]
-
 #: Registers below those of `urlink.motion.register_link`, which another motion of this robot may have claimed: from 24
 #: on, 24 to 29 of the integers are left to users, and so are outputs below 30 and above 36: in 47 a program finds its
 #: start permission.

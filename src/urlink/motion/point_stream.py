@@ -26,8 +26,6 @@ from .stream_feed import StreamFeed
 from .stream_points import PointReader, Points
 from .stream_steps import Aim, Bounds, Handed, Mark
 
-__all__ = ["PointStream"]
-
 #: The first firmware on which a program can hold points.
 _BUFFERS = Firmware(3, 4)
 #: Most points that the program holds, whatever their distance. Chosen: its text stays within half of that of the

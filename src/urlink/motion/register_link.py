@@ -16,8 +16,6 @@ from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout
 from ..urscript.links import TOKENS, InputRegisters
 from .setpoints import WORD_SIZE, read_word
 
-__all__ = ["NAMES", "Inputs", "RegisterLink", "RegisterPort", "random_token"]
-
 #: Number of the first float register and of the first integer register: the last twelve and the last four of all are
 #: used, so that others from 24 on are left to users, and those below 24 to fieldbuses. From 3.9 and 5.3 on.
 FIRST_FLOAT, FIRST_INTEGER = 36, 44

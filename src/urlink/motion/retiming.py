@@ -24,8 +24,6 @@ from linkcore.errors import BadValue
 
 from ..vectors import FloatArray
 
-__all__ = ["retime"]
-
 #: rad; a place that is closer than this to the one before is left out.
 _SHORTEST = 1e-9
 #: Fraction of the fastest joint speed of the trajectory below which all joints rest at a place.

@@ -12,8 +12,6 @@ from linkcore.net.transport import TcpTransport
 
 from ..urscript.links import TOKENS, ReverseSocket
 
-__all__ = ["ReverseLink", "ReversePort"]
-
 _log = logging.getLogger(__name__)
 
 #: Connections that may not have sent their token yet: other peers can reach the port, so their number is bounded.

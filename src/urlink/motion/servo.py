@@ -28,8 +28,6 @@ from .setpoints import STOP_WORD, WAIT_WORD, Servoing, setpoint
 from .speed_limit import LONGEST_PERIOD, SpeedLimit
 from .waypoint_schedule import Schedule
 
-__all__ = ["Servo", "ServoStatistics"]
-
 #: Intervals that the statistics keep: a minute and a half at 500 Hz.
 _REMEMBERED = 50_000
 #: rad that a joint may turn from one pose to the next; more means a singularity.

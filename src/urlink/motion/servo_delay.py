@@ -12,8 +12,6 @@ from linkcore.errors import LinkError
 from ..interfaces.realtime.packets import RealtimeState
 from ..vectors import FloatArray
 
-__all__ = ["measure"]
-
 #: Steps of Newton's method for the delay; four are usual.
 _STEPS = 8
 #: s; a longer delay means that the arm does not follow.

@@ -12,18 +12,6 @@ from ..urscript.links import FOLLOW, SCALE, STOP, WAIT, InputRegisters, ReverseS
 from ..urscript.streaming import COASTING, streaming
 from .speed_limit import SpeedLimit
 
-__all__ = [
-    "STOP_WORD",
-    "WAIT_WORD",
-    "WORD_SIZE",
-    "Servoing",
-    "SetpointStream",
-    "dated",
-    "packed",
-    "read_word",
-    "setpoint",
-]
-
 _WORD = struct.Struct(">13i")
 #: Largest date, as large as 32 bits hold: after 49 days at 500 Hz.
 _LAST_DATE = 0x7FFF_FFFF

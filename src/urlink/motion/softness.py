@@ -26,8 +26,6 @@ from ..urscript.springs import Springs, ToolSprings, admittance, impedance
 from ..vectors import JOINTS, FloatArray, six
 from .jog import FULL_SPEED, FrameName
 
-__all__ = ["Softness", "damping_of", "stiffness_of"]
-
 _DIRECT_TORQUE = Since("5.23/10.11")
 #: The first firmware of arms whose wrist measures force that computes with whole lists.
 _MEASURED_FORCE = Since("5.10/10.0")

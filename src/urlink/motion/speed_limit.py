@@ -24,8 +24,6 @@ from ..bounds import JOINT_SPEED
 from ..models import Model
 from ..vectors import JOINTS, FloatArray, six
 
-__all__ = ["EARLY", "LATE", "LONGEST_PERIOD", "SpeedLimit", "check_joint_speeds", "largest_speeds"]
-
 #: Seconds by which a set-point may be early. Chosen: more than the jitter of a sleep in Python, and little enough that
 #: the simulated arm, led at its largest speed, does not stop because of it.
 EARLY = 0.001

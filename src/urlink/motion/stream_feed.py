@@ -44,8 +44,6 @@ from .controller_clock import ProgramClock
 from .following import AHEAD, Rest
 from .stream_steps import Aim, Bounds, Handed, JointMoment, Mark, Step, onto
 
-__all__ = ["StreamFeed"]
-
 _WORD, _REPORT = struct.Struct(f">{WORD}i"), struct.Struct(f">{REPORTED}i")
 _STOP_WORD = _WORD.pack(STOP, *[0] * (WORD - 1))
 #: s without a report after which a program counts as one that goes through no points, for others. Chosen: five reports.

@@ -17,8 +17,6 @@ from ..vectors import JOINTS, FloatArray
 from .stream_steps import Aim, Bounds, JointMoment, Mark, Step
 from .trajectory import Trajectory, TrajectoryPoint
 
-__all__ = ["PointReader", "Points", "PosePoint"]
-
 #: rad between the place where the arm rests and a first point for the same time.
 _NEAR = 0.05
 #: rad that a joint may turn from one pose to the next; more means a singularity.

@@ -24,8 +24,6 @@ from ..urscript.buffering import BRAKING_FACTOR, STRAY
 from ..vectors import JOINTS, FloatArray
 from .jerk_limited import JointLimit
 
-__all__ = ["Aim", "Bounds", "Handed", "JointMoment", "Mark", "Step", "onto"]
-
 #: Places in a step at which it is compared with limits (see `urlink.motion.trajectory`).
 _PLACES = np.linspace(0.0, 1.0, 17)
 #: Fraction by which rounding may exceed a limit.

@@ -17,8 +17,6 @@ from .path import Joint, PathMotion
 if TYPE_CHECKING:
     from .motions import Motions
 
-__all__ = ["Taught", "TaughtPoint"]
-
 #: What a file begins with; other programs may read it too.
 _FORMAT, _VERSION = "urlink taught waypoints", 1
 

@@ -20,8 +20,6 @@ from .taught import Taught, TaughtPoint
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-__all__ = ["Teaching", "Triggers"]
-
 #: Seconds after a waypoint in which an input that bounces does not record another one.
 _BOUNCE = 0.2
 

@@ -17,8 +17,6 @@ from .context import MotionContext
 from .linked import Link
 from .linked_block import KeptWord, LinkedBlock, word
 
-__all__ = ["Torque"]
-
 _DIRECT_TORQUE = Since("5.23/10.11")
 #: Nm, for an arm that is not known.
 _LARGEST = 1000.0

@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 
     from ..kinematics import Arm
 
-__all__ = ["Trajectory", "TrajectoryPoint"]
-
 #: s; points closer than this are a mistake: no controller has a cycle below 2 ms.
 _CLOSEST = 1e-4
 #: rad, rad/s, rad/s², s; a larger number is a mistake.

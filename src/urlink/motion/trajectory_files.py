@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
     from .trajectory import Trajectory
 
-__all__ = ["plot", "read_points", "write_points"]
-
 _QUANTITIES = ("q", "qd", "qdd")
 
 

@@ -22,8 +22,6 @@ from linkcore.errors import BadValue
 from ..models import Model
 from .trajectory import Trajectory
 
-__all__ = ["Schedule"]
-
 #: s; waypoints that are closer in time count as one.
 _CLOSEST = 1e-3
 #: s for the rest of the path, if set-points were missed until all waypoints were past.

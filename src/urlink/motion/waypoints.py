@@ -20,8 +20,6 @@ from .controller_clock import ProgramClock
 from .following import Following, Tolerances
 from .trajectory import Trajectory
 
-__all__ = ["WaypointServer"]
-
 #: Seconds without a line of the program, which sends a heartbeat, after which it counts as gone.
 _SILENCE = 3.0
 #: Bytes in a line at most.

@@ -18,8 +18,6 @@ from ..interfaces.rtde.protocol import Requests
 from ..interfaces.rtde.recipes import Outputs
 from .shared_registers import Claims
 
-__all__ = ["CLAIM_TIMEOUT", "BriefClaims"]
-
 #: Seconds that connecting and claiming may take. In a local network it is a few cycles of the controller.
 CLAIM_TIMEOUT = 0.25
 #: Seconds after the last setting at which everything is given back.

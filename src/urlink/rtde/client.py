@@ -38,8 +38,6 @@ from .shared_registers import Claims, Registers
 if TYPE_CHECKING:
     from .names import AnyOutputs, InputName, OutputName
 
-__all__ = ["Missing", "Rtde"]
-
 #: What to do where the controller lacks a variable.
 Missing = Literal["error", "leave_out"]
 

@@ -18,8 +18,6 @@ from ..interfaces.rtde.protocol import check_names
 from ..interfaces.rtde.recipes import Recipe
 from ..interfaces.rtde.transport import RtdeTransport
 
-__all__ = ["Inputs", "checked", "put_whole", "with_masks"]
-
 
 class _Masked(NamedTuple):
     """A mask, and the bits of it that say that a variable is to be taken."""

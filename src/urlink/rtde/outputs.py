@@ -24,8 +24,6 @@ from ..interfaces.rtde.transport import RtdeTransport
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-__all__ = ["OutputStream", "connection_of", "declared", "recorded_plan"]
-
 T = TypeVar("T", bound=Outputs)
 
 #: Packets that a controller may send late or not at all, before a connection counts as lost.

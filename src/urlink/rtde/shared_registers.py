@@ -24,8 +24,6 @@ from ..interfaces.rtde.transport import RtdeTransport
 from .inputs import checked, put_whole
 from .outputs import OutputStream
 
-__all__ = ["Claims", "Registers"]
-
 #: Kind of register -> the first of the upper range, and how many there are.
 _RANGES = {"bit": (64, 128), "int": (24, 48), "double": (24, 48)}
 

@@ -23,8 +23,6 @@ from .programs.runner import ProgramRunner
 from .robot.sources import SetpointSource
 from .state import ControllerState
 
-__all__ = ["ControlLoop", "SteppedClock", "passing"]
-
 
 class ControlLoop:
     """Advances the state of one controller.

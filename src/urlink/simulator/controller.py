@@ -52,8 +52,6 @@ if TYPE_CHECKING:
 
     from .server import Server
 
-__all__ = ["Controller"]
-
 _NEWEST_CB3 = [row.since for row in RELEASES if row.since.major == 3][-1]
 
 # Addresses to listen on that cannot be connected to.

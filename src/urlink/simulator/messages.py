@@ -27,16 +27,6 @@ from urlink.interfaces.primary.robot_message import (
 
 from .state import ControllerState, StopCause
 
-__all__ = [
-    "greeting",
-    "popup_message",
-    "program_started",
-    "program_stopped",
-    "runtime_exception",
-    "safety_messages",
-    "text_message",
-]
-
 #: Most bytes of a text in one message; the vendor gives no limit.
 _LONGEST_TEXT = 4096
 

@@ -13,8 +13,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
-__all__ = ["BITS", "FIELDBUSES", "NUMBERS", "Action", "Bank", "InputClaims", "RegisterBanks", "Watchdogs"]
-
 #: Boolean registers, and registers of each kind of number.
 BITS, NUMBERS = 128, 48
 

@@ -26,16 +26,6 @@ from .robot.modes import StopState
 from .robot.robot_parameters import EXECUTION_TIME
 from .state import ControllerState
 
-__all__ = [
-    "MAIN_VOLTAGE",
-    "OUTPUT_VALUES",
-    "ROBOT_VOLTAGE",
-    "UPTIME",
-    "execution_time",
-    "robot_current",
-    "write_inputs",
-]
-
 #: s that `timestamp` begins with.
 UPTIME = 45.0
 #: V, of the controller's supply and of the robot's.

@@ -22,8 +22,6 @@ from .ports.port import Port, PortReceiver, ReadOnlyReceiver
 from .programs.loader import ProgramLoader
 from .state import ControllerState
 
-__all__ = ["Server"]
-
 #: Seconds after which a packet is not sent any more. Until then a client gets every cycle. Older packets would only
 #: delay the next ones, on a machine that is too slow for all of its controllers.
 LATEST = 1.0

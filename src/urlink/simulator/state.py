@@ -28,8 +28,6 @@ from .robot.surroundings import Surroundings
 if TYPE_CHECKING:
     from urlink.arm_file import ArmFile
 
-__all__ = ["ControllerState", "Counters", "StateOutbox", "StopCause", "firmware_for"]
-
 #: Bytes of messages in one cycle above which texts and popups are lost; a program could make thousands of them.
 MOST_MESSAGES = 1 << 14
 #: Flags of `set_flag` and `get_flag`: that their numbers go up to 31 is inferred (docs/protocols/urscript.md, Flags).

@@ -56,23 +56,6 @@ from .links import (
 from .streaming import LAST_PLACE, found_elsewhere, servo_cycle
 from .text import each, indented, integer, lines, number, quoted, vector
 
-__all__ = [
-    "BRAKING",
-    "BRAKING_FACTOR",
-    "CUT",
-    "FINE",
-    "MOVING",
-    "OPEN",
-    "PACING",
-    "POINT",
-    "REPORTED",
-    "RESTING",
-    "STRAY",
-    "WORD",
-    "PointRegisters",
-    "buffering",
-]
-
 #: Numbers of a word without its date, and of a report.
 WORD, REPORTED = 23, 6
 #: What to do, beside `STOP` and `WAIT`: keep a point, or replace what comes after a place.

@@ -24,26 +24,6 @@ from urlink.firmware import Firmware
 
 from .text import boolean, integer, number, pose, quoted, vector
 
-__all__ = [
-    "BAUD_RATES",
-    "CONFIGURABLE",
-    "PARITIES",
-    "STANDARD",
-    "TOOL",
-    "DigitalBank",
-    "analog_out",
-    "digital_out",
-    "flag",
-    "gravity",
-    "payload",
-    "popup",
-    "secondary",
-    "speed_slider",
-    "tcp",
-    "tool_communication",
-    "tool_voltage",
-]
-
 #: Bd; those of the tool's serial line.
 BAUD_RATES = (9600, 19200, 38400, 57600, 115200, 1_000_000, 2_000_000, 5_000_000)
 

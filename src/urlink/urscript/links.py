@@ -33,24 +33,6 @@ from typing import NamedTuple
 from ..firmware import Firmware
 from .text import each, indented, integer, lines, number, quoted
 
-__all__ = [
-    "FOLLOW",
-    "LINK_ENDED",
-    "NO_CONNECTION",
-    "SCALE",
-    "STARVED",
-    "STOP",
-    "TOKENS",
-    "TOO_FAR",
-    "WAIT",
-    "InputRegisters",
-    "ReverseSocket",
-    "introduction",
-    "missable",
-    "over_registers",
-    "word_loop",
-]
-
 #: How many tokens there are: what a signed 32-bit integer holds.
 TOKENS = 1 << 31
 #: Factor between rad or rad/s and the integers of a word.

@@ -8,19 +8,6 @@ from collections.abc import Sequence
 from ..firmware import Firmware
 from .text import number, pose, quoted, vector
 
-__all__ = [
-    "interpreter_mode",
-    "move_circular",
-    "move_joints",
-    "move_linear",
-    "segment",
-    "segment_of",
-    "speed_joints",
-    "speed_linear",
-    "stop",
-    "takes_duration",
-]
-
 _SEGMENT = "urlink: segment "
 
 

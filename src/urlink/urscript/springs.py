@@ -20,8 +20,6 @@ from ..firmware import Firmware
 from .links import InputRegisters, ReverseSocket, missable, word_loop
 from .text import indented, number, vector
 
-__all__ = ["GAINS", "LOOSE", "MARGIN", "POSTURE", "TOP", "Springs", "ToolSprings", "admittance", "impedance"]
-
 #: What to do, beside `STOP`, `FOLLOW` and `WAIT`: take gains, or a posture.
 GAINS, POSTURE = -1, -2
 #: The part of its largest speed at which a joint begins to be braked, and that with which the aim moves at most.

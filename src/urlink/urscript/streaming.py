@@ -14,8 +14,6 @@ from .links import InputRegisters, ReverseSocket, missable, word_loop
 from .programs import takes_duration
 from .text import each, indented, lines, number
 
-__all__ = ["COASTING", "LAST_PLACE", "found_elsewhere", "jogging", "servo_cycle", "streaming"]
-
 #: Seconds for which the streaming program goes on by itself, whatever its watchdog lets it. Chosen: the default
 #: watchdog. Longer, an arm would be led a good way past the end of a movement by a computer that is too busy.
 COASTING = 0.1

@@ -15,20 +15,6 @@ from typing import Any
 from linkcore.arguments import check_number
 from linkcore.errors import BadValue
 
-__all__ = [
-    "boolean",
-    "each",
-    "identifier",
-    "indented",
-    "integer",
-    "lines",
-    "number",
-    "numbers",
-    "pose",
-    "quoted",
-    "vector",
-]
-
 #: Digits after the point: a quantity is carried to 1e-10.
 _DIGITS = 10
 #: No quantity of an arm comes near.

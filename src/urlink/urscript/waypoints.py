@@ -16,8 +16,6 @@ from .links import LINK_ENDED, NO_CONNECTION, STARVED, TOO_FAR, introduction
 from .streaming import LAST_PLACE, found_elsewhere, servo_cycle
 from .text import each, indented, integer, lines, number, quoted
 
-__all__ = ["ARRIVED", "BEAT", "FADING", "HELD", "NO_MORE", "interpolating", "numbers_of_point"]
-
 #: Lines of the program that are not the number of a point.
 BEAT, ARRIVED, HELD = -1, -2, -3
 #: The number of the answer after the last waypoint.

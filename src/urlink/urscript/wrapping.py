@@ -34,18 +34,6 @@ from linkcore.wire.fields import Since
 from ..firmware import Firmware
 from .text import identifier, quoted
 
-__all__ = [
-    "Permission",
-    "StartPlace",
-    "Wrapped",
-    "expiry_marker",
-    "finish_marker",
-    "grant",
-    "program",
-    "start_marker",
-    "wrap",
-]
-
 #: The first firmwares with the upper range of registers, 24 to 47.
 _HAS_REGISTERS = Since("3.9/5.3")
 #: Bytes. What the controller takes at most is not known; the largest public driver program has some 60 kB.

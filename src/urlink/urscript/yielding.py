@@ -18,8 +18,6 @@ from ..firmware import Firmware
 from .links import InputRegisters, ReverseSocket, missable, word_loop
 from .text import each, lines, number, pose, quoted, vector
 
-__all__ = ["CONTACT", "NO_CONTACT", "contact_of", "force_mode", "freedrive", "torque", "until_contact"]
-
 #: The messages of a movement to a contact at its end; the first is followed by the joint positions.
 CONTACT = "urlink: contact "
 NO_CONTACT = "urlink: no contact"

@@ -24,8 +24,6 @@ from .windows import SPAN, LiveWindow, RecordedWindow, Window
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-__all__ = ["ArmView"]
-
 _ARM, _TARGET, _TRAIL, _FORCE = (205, 210, 216), (224, 122, 31), (224, 122, 31), (210, 40, 60)
 _CURVES = ("#4a7fc0", "#e07a1f", "#3f9c5a", "#b5495b", "#7d5fb2", "#8a7248")
 #: m of the arrow for each newton, and newtons below which there is none: a simulated or idle sensor shows some.

@@ -17,8 +17,6 @@ from ..poses import rotvec_to_quaternion, rpy_to_rotvec
 from ..urdf import LINKS, link_poses, to_urdf
 from ..vectors import FloatArray
 
-__all__ = ["Bodies"]
-
 #: Link of a URDF -> the frame of ours in which it is drawn. The vendor's base link for bodies is the controller's base.
 _FRAMES = {"base_link_inertia": "base_link", **{name: name for name in ("base_link", *LINKS, "tool0")}}
 _JOINTS_COLOUR = (93, 138, 168)

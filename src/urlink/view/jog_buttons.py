@@ -10,8 +10,6 @@ from linkcore.errors import LinkError
 
 from ..motion.jog import FULL_SPEED, FrameName, Jog
 
-__all__ = ["JogButtons"]
-
 #: Messages a second while a button is held, and seconds after which the speed of one expires.
 _RATE, _EXPIRY = 20.0, 0.25
 _NAMES = {

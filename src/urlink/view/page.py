@@ -23,8 +23,6 @@ from linkcore.net.listener import bound_socket
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-__all__ = ["LOOPBACK", "Page", "refusal"]
-
 #: The names of this computer for itself.
 LOOPBACK = frozenset({"127.0.0.1", "localhost", "::1"})
 #: Pages that may show this one within theirs: notebooks of this computer. Others could have a person press its buttons.

@@ -17,8 +17,6 @@ from linkcore.streaming.stream import Stream
 from ..interfaces.realtime.packets import RealtimeState
 from ..vectors import FloatArray
 
-__all__ = ["SPAN", "LiveWindow", "RecordedWindow", "Window"]
-
 #: What is shown -> its names on the real-time interface and in RTDE.
 FIELDS: Mapping[str, tuple[str, ...]] = {
     "q": ("q_actual", "actual_q"),

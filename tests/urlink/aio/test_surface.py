@@ -18,9 +18,9 @@ from linkcore.aio.async_stream import AsyncFeed
 from urlink.aio import parts
 from urlink.aio.async_group import AsyncGroup, AsyncGroupStream
 from urlink.aio.awaited import AwaitedPart
-from urlink.group import GroupStream
 from urlink.interfaces.gripper.client import Gripper
 from urlink.interfaces.tool_serial import ToolSerial
+from urlink.motion.group_motion import GroupStream
 
 ROOT = Path(__file__).parents[3]
 
@@ -156,7 +156,7 @@ from typing import Any, TypeVar
 import urlink
 from urlink.aio import parts
 from urlink.aio.async_group import AsyncGroup, AsyncGroupStream
-from urlink.group import GroupStream
+from urlink.motion.group_motion import GroupStream
 
 T = TypeVar("T")
 

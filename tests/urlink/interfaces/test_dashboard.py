@@ -28,8 +28,8 @@ from linkcore.errors import (
 )
 from tests.fakes.dashboard import FIRMWARES, TIMEOUT, ScriptedDashboard, play, protective_stop, stepped, wait
 from urlink.firmware import Firmware
-from urlink.interfaces.dashboard.client import Dashboard, DashboardRefused
-from urlink.interfaces.dashboard.commands import COMMANDS, NOT_IN_REMOTE_CONTROL
+from urlink.interfaces.dashboard.client import Dashboard
+from urlink.interfaces.dashboard.commands import COMMANDS, NOT_IN_REMOTE_CONTROL, DashboardRefused
 from urlink.interfaces.dashboard.protocol import ProgramStatus, SavedProgram
 from urlink.interfaces.enums import ProgramState, RobotMode, RobotModeCB2, SafetyMode
 from urlink.simulator import Controller

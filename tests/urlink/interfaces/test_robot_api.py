@@ -20,7 +20,8 @@ from linkcore.net.http_client import HttpClient
 from linkcore.wire.http import HttpParser, HttpRequest, HttpResponse
 from tests.waiting import until
 from urlink.firmware import Firmware
-from urlink.interfaces.dashboard.client import Dashboard, DashboardRefused
+from urlink.interfaces.dashboard.client import Dashboard
+from urlink.interfaces.dashboard.commands import DashboardRefused
 from urlink.interfaces.dashboard.protocol import ProgramStatus
 from urlink.interfaces.dashboard.robot_api import BASE, REQUESTS, RobotApi
 from urlink.interfaces.dashboard.stored_programs import StoredProgram, encode_form, parse_form, parse_programs

@@ -11,8 +11,6 @@ from collections.abc import Sequence
 from ..arithmetic import cosine, divide, normalize_angle, sign, sine, truncate
 from .control import ControlledMotion, DriveKind, MotionControl, limited, ramped, root
 
-__all__ = ["Align", "FollowDirection", "Forward", "FunctionGenerator", "Stop", "Wheels"]
-
 
 class Stop(ControlledMotion):
     """`stop`: hold the heading of the target."""

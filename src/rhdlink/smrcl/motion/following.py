@@ -8,8 +8,6 @@ from ..arithmetic import cosine, divide, normalize_angle, sine
 from ..odometry import Pose
 from .control import ControlledMotion, MotionControl, limited
 
-__all__ = ["FollowLine", "FollowWall", "FollowWallTable"]
-
 
 class FollowLine(ControlledMotion):
     """`followline`: steer towards the line; without one go on as before, and stand after `no_line_distance`."""

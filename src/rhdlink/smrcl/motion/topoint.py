@@ -18,8 +18,6 @@ from .basic import FollowDirection, Forward
 from .control import ControlledMotion, MotionControl
 from .turning import ArcTurn
 
-__all__ = ["ArcPath", "DriveToPoint", "NoWay"]
-
 #: m, or rad, below which something is nothing while paths are made, and while they are compared.
 _EXACT, _NEGLIGIBLE = 1e-6, 1e-3
 

@@ -7,8 +7,6 @@ import math
 from ..arithmetic import NAN, cosine, divide, normalize_angle, power, sign, sine
 from .control import ControlledMotion, DriveKind, MotionControl, limited, ramped, root
 
-__all__ = ["ArcTurn", "Clothoid", "Turn"]
-
 #: m of radius below which the turn rate of a velocity-omega robot no longer grows.
 _LEAST_RADIUS = 0.1
 #: Half the distance between the wheels that MRC's clothoids are made for, m, and their period, s.

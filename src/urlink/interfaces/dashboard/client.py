@@ -48,8 +48,6 @@ from .stored_programs import StoredProgram
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-__all__ = ["Dashboard", "DashboardRefused"]
-
 #: Seconds between two looks at the robot mode while it starts.
 _POLL = 0.2
 #: Seconds within which an arm no longer runs after the command to switch off.

@@ -27,18 +27,6 @@ from linkcore.wire.fields import Version
 
 from ..headers import DASHBOARD_GREETING
 
-__all__ = [
-    "COMMANDS",
-    "COULD_NOT_UNDERSTAND",
-    "GREETING",
-    "NOT_IN_REMOTE_CONTROL",
-    "DashboardCommand",
-    "DashboardRefused",
-    "FlightReport",
-    "OperationalMode",
-    "UserRole",
-]
-
 
 class DashboardRefused(RemoteError):
     """The controller did not carry out a command, or its answer is not one that confirms it.

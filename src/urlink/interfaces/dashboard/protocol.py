@@ -16,25 +16,6 @@ from ..enums import ProgramState, RobotMode, RobotModeCB2, SafetyMode
 from ..headers import DASHBOARD_GREETING
 from .commands import COMMANDS, DashboardCommand, OperationalMode, UserRole
 
-__all__ = [
-    "LONGEST_COMMAND",
-    "LONGEST_REPLY",
-    "DashboardProtocol",
-    "ProgramStatus",
-    "SavedProgram",
-    "command_line",
-    "encode_line",
-    "parse_is_program_saved",
-    "parse_loaded_program",
-    "parse_operational_mode",
-    "parse_program_state",
-    "parse_robot_mode",
-    "parse_safety_mode",
-    "parse_text",
-    "parse_truth",
-    "parse_user_role",
-]
-
 #: Bytes of a line, its end not counted. The limit of a controller is not known; paths and messages are shorter.
 LONGEST_COMMAND = 1024
 LONGEST_REPLY = 4096

@@ -30,8 +30,6 @@ from ...firmware import Firmware
 from .commands import DashboardRefused
 from .stored_programs import PROGRAMS, StoredProgram, encode_form, parse_programs, parse_uploaded
 
-__all__ = ["BASE", "REQUESTS", "ROBOT_API", "STORED_PROGRAMS", "ApiRequest", "RobotApi", "find"]
-
 #: Where it lies on the controller.
 BASE = "/universal-robots/robot-api"
 #: The first firmware that has it, and the first whose programs it lists and takes.

@@ -12,16 +12,6 @@ from typing import Any, NamedTuple
 
 from linkcore.errors import BadValue, PacketError
 
-__all__ = [
-    "PROGRAMS",
-    "StoredProgram",
-    "encode_form",
-    "parse_form",
-    "parse_programs",
-    "parse_uploaded",
-    "program_name",
-]
-
 #: Below `urlink.interfaces.dashboard.robot_api.BASE`.
 PROGRAMS = "/programs/v1/"
 

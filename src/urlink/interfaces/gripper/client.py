@@ -17,8 +17,6 @@ from linkcore.wire.fields import OpenInt
 from ...ports import service_of
 from .protocol import GripperProtocol, get_line, set_line, value_of
 
-__all__ = ["FAULTS", "Gripper", "GripperFault", "GripperStatus", "ObjectStatus"]
-
 #: Seconds between two looks at a gripper that moves.
 _POLL = 0.02
 #: m; how far the fingers of the 2F-85 open.

@@ -13,8 +13,6 @@ from collections.abc import Mapping
 
 from linkcore.errors import BadValue, LocalError, PacketError, WrongPeer
 
-__all__ = ["READABLE", "SETTLING", "WRITABLE", "GripperProtocol", "get_line", "set_line", "value_of"]
-
 #: Variables that can be set: name -> largest value.
 WRITABLE: Mapping[str, int] = {
     "ACT": 1,  # activate, or reset

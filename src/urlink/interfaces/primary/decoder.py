@@ -20,8 +20,6 @@ from ..enums import PackageType
 from .robot_message import MESSAGE_HEAD, MESSAGES, PACKAGES, OtherPackage, UnknownMessage, VersionMessage
 from .robot_state import SUB_PACKAGES, RobotState, SubPackage, UnknownSubPackage
 
-__all__ = ["PackageDecoder"]
-
 _HEAD = struct.Struct(">iB")
 _ROBOT_STATE, _ROBOT_MESSAGE = int(PackageType.ROBOT_STATE), int(PackageType.ROBOT_MESSAGE)
 _KNOWN_TYPES = frozenset(kind & 0xFF for kind in map(int, PackageType))

@@ -26,8 +26,6 @@ from .decoder import PackageDecoder
 from .robot_message import MESSAGE_HEAD, MESSAGES, VersionMessage
 from .robot_state import RobotModeData
 
-__all__ = ["STATE_PERIODS", "PackageBoundary", "PrimaryProtocol"]
-
 _log = logging.getLogger(__name__)
 
 #: Seconds between two robot states.

@@ -14,27 +14,6 @@ from linkcore.wire.packet import State, Vector, packet, wire
 from ..enums import MessageSource, MessageType, PackageType, ReportDataType, ReportLevel, RequestedType, SafetyMode
 from ..headers import PACKAGE
 
-__all__ = [
-    "MESSAGES",
-    "MESSAGE_HEAD",
-    "PACKAGES",
-    "KeyMessage",
-    "OtherPackage",
-    "PopupMessage",
-    "ProgramLabelMessage",
-    "ProgramStateMessage",
-    "RequestValueMessage",
-    "RobotCommMessage",
-    "RobotMessage",
-    "RuntimeExceptionMessage",
-    "SafetyComplianceTolerances",
-    "SafetyModeMessage",
-    "TextMessage",
-    "UnknownMessage",
-    "UnnamedMessage12",
-    "VersionMessage",
-]
-
 _Bool = Coded(Int8ub, bool)
 
 #: Bytes of the common header of robot messages: size, type, timestamp, source, message type.

@@ -45,28 +45,6 @@ from ..headers import PACKAGE
 if TYPE_CHECKING:
     from linkcore.wire.schema import Row
 
-__all__ = [
-    "SUB_PACKAGES",
-    "AdditionalInfo",
-    "CalibrationData",
-    "CartesianInfo",
-    "ConfigurationData",
-    "ForceModeData",
-    "JointData",
-    "KinematicsInfo",
-    "LaserPointer",
-    "MasterboardData",
-    "RobotModeData",
-    "RobotState",
-    "SafetyData",
-    "SingularityInfo",
-    "SubPackage",
-    "ToolCommunicationInfo",
-    "ToolData",
-    "ToolModeInfo",
-    "UnknownSubPackage",
-]
-
 _Bool = Coded(Int8ub, bool)
 _Domain = Coded(Int8ub, AnalogDomain)
 

@@ -12,8 +12,6 @@ from linkcore.wire.packet import State, Vector, packet, wire
 from ..enums import JointMode, ProgramState, RobotMode, RobotModeCB2, SafetyMode
 from ..headers import REALTIME
 
-__all__ = ["RealtimeState"]
-
 # CB2 and later controllers share the offsets up to 396 and from 684 on, and order what is between differently. No byte
 # shows which order it is, only the length: up to 812 bytes it is this one.
 _CB2_ORDER = [

@@ -22,8 +22,6 @@ from ..enums import PackageType
 from ..headers import REALTIME_INTERFACE, REALTIME_SIZES, interface_of
 from .packets import RealtimeState
 
-__all__ = ["RealtimeBoundary", "RealtimeProtocol", "periods_of"]
-
 # Two zero bytes, then a size of 4 + 8k below 4096.
 _SIZE = re.compile(
     rb"\x00\x00[\x01-\x0f][\x04\x0c\x14\x1c\x24\x2c\x34\x3c\x44\x4c\x54\x5c\x64\x6c\x74\x7c"

@@ -12,8 +12,6 @@ from types import MappingProxyType
 
 from ..headers import interface_of
 
-__all__ = ["LONGEST_NAMES", "REPLY_SIZES", "REQUEST_SIZES", "RtdeBoundary"]
-
 #: Bytes of names in one request (vendor's guide).
 LONGEST_NAMES = 2048
 

@@ -20,32 +20,6 @@ from linkcore.wire.packet import State, packet, wire
 
 from .variables import IN_USE, NOT_FOUND
 
-__all__ = [
-    "HEADER",
-    "REPLIES",
-    "REQUESTS",
-    "ControllerVersionReply",
-    "ControllerVersionRequest",
-    "DataPackage",
-    "InputsReply",
-    "InputsRequest",
-    "MessageLevel",
-    "OutputsReply",
-    "OutputsRequest",
-    "PauseReply",
-    "PauseRequest",
-    "Protocol",
-    "ProtocolReply",
-    "ProtocolRequest",
-    "RtdeMessage",
-    "StartReply",
-    "StartRequest",
-    "decode_reply",
-    "decode_request",
-    "join_names",
-    "split_names",
-]
-
 #: The versions of the protocol. 1 holds until 2 has been asked for and accepted.
 Protocol = Literal[1, 2]
 

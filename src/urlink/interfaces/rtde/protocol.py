@@ -46,18 +46,6 @@ from .packets import (
 from .recipes import DATA_TYPE, Outputs, Recipe
 from .variables import IN_USE, INPUTS, NOT_FOUND, OUTPUTS, TYPES
 
-__all__ = [
-    "CLOCK",
-    "InputInUse",
-    "NoSuchVariable",
-    "Requests",
-    "RtdeProtocol",
-    "RtdeRefused",
-    "check_names",
-    "claim_of",
-    "package_periods",
-]
-
 _log = logging.getLogger(__name__)
 
 #: The output that is the controller's clock, s.

@@ -21,8 +21,6 @@ from .variables import OUTPUTS, TYPES, Variable, shape_of
 if TYPE_CHECKING:
     from linkcore.clock import Stamp
 
-__all__ = ["DATA_HEADER", "DATA_TYPE", "MOST_RECIPES", "Outputs", "Recipe"]
-
 #: Input recipes of one client; number 0 says that a request was refused.
 MOST_RECIPES = 255
 

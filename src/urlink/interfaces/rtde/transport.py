@@ -15,8 +15,6 @@ from linkcore.net.transport import Transport
 from .packets import DataPackage
 from .protocol import Requests, RtdeProtocol
 
-__all__ = ["RtdeDialogue", "RtdeTransport"]
-
 
 class RtdeDialogue:
     """What is sent and received as a connection begins, until the first data package, sans-IO.

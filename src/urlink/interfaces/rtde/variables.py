@@ -17,8 +17,6 @@ from linkcore.wire.fields import Coded, Float64b, Int8ub, Int32sb, Int32ub, Int6
 from ...firmware import Firmware
 from .. import enums
 
-__all__ = ["INPUTS", "IN_USE", "NOT_FOUND", "OUTPUTS", "TYPES", "Evidence", "Variable", "shape_of"]
-
 #: What a controller answers in place of a type: it has no such variable, or another client holds the input.
 NOT_FOUND, IN_USE = "NOT_FOUND", "IN_USE"
 

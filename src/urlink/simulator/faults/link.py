@@ -13,8 +13,6 @@ from itertools import cycle
 from ...ports import PORTS, interface
 from ..ports.port import package
 
-__all__ = ["LinkFaults", "Segmenter", "with_garbage_inside", "with_sub_package", "with_tail", "with_tails"]
-
 #: How many pieces of garbage wait for the next packet of a port; the newest ones.
 _WAITING = 16
 

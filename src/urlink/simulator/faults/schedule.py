@@ -15,8 +15,6 @@ from urlink.models import Model
 from ..state import firmware_for
 from .faults import Faults, checked_seconds, checked_sizes, port_names, request_byte, type_byte
 
-__all__ = ["FAULTS", "FaultSchedule", "ScheduledFault", "checked", "parse_fault"]
-
 _log = logging.getLogger("urlink.simulator")
 
 

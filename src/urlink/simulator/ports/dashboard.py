@@ -33,8 +33,6 @@ from ..robot.modes import StopState
 from ..state import ControllerState
 from .port import AnsweringPort, LineReceiver, PortClient
 
-__all__ = ["DashboardPort"]
-
 #: Seconds for which a protective stop cannot be unlocked.
 UNLOCK_AFTER = 5.0
 #: Lines that the log keeps.

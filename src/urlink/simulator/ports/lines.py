@@ -20,9 +20,6 @@ from ..state import ControllerState
 from ..urscript.statements import StatementQueue, StatementReply
 from .port import AnsweringPort, LineReceiver, PortClient, PortReceiver
 
-__all__ = ["Device", "GripperPort", "InterpreterPort", "SerialLinePort"]
-
-
 SINCE = Since("5.10")
 
 

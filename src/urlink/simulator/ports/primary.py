@@ -21,8 +21,6 @@ from ..rtde_variables import ROBOT_VOLTAGE, robot_current
 from ..state import ControllerState
 from .port import Fields, Form, PortClient, ScriptReceiver, package
 
-__all__ = ["PrimaryPort", "SecondaryPort", "StatePackages"]
-
 #: Robot states a second.
 STATE_RATE = 10
 

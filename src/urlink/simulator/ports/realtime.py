@@ -11,8 +11,6 @@ from ..rtde_variables import MAIN_VOLTAGE, ROBOT_VOLTAGE, execution_time, robot_
 from ..state import ControllerState
 from .port import Fields, Form, PortClient, ScriptReceiver
 
-__all__ = ["RealtimePort"]
-
 
 class RealtimePort:
     """The real-time interface of one controller.

@@ -27,8 +27,6 @@ from ..state import ControllerState
 from .dashboard import DashboardPort
 from .port import AnsweringPort, PortClient, PortReceiver
 
-__all__ = ["RobotApiPort"]
-
 _REASONS = {
     200: "OK",
     400: "Bad Request",

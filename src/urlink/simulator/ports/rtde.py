@@ -57,8 +57,6 @@ from ..rtde_variables import OUTPUT_VALUES, write_inputs
 from ..state import ControllerState
 from .port import Form, PortClient
 
-__all__ = ["Disturbance", "RtdePort", "RtdeSession"]
-
 _log = logging.getLogger("urlink.simulator")
 
 #: The first firmware with RTDE. Sources say 3.2 to 3.4; 3.3 is that of the oldest variables.

@@ -27,8 +27,6 @@ from ..state import ControllerState
 from ..urscript import ProgramError, Script, compile_script
 from .runner import ProgramRunner
 
-__all__ = ["LineAssembler", "ProgramLoader", "ProgramQueue", "obey"]
-
 _log = logging.getLogger("urlink.simulator")
 
 #: Characters of a program; a longer one is discarded, up to its `end`. The compiler's limit is lower.

@@ -16,8 +16,6 @@ from ..state import ControllerState
 from ..urscript import ProgramError, compile_script
 from .runner import ProgramRunner
 
-__all__ = ["Pendant"]
-
 _log = logging.getLogger("urlink.simulator")
 
 

@@ -25,8 +25,6 @@ from ..urscript.machine import StatementCode
 from ..urscript.statements import StatementQueue
 from .program_world import ProgramWorld, Route
 
-__all__ = ["ProgramRunner", "RunningProgram"]
-
 #: Secondary programs that run at once; others wait. Nearly all of them end within a cycle.
 MOST_SECONDARY = 32
 #: Characters of the secondary programs that wait.

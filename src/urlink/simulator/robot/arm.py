@@ -24,8 +24,6 @@ from .surroundings import ForceSensor, Surroundings
 if TYPE_CHECKING:
     from urlink.arm_file import ArmFile
 
-__all__ = ["SimulatedArm", "braking_time"]
-
 _ZERO = [0.0] * 6
 
 

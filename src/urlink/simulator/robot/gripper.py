@@ -14,8 +14,6 @@ from collections.abc import Callable, Sequence
 from linkcore.errors import BadValue
 from urlink.interfaces.gripper.protocol import READABLE, WRITABLE
 
-__all__ = ["SimulatedGripper"]
-
 #: m between the open fingers.
 STROKE = 0.085
 #: Counts a second at speed 0 and 255.

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from .gripper import SimulatedGripper
 
-__all__ = ["ModbusGripper", "crc"]
-
 #: Its address; the first register of what is written and of what is read; how many of each.
 _SLAVE, _TOLD, _TELLS, _COUNT = 9, 0x03E8, 0x07D0, 3
 _READ_HOLDING, _READ_INPUT, _WRITE_ONE, _WRITE = 0x03, 0x04, 0x06, 0x10

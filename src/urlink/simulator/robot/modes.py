@@ -28,8 +28,6 @@ from urlink.interfaces.enums import (
     ToolMode,
 )
 
-__all__ = ["Modes", "Power", "StopState"]
-
 
 class Power(enum.Enum):
     """How far the arm is powered."""

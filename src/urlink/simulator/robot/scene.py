@@ -16,8 +16,6 @@ from linkcore.errors import BadValue, LocalError
 
 from .sources import Setpoint
 
-__all__ = ["Reaction", "Scene", "open_scene"]
-
 #: The group of entry points in which a distribution names what opens a scene, by the ending of its file.
 _GROUP = "urlink.scenes"
 #: The adapters of this project: ending -> distribution.

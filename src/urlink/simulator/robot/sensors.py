@@ -34,8 +34,6 @@ from urlink.rigid import FLOATS, IDENTITY, Rigid, from_pose, product, to_pose
 from .robot_parameters import AMBIENT, JOINT_VOLTAGE, STEPS, TEMPERATURE_RISE, WARMING, SensorParameters
 from .sources import Setpoint
 
-__all__ = ["Sample", "Sensors"]
-
 _ZERO = [0.0] * 6
 # Random numbers are drawn once and then read in turn; with a prime length the channels do not repeat together.
 _NOISE_LENGTH = 8191

@@ -13,8 +13,6 @@ from typing import NamedTuple
 
 from linkcore.errors import BadValue
 
-__all__ = ["KINDS", "READ_AND_WRITE", "ModbusSignal", "ModbusSignals", "Signals", "ToolCommunication", "Value"]
-
 
 class ToolCommunication(NamedTuple):
     """The serial line through the tool connector. The initial values are those of the captures: not enabled.

@@ -12,8 +12,6 @@ from typing import NamedTuple, Protocol
 from linkcore.errors import BadValue
 from urlink.parameters import number
 
-__all__ = ["BRAKING", "HOME", "Demonstration", "Setpoint", "SetpointSource", "Still"]
-
 #: rad. Elbow up, tool pointing down, in the middle of the workspace: far from the joint limits and from every singular
 #: posture of every model. On a UR5e or a larger arm, circles of 0.25 m radius that begin here to either side,
 #: horizontal or upright, pass none either.

@@ -78,8 +78,6 @@ from .syntax import (
 from .tokens import SourceText
 from .values import NUMBERS, UNSET, MemberName
 
-__all__ = ["compile_script"]
-
 # Functions that a statement may call without brackets.
 _BARE = ("enter_critical", "exit_critical")
 # Undefined variable -> function that an assignment to its element calls. Not in the manuals as far as they are

@@ -17,28 +17,6 @@ from __future__ import annotations
 
 from ...firmware import Firmware
 
-__all__ = [
-    "ANOTHER_THREAD",
-    "MAX_CALL_DEPTH",
-    "MAX_ELEMENTS",
-    "MAX_INSTRUCTIONS",
-    "MAX_INTEGER",
-    "MAX_MEMORY",
-    "MAX_NESTING",
-    "MAX_PARAMETERS",
-    "MAX_STRING",
-    "MAX_STRUCTS",
-    "MAX_TEXT",
-    "MAX_THREADS",
-    "MAX_TOKENS",
-    "MAX_WORK",
-    "MIN_INTEGER",
-    "Fault",
-    "ProgramError",
-    "endless",
-    "type_error",
-]
-
 ANOTHER_THREAD = "Another thread is already controlling the robot"
 
 

@@ -11,27 +11,6 @@ from .machine import ENDED, GLOBALS, THREAD, Code, Frame, Instruction, ScriptThr
 from .operations import Function
 from .values import NUMBERS, UNSET
 
-__all__ = [
-    "Label",
-    "await_builtin",
-    "branch",
-    "call",
-    "enter_interpreter",
-    "evaluate",
-    "halt",
-    "interpret",
-    "join",
-    "jump",
-    "jump_to_label",
-    "kill",
-    "leave",
-    "skip_if_set",
-    "spend",
-    "start",
-    "store",
-    "store_element",
-]
-
 # Copies of lists up to this length are not counted as work.
 _SHORT = 32
 

@@ -45,24 +45,6 @@ from .tokens import SourceText
 from .values import UNSET, weight
 from .world import BegunMove, ScriptWorld
 
-__all__ = [
-    "ENDED",
-    "FIRST",
-    "GLOBALS",
-    "SWITCHED",
-    "THREAD",
-    "WAITING",
-    "Code",
-    "Execution",
-    "Frame",
-    "Instruction",
-    "Machine",
-    "Script",
-    "ScriptThread",
-    "StatementCode",
-    "Waiting",
-]
-
 Frame = list[Any]
 Instruction = Callable[[Frame], int]
 

@@ -17,8 +17,6 @@ from linkcore.wire.fields import Since
 from .errors import MAX_ELEMENTS, Fault, type_error
 from .values import NUMBERS, Charge, add, checked, divide, modulo, multiply, subtract, type_name
 
-__all__ = ["HAS_MATRICES", "Matrix", "is_matrix", "on_matrices", "rows_of", "transposed"]
-
 #: The first releases that compute with matrices.
 HAS_MATRICES = Since("3.14/5.9")
 

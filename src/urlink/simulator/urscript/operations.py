@@ -18,34 +18,6 @@ from .machine import GLOBALS, THREAD, Frame
 from .matrices import is_matrix, on_matrices
 from .values import NUMBERS, UNSET, PoseValue
 
-__all__ = [
-    "Function",
-    "both",
-    "call",
-    "checked_truth",
-    "choice",
-    "constant",
-    "display",
-    "either",
-    "element",
-    "failing",
-    "global_element",
-    "global_variable",
-    "inverted",
-    "leaf_call",
-    "local_element",
-    "local_variable",
-    "member",
-    "operation",
-    "operation_by",
-    "placed",
-    "pose_display",
-    "signed",
-    "structure",
-    "temporary",
-    "truth",
-]
-
 Function = Callable[[Frame], Any]
 
 

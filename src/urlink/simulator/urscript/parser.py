@@ -78,8 +78,6 @@ from .syntax import (
 from .tokens import END, NAME, NUMBER, STRING, SourceText, tokens_of
 from .values import MemberName
 
-__all__ = ["parse"]
-
 # Highest precedence last.
 _LEVELS: list[frozenset[str]] = [
     frozenset({"or"}),

@@ -41,8 +41,6 @@ from .syntax import (
 )
 from .tokens import SourceText
 
-__all__ = ["Functions", "Names", "global_names", "leaf_size"]
-
 
 @dataclass
 class Names:

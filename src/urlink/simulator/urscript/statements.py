@@ -18,8 +18,6 @@ from typing import Generic, NamedTuple, TypeVar
 
 from .errors import ProgramError
 
-__all__ = ["LONGEST", "MOST", "StatementQueue", "StatementReply"]
-
 #: Statements that are kept, executed or not, until they are cleared.
 MOST = 1000
 #: Characters of a statement.

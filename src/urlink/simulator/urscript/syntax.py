@@ -6,39 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-__all__ = [
-    "Assign",
-    "Binary",
-    "Block",
-    "Break",
-    "Call",
-    "Constant",
-    "Continue",
-    "Declare",
-    "Definition",
-    "Evaluate",
-    "Expression",
-    "FunctionParameter",
-    "Halt",
-    "If",
-    "Index",
-    "Join",
-    "Kill",
-    "ListDisplay",
-    "Member",
-    "MethodCall",
-    "Name",
-    "Node",
-    "NodeLabel",
-    "PoseDisplay",
-    "Return",
-    "Scope",
-    "Statement",
-    "Unary",
-    "While",
-    "parts_of",
-]
-
 Scope = Literal["global", "local", "free"]
 
 

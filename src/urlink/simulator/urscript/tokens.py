@@ -15,8 +15,6 @@ from typing import NamedTuple
 
 from .errors import MAX_TEXT, MAX_TOKENS, ProgramError
 
-__all__ = ["END", "KEYWORDS", "NAME", "NUMBER", "STRING", "SourceText", "Tokens", "tokens_of"]
-
 #: Kinds of tokens; a keyword or mark is its own kind.
 NUMBER, NAME, STRING, END = "number", "name", "string", "end of text"
 

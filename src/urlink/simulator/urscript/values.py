@@ -27,35 +27,6 @@ from typing import Any
 
 from .errors import MAX_ELEMENTS, MAX_INTEGER, MAX_STRUCTS, MIN_INTEGER, Fault, type_error
 
-__all__ = [
-    "NUMBERS",
-    "UNSET",
-    "Charge",
-    "MemberName",
-    "PoseValue",
-    "RpcHandle",
-    "Struct",
-    "Unset",
-    "add",
-    "checked",
-    "compare",
-    "divide",
-    "element",
-    "equal",
-    "list_of",
-    "member",
-    "modulo",
-    "multiply",
-    "replaced",
-    "signed",
-    "struct_of",
-    "subtract",
-    "to_str",
-    "truth",
-    "type_name",
-    "weight",
-]
-
 NUMBERS: frozenset[Any] = frozenset({int, float})
 #: Called with the number of elements made.
 Charge = Callable[[int], None]

@@ -18,8 +18,6 @@ from ..registers import Action, RegisterBanks
 from ..robot.generator import ForceTask
 from ..robot.signals import ModbusSignals, Signals
 
-__all__ = ["BegunMove", "MotionCommands", "ScriptSockets", "ScriptWorld"]
-
 
 class BegunMove(Protocol):
     """A movement that was begun."""

@@ -25,8 +25,6 @@ from .compliance import Compliance, ForceTask, FreeJoints, free_tool
 from .joint_limits import JointLimits
 from .motion_generator import MotionGenerator
 
-__all__ = ["Drive"]
-
 _ALL = (True,) * 6
 
 

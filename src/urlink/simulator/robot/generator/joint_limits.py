@@ -17,8 +17,6 @@ from urlink.parameters import number
 
 from ..sources import Setpoint
 
-__all__ = ["JOINTS", "JointLimits", "LimitViolation", "Unreachable", "checked", "positive"]
-
 JOINTS = ("base", "shoulder", "elbow", "wrist 1", "wrist 2", "wrist 3")
 
 # Fraction by which a set-point may exceed the largest speed of a joint: rounding, and rough interpolation by clients.

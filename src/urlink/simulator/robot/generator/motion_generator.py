@@ -31,8 +31,6 @@ from .path_motion import Blend, JointPath, Move, Path, PathMotion, Profile, time
 from .streamed_motion import JointSpeed, ServoMotion, ToolSpeed, lag_of
 from .tool_paths import ToolPath
 
-__all__ = ["MotionGenerator"]
-
 _REST = [0.0] * 6
 # Scaling from which on servoj takes over the whole speed of the joints in its stretched time; below, a part of it.
 _TAKES_OVER = 0.1

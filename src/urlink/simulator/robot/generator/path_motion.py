@@ -16,8 +16,6 @@ from urlink.kinematics import Arm
 from ..sources import Setpoint
 from .joint_limits import JointLimits
 
-__all__ = ["Blend", "JointPath", "Move", "Path", "PathMotion", "Profile", "timed"]
-
 _REST = [0.0] * 6
 
 

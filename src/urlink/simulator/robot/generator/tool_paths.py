@@ -13,8 +13,6 @@ from urlink.parameters import number
 from ..sources import Setpoint
 from .joint_limits import JointLimits, LimitViolation, Unreachable
 
-__all__ = ["ToolPath", "joints_at", "setpoint_at"]
-
 #: m that count as much as a turn of 1 rad, at least, so that a tool which turns in place takes its time. A guess.
 RADIAN = number("metres_per_turn_simulated")
 

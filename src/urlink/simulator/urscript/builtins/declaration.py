@@ -17,22 +17,6 @@ from urlink.firmware import Firmware
 from ..errors import Fault, type_error
 from ..values import NUMBERS, PoseValue, type_name
 
-__all__ = [
-    "REQUIRED",
-    "Builtin",
-    "Family",
-    "boolean",
-    "integer",
-    "is_list",
-    "joints",
-    "number",
-    "numbers",
-    "pose",
-    "six",
-    "string",
-    "vector",
-]
-
 F = TypeVar("F", bound=Callable[..., Any])
 
 #: The default value of a parameter that must be given.

@@ -15,8 +15,6 @@ from ..values import to_str
 from .declaration import Family, boolean, number
 from .mathematics import made
 
-__all__ = ["FAMILY"]
-
 FAMILY = Family()
 
 

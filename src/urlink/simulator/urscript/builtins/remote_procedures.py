@@ -21,8 +21,6 @@ from ..machine import ScriptThread, Waiting
 from ..values import Charge, PoseValue, RpcHandle, Struct, checked, list_of, struct_of, type_name
 from .declaration import Family, string
 
-__all__ = ["FAMILY", "call_method", "parse_answer"]
-
 FAMILY = Family()
 
 #: Seconds that a call may take.
