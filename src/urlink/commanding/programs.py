@@ -287,8 +287,8 @@ class Programs:
 
     def close(self) -> None:
         """Cancel the motion that runs, begin nothing more, and follow programs no longer. Idempotent."""
-        self._is_closed = True
-        if self._kept is not None and self._mode is not None and self._mode.is_program_paused:
+        was_closed, self._is_closed = self._is_closed, True
+        if not was_closed and self._kept is not None and self._mode is not None and self._mode.is_program_paused:
             _log.warning("closed during a stop: the controller has %s paused, and may go on with it later", self._kept)
         newest = self._newest()
         if newest is not None and newest.is_motion:

@@ -419,6 +419,7 @@ def random_points(rng: np.random.Generator, count: int, q: FloatArray) -> list[T
 
 
 @pytest.mark.slow
+@pytest.mark.matrix
 @pytest.mark.parametrize("seed", range(1000 if os.environ.get("HYPOTHESIS_PROFILE") == "fuzz" else 8))
 def test_starved_at_every_point(seed: int) -> None:
     """At rest within the limits after each of them, and on with the next over the same link."""
