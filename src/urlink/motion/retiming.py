@@ -132,7 +132,7 @@ def _squares(
     """The square of the speed along the path at each place, as large as the limits allow."""
     count = len(ds)
     with np.errstate(divide="ignore"):
-        largest = np.concatenate([[0.0], ((speed / np.abs(before[1:])) ** 2).min(axis=1), [0.0]])
+        largest = np.pad(((speed / np.abs(before[1:])) ** 2).min(axis=1), 1)
     largest[rests] = 0.0
     bend = (after - before) / ds[:, np.newaxis]
     # Of each step the lines a x + b y <= c: joint accelerations at its beginning, and at its end.
@@ -141,7 +141,7 @@ def _squares(
     b = np.concatenate([ramp_before, -ramp_before, ramp_after + bend, -ramp_after - bend], axis=1)
     c = np.concatenate([acceleration] * 4, axis=1)
     reachable = largest.copy()
-    for i in range(count - 1, -1, -1):
+    for i in range(count - 1, 0, -1):
         reachable[i] = _largest(a[i], b[i], c[i], reachable[i + 1], largest[i])
     found = np.zeros(count + 1)
     for i in range(count):

@@ -354,7 +354,8 @@ class Trajectory:
             times[:, -1] = self.time[segments + 1]
             q, qd, qdd = self._curve(times)
             low, high = model.position_limits.T
-            self._refuse(model, times, q, "position", "rad", np.where(q < low, low, high), (q < low) | (q > high))
+            below, above = q < low, q > high
+            self._refuse(model, times, q, "position", "rad", np.where(below, low, high), below | above)
             for values, limit, name, unit in (
                 (qd, model.max_speed, "velocity", "rad/s"),
                 (qdd, model.max_acceleration, "acceleration", "rad/s²"),

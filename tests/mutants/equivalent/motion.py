@@ -137,6 +137,20 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "a time of zero is not outside",
     ),
     Equivalent(
+        "urlink/motion/trajectory.py",
+        "check",
+        "np.abs(values) > limit * (1.0 + _SLACK)",
+        "np.abs(values) >= limit * (1.0 + _SLACK)",
+        "rounding decides there, and the slack is for what rounding does",
+    ),
+    Equivalent(
+        "urlink/motion/retiming.py",
+        "retime",
+        "np.linalg.norm(np.diff(q, axis=0), axis=1) > _SHORTEST",
+        "np.linalg.norm(np.diff(q, axis=0), axis=1) >= _SHORTEST",
+        "a bound for places that are the same, which the distance of two floats does not meet exactly",
+    ),
+    Equivalent(
         "urlink/motion/retiming.py",
         "_peaks",
         "first * last < 0.0",

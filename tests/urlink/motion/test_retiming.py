@@ -145,14 +145,23 @@ def test_it_is_planned_anew_only_where_the_path_bends(end: float, rounds: int, m
     assert planned.count(len(retimed)) == rounds
 
 
-def test_two_steps_are_planned() -> None:
-    q = np.array([[0.0] * 6, [0.15] * 6, [0.3] * 6])
+@pytest.mark.parametrize("middle", [0.05, 0.15, 0.25])
+def test_two_steps_are_planned(middle: float) -> None:
+    """The shorter one takes all of the acceleration: from rest, or to rest."""
+    q = np.array([[0.0] * 6, [middle] * 6, [0.3] * 6])
     time, places, speeds = retime(
         q, np.array([[0.0] * 6, [1.0] * 6, [0.0] * 6]), np.full(6, 9.0), np.full(6, 2.0), 2e-4
     )
-    assert time[-1] == pytest.approx(2.0 * math.sqrt(0.3 / 2.0))
+    fastest = math.sqrt(2.0 * 2.0 * min(middle, 0.3 - middle))
+    assert time == pytest.approx([0.0, 2.0 * middle / fastest, 2.0 * 0.3 / fastest])
     assert len(places) == 3
-    assert speeds[1] == pytest.approx([math.sqrt(2.0 * 2.0 * 0.15)] * 6)
+    assert speeds[1] == pytest.approx([fastest] * 6)
+
+
+def test_the_places_that_are_far_enough_apart_are_kept() -> None:
+    assert retiming._spread(np.array([0.0, 1.0, 1.4, 2.5]), 1.0) == [0, 1, 3]
+    assert retiming._spread(np.array([0.0, 1.0, 2.0, 2.5]), 1.0) == [0, 1, 3]
+    assert retiming._spread(np.array([0.0, 0.4, 0.8]), 1.0) == [0, 2]
 
 
 def test_where_it_rests_it_rests() -> None:

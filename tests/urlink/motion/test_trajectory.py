@@ -128,8 +128,8 @@ def test_points_that_do_not_go_together() -> None:
 
 
 def test_stands_still_before_and_after() -> None:
-    trajectory = Trajectory.from_arrays([0, 1], [[0] * 6, [1] * 6], [[0.5] * 6, [0.5] * 6])
-    for t, q in ((-1.0, 0.0), (5.0, 1.0), (float("inf"), 1.0)):
+    trajectory = Trajectory.from_arrays([0, 0.5], [[0] * 6, [1] * 6], [[0.5] * 6, [0.5] * 6])
+    for t, q in ((-1.0, 0.0), (0.75, 1.0), (float("inf"), 1.0)):
         position, speed, acceleration = trajectory.at(t)
         assert position.tolist() == [q] * 6
         assert not speed.any()
