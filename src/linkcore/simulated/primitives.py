@@ -222,7 +222,7 @@ class SimpleQueue(_Waited):
         return True
 
     def qsize(self) -> int:
-        return len(self._items)
+        return 0 if self.empty() else len(self._items)
 
 
 _start, _join, _is_alive = threading.Thread.start, threading.Thread.join, threading.Thread.is_alive
