@@ -40,6 +40,7 @@ from urlink.motion.point_stream import PointStream
 from urlink.motion.servo import Servo
 from urlink.motion.teaching import Teaching
 from urlink.motion.torque import Torque
+from urlink.packets import VersionMessage
 from urlink.robot import Robot
 from urlink.rtde import Inputs, Registers, Rtde
 
@@ -352,6 +353,13 @@ def collector_off() -> Iterator[None]:
         gc.garbage.clear()
         gc.enable()
     assert not found, f"{found} objects in cycles: {kinds.most_common(12)}"
+
+
+def test_a_message_that_only_an_old_layout_holds_leaves_no_cycle() -> None:
+    """What a controller of 3.2 introduces itself with: its error by the newer layout would keep the caller's frames."""
+    data = bytes(VersionMessage("3.2", build_date="short"))
+    with collector_off():
+        assert VersionMessage.LAYOUTS.decode(data).build_date == "short"
 
 
 @pytest.mark.parametrize("name", CALLS)

@@ -13,7 +13,7 @@ from functools import partial
 from typing import Any, Protocol
 
 from ..clock import Stamp
-from ..errors import ConnectFailed, LinkTimeout, LocalError
+from ..errors import ConnectFailed, LinkTimeout, LocalError, unraised
 from ..event_loop import happened, within
 from .transport import TcpTransport, Transport
 
@@ -122,7 +122,7 @@ async def _connected(host: str, port: int, timeout: float) -> tuple[socket.socke
             await _connect(connection, address, max(left, 1e-3))
             round_trip = time.monotonic() - began
         except OSError as error:
-            failure = error
+            failure = unraised(error)
             connection.close()
         except BaseException:
             connection.close()

@@ -31,7 +31,7 @@ from collections.abc import Callable, Iterator
 from typing import Any, Protocol
 
 from ..clock import Stamp
-from ..errors import ConnectFailed, ConnectionLost, LinkTimeout, RemoteError
+from ..errors import ConnectFailed, ConnectionLost, LinkTimeout, RemoteError, unraised
 from ..pending_call import check_wanted
 
 if sys.platform == "linux":
@@ -377,7 +377,7 @@ def _connected(host: str, port: int, timeout: float) -> tuple[socket.socket, flo
             connection.connect(address)
             round_trip = time.monotonic() - began
         except OSError as error:
-            failure = error
+            failure = unraised(error)
             if connection is not None:
                 connection.close()
         except BaseException:

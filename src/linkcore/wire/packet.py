@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from ..errors import PacketError
+from ..errors import PacketError, unraised
 from .choice import Layouts
 from .fields import Field, Header, OpenInt, Raw, Shape, Since, Version, parse_version
 from .layout import Layout, indices, is_of_cells
@@ -346,7 +346,7 @@ class StateLayouts(Layouts[StateLayout]):
             try:
                 state = layout.decode(data, stamp)
             except PacketError as error:
-                failure = failure or error
+                failure = failure or unraised(error)  # whose traceback would refer to this frame
                 continue
             if all(bool(getattr(state, block)) == layout.has_block for block in self.blocks):
                 return state

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import gc
 import select
@@ -9,6 +10,7 @@ import socket
 import struct
 import threading
 import time
+import weakref
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -17,6 +19,7 @@ from hypothesis import strategies as st
 
 import linkcore.net.transport
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout, RemoteError
+from linkcore.net.awaited import AwaitedTcp
 from linkcore.net.transport import TcpTransport
 
 pytestmark = pytest.mark.real_time
@@ -194,6 +197,33 @@ def test_the_second_address_is_tried_when_the_first_refuses(peer: Peer, monkeypa
     peer.accept().sendall(b"hello")
     assert transport.receive()[0] == b"hello"
     transport.close()
+
+
+@pytest.mark.parametrize("kind", [TcpTransport, AwaitedTcp])
+def test_the_first_address_that_refused_leaves_no_cycle(
+    peer: Peer, monkeypatch: pytest.MonkeyPatch, kind: type[TcpTransport | AwaitedTcp]
+) -> None:
+    """Its error would refer to the frames of all callers, and so to their variables."""
+    answer = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", ("127.0.0.1", port)) for port in (unused_port(), peer.port)]
+    monkeypatch.setattr(socket, "getaddrinfo", lambda *args, **kwargs: answer)
+    held: list[weakref.ref[object]] = []
+
+    async def connect() -> None:
+        of_the_caller = threading.Event()
+        held.append(weakref.ref(of_the_caller))
+        transport = kind("robot", 30003, silence=1)
+        if isinstance(transport, AwaitedTcp):
+            await transport.connect(TIMEOUT)
+        else:
+            transport.open(TIMEOUT)
+        transport.close()
+
+    gc.disable()
+    try:
+        asyncio.run(connect())
+        assert held[0]() is None
+    finally:
+        gc.enable()
 
 
 def test_a_host_without_addresses(monkeypatch: pytest.MonkeyPatch) -> None:
