@@ -137,6 +137,20 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "a time of zero is not outside",
     ),
     Equivalent(
+        "urlink/motion/retiming.py",
+        None,
+        "1e-09",
+        "2e-09",
+        "a bound for places that are the same: no controller tells 2e-9 rad from 1e-9",
+    ),
+    Equivalent(
+        "urlink/motion/retiming.py",
+        None,
+        "1e-06",
+        "2e-06",
+        "a bound for rest: no joint is known to a millionth of the fastest speed",
+    ),
+    Equivalent(
         "urlink/motion/trajectory.py",
         "check",
         "np.abs(values) > limit * (1.0 + _SLACK)",
