@@ -6,6 +6,7 @@ import contextlib
 import fcntl
 import gc
 import importlib
+import logging
 import operator
 import os
 import queue
@@ -218,7 +219,11 @@ def simulated_time(
     try:
         yield Simulation(scheduler, network, here, sockets)
     finally:
+        # Which would call it critical that the threads of a pool are ended while they wait for work.
+        of_futures = logging.getLogger("concurrent.futures")
+        was_disabled, of_futures.disabled = of_futures.disabled, True
         scheduler.end()
+        of_futures.disabled = was_disabled
         install(None)
         put_back()
         # The interpreter joins those of pools as it exits, which is only for real threads.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import importlib
+import logging
 import os
 import queue
 import random
@@ -328,6 +329,18 @@ def test_a_pool_of_threads() -> None:
         futures = [pool.submit(slow, each) for each in (3, 1, 2)]
         assert [future.result() for future in futures] == [3, 1, 2]
         assert sim.now == pytest.approx(3.0, abs=1e-3)
+
+
+def test_a_pool_that_is_left_open_ends_without_a_word(caplog: pytest.LogCaptureFixture) -> None:
+    for calls in (0, 1):
+        with simulated_time():
+            pool = ThreadPoolExecutor(2)
+            assert pool.submit(slow, 1).result() == 1
+            left = [pool.submit(slow, 3600) for _ in range(calls)]
+            time.sleep(1.0)
+        assert [future.done() for future in left] == [True] * calls
+    assert caplog.text == ""
+    assert not logging.getLogger("concurrent.futures").disabled
 
 
 def test_a_timer_and_a_thread_of_another_class() -> None:
