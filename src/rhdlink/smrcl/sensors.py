@@ -17,9 +17,6 @@ from struct import Struct
 
 from .arithmetic import divide, truncate
 
-#: The infrared sensors, in the order of the robot's variable.
-IR_NAMES = ("left", "front left", "front middle", "front right", "right", "unused")
-
 #: m beyond which an infrared sensor sees nothing.
 _FARTHEST = 1.0
 
