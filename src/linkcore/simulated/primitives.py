@@ -1,7 +1,7 @@
-"""Locks, simple queues and threads of the standard library, on a scheduler.
+"""Locks, semaphores, simple queues and threads of the standard library, on a scheduler.
 
-Condition, Event, Semaphore, Barrier, Queue and futures are Python on top of these, so they need no counterpart here. A
-thread that takes no part, such as pytest's own, may use what is made here as well; it waits in real time.
+Condition, Event, Barrier, Queue and futures are Python on top of these, so they need no counterpart here. A thread that
+takes no part, such as pytest's own, may use what is made here as well; it waits in real time.
 """
 
 from __future__ import annotations
