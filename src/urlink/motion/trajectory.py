@@ -435,9 +435,9 @@ def _check_times(time: FloatArray) -> None:
         raise BadValue(f"point {int(np.argmax(bad))}: time is {time[bad][0]}; expected a finite number of seconds")
     if time[0] != 0.0:
         raise BadValue(f"point 0: time is {time[0]:g} s; a trajectory begins at 0, so subtract that from all times")
-    steps = np.diff(time)
-    if (steps < _CLOSEST).any():
-        after = int(np.argmax(steps < _CLOSEST)) + 1
+    is_close = np.diff(time) < _CLOSEST
+    if is_close.any():
+        after = int(np.argmax(is_close)) + 1
         raise BadValue(
             f"point {after}: time {time[after]:.9g} s after {time[after - 1]:.9g} s; times have to increase, by "
             f"{_CLOSEST:g} s at least"

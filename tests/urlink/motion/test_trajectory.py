@@ -132,6 +132,7 @@ def test_stands_still_before_and_after() -> None:
     for t, q in ((-1.0, 0.0), (0.75, 1.0), (float("inf"), 1.0)):
         position, speed, acceleration = trajectory.at(t)
         assert position.tolist() == [q] * 6
+        assert trajectory.at([t, 0.0])[0].tolist() == [[q] * 6, [0.0] * 6]
         assert not speed.any()
         assert not acceleration.any()
     with pytest.raises(BadValue):
