@@ -154,6 +154,7 @@ class Semaphore(threading.Semaphore):
 
     def release(self, n: int = 1) -> None:
         condition: Any = self._cond  # type: ignore[attr-defined]
+        # Who holds its lock may be about to wait.
         if n < 1 or current() is None or condition._waiters or condition._lock.locked():
             super().release(n)
         else:
@@ -173,7 +174,7 @@ def _from_outside(take: Any, blocking: bool, timeout: float) -> bool:
 class SimpleQueue(_Waited):
     """`queue.SimpleQueue`, in a step for each call.
 
-    To look once whether something is there is none: the threads of `concurrent.futures` do so from Python 3.12 on.
+    To find it empty once, without waiting, is no step: the threads of `concurrent.futures` do so from Python 3.12 on.
     """
 
     __class_getitem__: Any = classmethod(GenericAlias)
@@ -216,7 +217,7 @@ class SimpleQueue(_Waited):
             return False
         scheduler = current()
         if scheduler is not None:
-            if self._looked == scheduler.steps:  # nothing is done but to look
+            if self._looked == scheduler.steps:  # or a loop that does nothing but look would never end
                 scheduler.step()
             self._looked = scheduler.steps
         return True

@@ -219,7 +219,7 @@ def simulated_time(
     try:
         yield Simulation(scheduler, network, here, sockets)
     finally:
-        # Which would call it critical that the threads of a pool are ended while they wait for work.
+        # `concurrent.futures` would log as critical that the threads of a pool are ended while they wait for work.
         of_futures = logging.getLogger("concurrent.futures")
         was_disabled, of_futures.disabled = of_futures.disabled, True
         scheduler.end()

@@ -331,7 +331,7 @@ def test_a_pool_of_threads() -> None:
         assert sim.now == pytest.approx(3.0, abs=1e-3)
 
 
-def test_a_pool_that_is_left_open_ends_without_a_word(caplog: pytest.LogCaptureFixture) -> None:
+def test_nothing_is_logged_of_a_pool_that_is_left_open(caplog: pytest.LogCaptureFixture) -> None:
     for calls in (0, 1):
         with simulated_time():
             pool = ThreadPoolExecutor(2)
@@ -420,6 +420,28 @@ def test_who_only_looks_into_a_queue_lets_others_run() -> None:
                 assert news.get_nowait() == "second"
                 break
         assert 3e-4 < sim.now < 1e-2
+
+
+def test_a_semaphore_wakes_who_is_about_to_wait() -> None:
+    """It was released after that thread had found none left: by the seed, one of some seventy shows a lost wake-up."""
+
+    def program(sim: Simulation) -> int:
+        free, taken = threading.Semaphore(1), []
+
+        def take() -> None:
+            for _ in range(3):
+                with free:
+                    time.sleep(0)
+                    taken.append(sim.now)
+
+        threads = [threading.Thread(target=take) for _ in range(3)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()  # a deadlock, if it was not woken
+        return len(taken)
+
+    assert {outcome(seed, program)[0] for seed in range(200)} == {9}
 
 
 def test_semaphores() -> None:
