@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -18,15 +19,30 @@ def until(condition: Callable[[], object], seconds: float = 60.0) -> None:
 
 
 def interrupted(call: Callable[[], object], when: Callable[[], object] = lambda: True) -> None:
-    """Make a call that Ctrl-C has to interrupt; it comes 50 ms after the call has begun and `when` has become true."""
+    """Make a call that Ctrl-C has to interrupt; it comes 50 ms after the call waits and `when` has become true."""
+    main = threading.main_thread().ident or 0
+    begun: list[bool] = []
+    ended = threading.Event()
+
+    def begin() -> None:
+        begun.append(True)
+        call()
+
+    def waits() -> bool:
+        return bool(begun) and sys._current_frames()[main].f_globals["__name__"] == "threading"
 
     def interrupt() -> None:
+        until(lambda: waits() and when())
         time.sleep(0.05)
-        until(when)
-        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+        signal.pthread_kill(main, signal.SIGINT)
+        while not ended.wait(5.0):  # a signal that comes just before a system call does not end it
+            signal.pthread_kill(main, signal.SIGINT)
 
     thread = threading.Thread(target=interrupt)
     thread.start()
-    with pytest.raises(KeyboardInterrupt):
-        call()
-    thread.join(10)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            begin()
+    finally:
+        ended.set()
+        thread.join(10)
