@@ -20,7 +20,7 @@ from .smrcl.motion.control import ControlledMotion, MotionControl
 from .smrcl.motion.following import FollowLine, FollowWall
 from .smrcl.motion.topoint import DriveToPoint
 from .smrcl.motion.turning import ArcTurn, Turn
-from .smrcl.odometry import Pose as Place
+from .smrcl.odometry import PlanarPose
 from .smrcl.plan import Run
 from .smrcl.profile import Profile, find_profile
 from .smrcl.robot_conf import RobotConf
@@ -214,7 +214,7 @@ class Drive:
 
         It ends a few centimetres and degrees off, since nothing corrects it under way.
         """
-        goal = Place(_number("x", x), _number("y", y), math.radians(_number("heading", heading)))
+        goal = PlanarPose(_number("x", x), _number("y", y), math.radians(_number("heading", heading)))
         return self._begin("to", DriveToPoint(goal, _positive("radius", radius), is_absolute=True), speed)
 
     def along(self, x: float, y: float, direction: float, *, speed: float | None = None) -> Motion:

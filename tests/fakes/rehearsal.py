@@ -34,7 +34,7 @@ STOP, FOLLOW, WAIT = 0, 1, 2
 HOME = (0.0, -math.pi / 2, math.pi / 2, -math.pi / 2, -math.pi / 2, 0.0)
 
 
-class Inputs:
+class InputClaim:
     """RTDE inputs that were claimed: the packages of them that were written."""
 
     def __init__(self) -> None:
@@ -55,7 +55,7 @@ class Rehearsal(ScriptedController):
     ) -> None:
         super().__init__(firmware, model=model, **options)
         self.has_registers = link == "rtde"
-        self.inputs = Inputs()
+        self.inputs = InputClaim()
         reverse = ReversePort("127.0.0.1", port=port)
         self.motion = Motions(
             MotionContext(
@@ -122,7 +122,7 @@ class Rehearsal(ScriptedController):
         """Of its flange, which is its tool."""
         return _ARM.forward(self.q)
 
-    def _claim(self, names: tuple[str, ...]) -> Inputs:
+    def _claim(self, names: tuple[str, ...]) -> InputClaim:
         assert names == NAMES
         return self.inputs
 

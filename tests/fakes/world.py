@@ -12,7 +12,7 @@ from urlink.firmware import Firmware
 from urlink.kinematics import Arm
 from urlink.motors import Motors, motors_of
 from urlink.simulator.registers import Action, RegisterBanks
-from urlink.simulator.robot.generator import ForceTask, Unreachable
+from urlink.simulator.robot.generator import ForceTask, OutOfReach
 from urlink.simulator.robot.signals import ModbusSignals, Signals
 from urlink.simulator.robot.sources import HOME
 from urlink.simulator.urscript import Execution, compile_script
@@ -58,7 +58,7 @@ class NotedMotion:
 
     def movel(self, pose: Sequence[float], a: float, v: float, t: float, r: float) -> NotedMove:
         if pose[2] > 2.0:
-            raise Unreachable("out of reach")
+            raise OutOfReach("out of reach")
         return self._begin(4, f"movel {short(pose)} a={a:g} v={v:g} t={t:g} r={r:g}")
 
     def movep(self, pose: Sequence[float], a: float, v: float, r: float) -> NotedMove:

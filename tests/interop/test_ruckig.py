@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from urlink.motion.jerk_limited import JointLimit, Profile
+from urlink.motion.jerk_limited import JointLimit, JointProfile
 
 
 def their_duration(x: float, v: float, a: float, target: float, limit: JointLimit) -> float:
@@ -35,6 +35,6 @@ def test_as_fast_as_theirs_from_any_state() -> None:
         if abs(v + 0.5 * a * abs(a) / limit.jerk) > limit.speed:
             continue
         target = chosen.uniform(-2, 2) * chosen.choice((1, 0.1, 0.01))
-        ours = Profile(0.3, v, a, 0.3 + target, limit).duration
+        ours = JointProfile(0.3, v, a, 0.3 + target, limit).duration
         assert ours == pytest.approx(their_duration(0.3, v, a, 0.3 + target, limit), abs=1e-9)
         compared += 1

@@ -14,7 +14,7 @@ from .motion.control import Standing
 from .motion.following import FollowLine, FollowWall, FollowWallTable
 from .motion.topoint import DriveToPoint
 from .motion.turning import ArcTurn, Clothoid, Turn
-from .odometry import Pose
+from .odometry import PlanarPose
 from .plan import Outcome
 from .sensors import LineKind
 
@@ -76,7 +76,7 @@ def drive_to_point(
     effects: MissionEffects, x: float, y: float, th: float, radius: float, frame: object = None
 ) -> Outcome:
     """`drivetopoint`: to a pose by arcs of a radius and a straight line."""
-    goal = Pose(x, y, _radians(th, None))
+    goal = PlanarPose(x, y, _radians(th, None))
     return effects.move(DriveToPoint(goal, radius, is_absolute=frame == "abs"))
 
 
@@ -171,7 +171,7 @@ def reset_motors(effects: MissionEffects) -> Outcome:
     """`resetmotors`: stand for six cycles, in which the motors of an SMR are reset."""
     vehicle = effects.vehicle
     effects.output.message(f" p0 {format_number(effects.routine_result)} \n")
-    start = Pose()
+    start = PlanarPose()
 
     def routine(cycle: int) -> bool:
         nonlocal start

@@ -20,7 +20,7 @@ _COUNTER = 1 << 30
 
 
 @dataclass
-class Pose:
+class PlanarPose:
     """A place and a heading: m, m, rad."""
 
     x: float = 0.0
@@ -31,9 +31,9 @@ class Pose:
         """Go there."""
         self.x, self.y, self.th = x, y, th
 
-    def copy(self) -> Pose:
+    def copy(self) -> PlanarPose:
         """Another one at the same place."""
-        return Pose(self.x, self.y, self.th)
+        return PlanarPose(self.x, self.y, self.th)
 
 
 class Odometry:
@@ -80,7 +80,7 @@ class Odometry:
         self.heading_source = heading_source
         self.is_rate = is_rate
         self.is_relative = is_relative
-        self.pose = Pose()
+        self.pose = PlanarPose()
         self.heading = 0.0
         self.curvature = 0.0
         self.velocity = self.left_velocity = self.right_velocity = 0.0

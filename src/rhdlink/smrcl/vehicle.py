@@ -19,7 +19,7 @@ from linkcore.errors import BadValue
 from .control_functions import ControlFunctions
 from .motion.basic import FunctionGenerator, Stop
 from .motion.control import DriveKind, MotionControl
-from .odometry import Covariance, Odometry, Pose
+from .odometry import Covariance, Odometry, PlanarPose
 from .outputs import VehicleOutputs
 from .profile import Profile
 from .robot_conf import RobotConf
@@ -226,10 +226,10 @@ class Vehicle:
         self._has_raw_ir, self._has_ir = False, True
         self.infrared.distances[:5] = [float(distance) for distance in distances]
 
-    def kalman_pose(self) -> Pose:
+    def kalman_pose(self) -> PlanarPose:
         """The pose of a filter outside, where there is one."""
-        return Pose(*(self.variables.external.get(name, 0.0) for name in ("xkalman", "ykalman", "thkalman")))
+        return PlanarPose(*(self.variables.external.get(name, 0.0) for name in ("xkalman", "ykalman", "thkalman")))
 
-    def estimated_pose(self) -> Pose:
+    def estimated_pose(self) -> PlanarPose:
         """The pose that motions go by: of the odometry, or of a filter."""
         return self.kalman_pose() if self.uses_kalman else self.odometry.pose.copy()

@@ -29,7 +29,7 @@ NAME_SIZE = 33
 WIDTHS = (2, 4)
 
 
-class Field(NamedTuple):
+class ItemField(NamedTuple):
     """A field of an item.
 
     Attributes:
@@ -59,7 +59,7 @@ class Package(NamedTuple):
     letter: str
     second: Mapping[str, str]
     second_doc: str
-    item: tuple[Field, ...] = ()
+    item: tuple[ItemField, ...] = ()
 
     def is_sent_by(self, sender: str, letters: str) -> bool:
         """Whether "server" or "client" sends a package that begins with these two letters."""
@@ -83,8 +83,8 @@ TABLE = Package(
     {"server": "rw"},
     _WHOSE,
     (
-        Field("length", "i", "words of the variable; the place of the row is the variable's id"),
-        Field("name", f"{NAME_SIZE}s", "Latin-1, at most 32 characters, filled up with NUL; the last byte is NUL"),
+        ItemField("length", "i", "words of the variable; the place of the row is the variable's id"),
+        ItemField("name", f"{NAME_SIZE}s", "Latin-1, at most 32 characters, filled up with NUL; the last byte is NUL"),
     ),
 )
 
@@ -94,9 +94,9 @@ DATA = Package(
     {"client": "w", "server": "rw"},
     f"{_WHOSE}; a client sends w only",
     (
-        Field("id", "i", "place of the variable in its table"),
-        Field("stamp", "I", "when it was set: seconds since 1970, microseconds", "width"),
-        Field("data", "i", "the whole variable, as many words as its table says", "length"),
+        ItemField("id", "i", "place of the variable in its table"),
+        ItemField("stamp", "I", "when it was set: seconds since 1970, microseconds", "width"),
+        ItemField("data", "i", "the whole variable, as many words as its table says", "length"),
     ),
 )
 
@@ -179,7 +179,7 @@ def item_schema(package: Package, lengths: Sequence[int], width: int) -> Any:
             raise construct.CheckError(f"of a variable of {lengths[identity]} words")
         return identity
 
-    def shape(field: Field) -> Any:
+    def shape(field: ItemField) -> Any:
         if field.words == "width":
             return construct.Array(width, words[field.code])
         if field.words == "length":

@@ -57,7 +57,7 @@ class ChannelSummary:
 
 
 @dataclass
-class Summary:
+class RecordingSummary:
     """A recording.
 
     Attributes:
@@ -130,7 +130,7 @@ def _counted(count: int, noun: str) -> str:
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
-def summarise(recording: RecordingFile, progress: Progress | None = None) -> Summary:
+def summarise(recording: RecordingFile, progress: Progress | None = None) -> RecordingSummary:
     """Read a recording from beginning to end.
 
     Args:
@@ -145,7 +145,7 @@ def summarise(recording: RecordingFile, progress: Progress | None = None) -> Sum
         reader.finish()
     starts = [reader.first for reader in readers.values() if reader.first is not None]
     ends = [reader.last for reader in readers.values() if reader.first is not None]
-    return Summary(
+    return RecordingSummary(
         path=str(recording.path),
         size=recording.path.stat().st_size,
         is_complete=recording.is_complete,

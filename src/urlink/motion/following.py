@@ -119,7 +119,7 @@ class Rest:
 
 
 class Following(ABC):
-    """A trajectory that is being followed: the base of the two `Dialogue`s that do it.
+    """A trajectory that is being followed: the base of the two `LinkDialogue`s that do it.
 
     Its time is that of the program on the robot (`urlink.motion.controller_clock`).
 

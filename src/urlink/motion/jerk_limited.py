@@ -100,7 +100,7 @@ def joint_limits(
     return tuple(JointLimit(*values) for values in zip(*(row.tolist() for row in rows), strict=True))
 
 
-class Profile:
+class JointProfile:
     """The movement of one joint from a state to rest at a target.
 
     Args:
@@ -153,7 +153,7 @@ class TargetFilter:
         self._limits = tuple(limits)
         self.q, self.qd, self.qdd = list(q), [0.0] * 6, [0.0] * 6
         self.target = list(q)
-        self._profiles = [Profile(x, 0.0, 0.0, x, limit) for x, limit in zip(q, self._limits, strict=True)]
+        self._profiles = [JointProfile(x, 0.0, 0.0, x, limit) for x, limit in zip(q, self._limits, strict=True)]
         #: s since each profile began
         self._times = [0.0] * 6
 
@@ -179,7 +179,9 @@ class TargetFilter:
             self._plan(joint, x)
 
     def _plan(self, joint: int, target: float) -> None:
-        self._profiles[joint] = Profile(self.q[joint], self.qd[joint], self.qdd[joint], target, self._limits[joint])
+        self._profiles[joint] = JointProfile(
+            self.q[joint], self.qd[joint], self.qdd[joint], target, self._limits[joint]
+        )
         self._times[joint] = 0.0
 
     def after(self, seconds: float) -> tuple[list[float], list[float]]:

@@ -1,10 +1,10 @@
 """A program on the robot that is linked to this computer, and the words that are sent to it.
 
 Each real-time state that arrives, one per cycle of the controller, is answered with a word, so the controller's clock
-sets the pace. A `Dialogue`, sans-IO, decides the words. Each word carries the cycle of the newest state, by which the
-program counts one as none that is too old (`urlink.urscript.links`): so words that waited in the socket of a controller
-that hung do not lead the arm. If no state arrives, the interlock closes after a second, which
-ends every motion; the program on the robot brakes sooner.
+sets the pace. A `LinkDialogue`, sans-IO, decides the words. Each word carries the cycle of the newest state, by which
+the program counts one as none that is too old (`urlink.urscript.links`): so words that waited in the socket of a
+controller that hung do not lead the arm. If no state arrives, the interlock closes after a second, which ends every
+motion; the program on the robot brakes sooner.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def _nothing() -> None:
     pass
 
 
-class Dialogue(Protocol):
+class LinkDialogue(Protocol):
     """Decides the words for a program, from the bytes that it sends and from the states of the robot."""
 
     @property
@@ -112,7 +112,7 @@ class LinkedProgram:
         self,
         life: Lifecycle,
         context: MotionContext,
-        dialogue: Dialogue,
+        dialogue: LinkDialogue,
         open_link: Callable[[], Link],
         *,
         tolerance: float = MOVED,

@@ -19,7 +19,7 @@ from linkcore.realtime import urgent
 from ..interfaces.realtime.packets import RealtimeState
 from ..urscript.links import InputRegisters, ReverseSocket
 from .context import MotionContext
-from .linked import Dialogue, Link, LinkedProgram
+from .linked import Link, LinkDialogue, LinkedProgram
 from .setpoints import STOP_WORD, WAIT_WORD, setpoint
 
 if TYPE_CHECKING:
@@ -44,7 +44,9 @@ class LinkedBlock(Motion):
         open_link: opens the link to it.
     """
 
-    def __init__(self, context: MotionContext, name: str, dialogue: Dialogue, open_link: Callable[[], Link]) -> None:
+    def __init__(
+        self, context: MotionContext, name: str, dialogue: LinkDialogue, open_link: Callable[[], Link]
+    ) -> None:
         life = context.programs.life(name)
         super().__init__(life)
         self._context = context

@@ -26,7 +26,7 @@ _WIDEST_GAP, _LARGEST_CHANGE = 0.005, 0.2
 _SETTLING = 0.1
 
 
-class SetpointSource(Protocol):
+class PacedSource(Protocol):
     """A source of set-points. Times are those of states, on the controller's clock; `rate` is that of the program."""
 
     @property
@@ -62,7 +62,7 @@ class PacedSetpoints:
         source: makes the set-points.
     """
 
-    def __init__(self, servoing: Servoing, model: Model | None, source: SetpointSource) -> None:
+    def __init__(self, servoing: Servoing, model: Model | None, source: PacedSource) -> None:
         self._source = source
         self._stream = SetpointStream(servoing, model)
         self._clock = ProgramClock(self._stream.cycle)

@@ -152,7 +152,7 @@ class Circular(Waypoint):
 
 
 @dataclass(frozen=True)
-class Section:
+class PathSection:
     """One movement of a path, as it was planned.
 
     Attributes:
@@ -174,14 +174,14 @@ class Plan:
     """
 
     body: list[str]
-    sections: list[Section]
+    sections: list[PathSection]
 
 
 class PathMotion(Motion):
     """The motion along a path."""
 
     def __init__(
-        self, life: Lifecycle, sections: Sequence[Section], newest: Callable[[], RealtimeState | None]
+        self, life: Lifecycle, sections: Sequence[PathSection], newest: Callable[[], RealtimeState | None]
     ) -> None:
         super().__init__(life)
         self._sections = sections
@@ -237,7 +237,7 @@ def plan(
     for number, (waypoint, rate) in enumerate(zip(waypoints, rates, strict=True)):
         body += [programs.segment(number), *_statement(waypoint, rate)]
     if arm is None:
-        return Plan(body, [Section(1.0, lambda state: 0.0)] * len(waypoints))
+        return Plan(body, [PathSection(1.0, lambda state: 0.0)] * len(waypoints))
     planner = _Planner(arm, state)
     before = 0.0
     sections = []
@@ -278,13 +278,13 @@ class _Planner:
         self._tcp = shown_tcp(arm, state)
         self._q: FloatArray = np.array(state.q_target)
 
-    def section(self, waypoint: Waypoint, rate: Rates, blend: float) -> Section:
+    def section(self, waypoint: Waypoint, rate: Rates, blend: float) -> PathSection:
         """The movement to a waypoint, after one that ends with a blend of `blend` m."""
         if isinstance(waypoint, Joint):
             return self._joint(waypoint, rate, blend)
         return self._curve(waypoint, rate, blend)
 
-    def _joint(self, waypoint: Joint, rate: Rates, blend: float) -> Section:
+    def _joint(self, waypoint: Joint, rate: Rates, blend: float) -> PathSection:
         model = self._arm.model
         model.check_joints(waypoint.q)
         JOINT_SPEED.check(rate.speed, "speed", float(model.max_speed.max()), f"a {model.name}")
@@ -300,9 +300,9 @@ class _Planner:
         def part(state: RealtimeState) -> float:
             return float((state.q_actual - start) @ way) / squared if squared else 1.0
 
-        return Section(rate.seconds(float(np.abs(way).max())), part)
+        return PathSection(rate.seconds(float(np.abs(way).max())), part)
 
-    def _curve(self, waypoint: Waypoint, rate: Rates, blend: float) -> Section:
+    def _curve(self, waypoint: Waypoint, rate: Rates, blend: float) -> PathSection:
         from ..curves import Arc, Line
 
         start = self._arm.forward(self._q, self._tcp).tolist()
@@ -314,7 +314,7 @@ class _Planner:
             curve = Arc(start, waypoint.via.tolist(), waypoint.to.tolist())
         _check_blends(blend, waypoint.blend, curve.length)
         self._q = self._follow(curve, rate, blend > 0.0, waypoint.blend > 0.0)
-        return Section(
+        return PathSection(
             rate.seconds(_counted(curve)),
             lambda state: curve.part(state.tool_vector_actual.tolist()),
         )

@@ -17,7 +17,7 @@ from linkcore.errors import ConnectFailed, ConnectionLost
 from linkcore.streaming.stream import Stream
 
 from ..urscript.buffering import REPORTED, WORD, PointRegisters
-from .register_link import Inputs, random_token
+from .register_link import InputClaim, random_token
 
 #: Registers below those of `urlink.motion.register_link`, which another motion of this robot may have claimed: from 24
 #: on, 24 to 29 of the integers are left to users, and so are outputs below 30 and above 36: in 47 a program finds its
@@ -50,7 +50,7 @@ class PointLinks:
         self._outputs = outputs
         self._stream: Stream[Any] | None = None
 
-    def __call__(self, inputs: Inputs) -> PointRegisterLink:
+    def __call__(self, inputs: InputClaim) -> PointRegisterLink:
         """The link of the next program.
 
         Raises:
@@ -76,7 +76,7 @@ class PointRegisterLink:
         is_up: whether the program has begun, so that words are written.
     """
 
-    def __init__(self, inputs: Inputs, outputs: Callable[[], Any], clock: Callable[[], float] = monotonic) -> None:
+    def __init__(self, inputs: InputClaim, outputs: Callable[[], Any], clock: Callable[[], float] = monotonic) -> None:
         self.endpoint = PointRegisters(FIRST_FLOAT, FIRST_INTEGER, FIRST_OUTPUT, random_token())
         self.is_up = False
         self._inputs, self._outputs, self._clock = inputs, outputs, clock

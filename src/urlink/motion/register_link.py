@@ -29,7 +29,7 @@ NAMES = tuple(
 _MOST = 0x7FFF_FFFF
 
 
-class Inputs(Protocol):
+class InputClaim(Protocol):
     """RTDE inputs that have been claimed."""
 
     def _write(self, values: Mapping[str, float]) -> None:
@@ -51,15 +51,15 @@ class RegisterPort(Generic[L]):
 
     def __init__(
         self,
-        claim: Callable[[tuple[str, ...]], Inputs],
+        claim: Callable[[tuple[str, ...]], InputClaim],
         timeout: float,
         names: tuple[str, ...],
-        make: Callable[[Inputs], L],
+        make: Callable[[InputClaim], L],
     ) -> None:
         self._claim, self._names, self._make = claim, names, make
         self._timeout = timeout
         self._claiming = threading.Lock()
-        self._inputs: Inputs | None = None
+        self._inputs: InputClaim | None = None
 
     def open(self) -> L:
         """The link of the next program; it may have to connect.
@@ -99,7 +99,7 @@ class RegisterLink:
         is_up: whether the program has begun, so that words are written.
     """
 
-    def __init__(self, inputs: Inputs) -> None:
+    def __init__(self, inputs: InputClaim) -> None:
         self.endpoint = InputRegisters(FIRST_FLOAT, FIRST_INTEGER, random_token())
         self.is_up = False
         self._inputs = inputs

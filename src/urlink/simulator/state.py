@@ -18,7 +18,7 @@ from urlink.models import Model
 
 from .registers import InputClaims, RegisterBanks, Watchdogs
 from .robot.arm import SimulatedArm
-from .robot.generator import Drive
+from .robot.generator import ArmDrive
 from .robot.modes import Modes, StopState
 from .robot.robot_parameters import ScalingParameters, SensorParameters, approached
 from .robot.signals import ModbusSignals, Signals
@@ -198,7 +198,7 @@ class ControllerState:
         self.uptime = 0
         self.modes = Modes(firmware)
         self.is_paused = self.resumes = False
-        self.by_hand: Drive | None = None
+        self.by_hand: ArmDrive | None = None
         self.control_mode = ControlMode.POSITION
         self.speed_fraction = self.slider = 1.0
         self.scaling = 0.0

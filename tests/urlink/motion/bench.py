@@ -14,7 +14,7 @@ from urlink.interfaces.enums import ProgramState
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.kinematics import Arm
 from urlink.models import model
-from urlink.motion.paced import PacedSetpoints, SetpointSource
+from urlink.motion.paced import PacedSetpoints, PacedSource
 from urlink.motion.setpoints import WAIT_WORD, WORD_SIZE, Servoing, dated, read_word
 from urlink.motion.speed_limit import largest_speeds
 from urlink.simulator.registers import RegisterBanks
@@ -158,7 +158,7 @@ class Led:
 
     BEGIN = 50.0
 
-    def __init__(self, firmware: Firmware, source: SetpointSource) -> None:
+    def __init__(self, firmware: Firmware, source: PacedSource) -> None:
         arm = model("UR5e" if firmware.is_e_series else "UR5")
         servoing = Servoing(firmware, largest_speeds(arm), 0.1, 0.03, 300.0)
         self.paced = PacedSetpoints(servoing, arm, source)

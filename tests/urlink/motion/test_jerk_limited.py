@@ -14,7 +14,7 @@ from tests.fakes.rehearsal import HOME, turned
 from tests.urlink.motion.bench import Led
 from urlink.firmware import Firmware
 from urlink.models import model
-from urlink.motion.jerk_limited import JointLimit, Profile, TargetFilter, joint_limits
+from urlink.motion.jerk_limited import JointLimit, JointProfile, TargetFilter, joint_limits
 from urlink.motion.paced import FilteredTargets
 
 _limits = st.builds(JointLimit, st.floats(0.05, 4.0), st.floats(0.1, 40.0), st.floats(0.5, 500.0))
@@ -27,7 +27,7 @@ _FIRMWARES = [Firmware.parse(each) for each in ("1.8", "3.15", "5.25")]
 def test_a_profile_keeps_its_limits_and_arrives(limit: JointLimit, v: float, a: float, way: float) -> None:
     v, a = v * limit.speed, a * limit.acceleration
     assume(abs(v + 0.5 * a * abs(a) / limit.jerk) <= limit.speed)
-    profile = Profile(1.0, v, a, 1.0 + way, limit)
+    profile = JointProfile(1.0, v, a, 1.0 + way, limit)
     times = np.linspace(0.0, profile.duration, 101)
     states = np.array([profile.at(t) for t in times])
     assert np.abs(states[:, 1]).max() <= limit.speed * (1 + 1e-9)
@@ -44,10 +44,12 @@ def test_a_profile_keeps_its_limits_and_arrives(limit: JointLimit, v: float, a: 
 
 def test_from_rest_to_rest_it_takes_as_long_as_it_has_to() -> None:
     """By the formulas of textbooks: of each shape one."""
-    assert Profile(0, 0, 0, 2.0, JointLimit(10, 10, 1)).duration == pytest.approx(4.0)  # 4 (x / 2j)^(1/3)
-    assert Profile(0, 0, 0, -6.0, JointLimit(10, 1, 1)).duration == pytest.approx(6.0)  # with the acceleration held
-    assert Profile(0, 0, 0, 10.0, JointLimit(1, 1, 1)).duration == pytest.approx(12.0)  # and the speed
-    assert Profile(3, 0, 0, 3.0, JointLimit(1, 1, 1)).duration == 0.0
+    assert JointProfile(0, 0, 0, 2.0, JointLimit(10, 10, 1)).duration == pytest.approx(4.0)  # 4 (x / 2j)^(1/3)
+    assert JointProfile(0, 0, 0, -6.0, JointLimit(10, 1, 1)).duration == pytest.approx(
+        6.0
+    )  # with the acceleration held
+    assert JointProfile(0, 0, 0, 10.0, JointLimit(1, 1, 1)).duration == pytest.approx(12.0)  # and the speed
+    assert JointProfile(3, 0, 0, 3.0, JointLimit(1, 1, 1)).duration == 0.0
 
 
 #: speed, acceleration, their limits; where it brakes to, and how long that takes: integrated by hand, with a jerk of 1
@@ -70,10 +72,10 @@ def test_it_brakes_and_no_more_where_that_leads_to_the_target(
 ) -> None:
     """A little further, it is pushed first; a little nearer, it goes beyond and comes back. Either takes longer."""
     limit = JointLimit(100.0, most, 1.0)
-    assert Profile(0.5, sign * v, sign * a, 0.5 + sign * way, limit).duration == pytest.approx(seconds, abs=1e-4)
+    assert JointProfile(0.5, sign * v, sign * a, 0.5 + sign * way, limit).duration == pytest.approx(seconds, abs=1e-4)
     for further in (0.05, -0.05):
         target = 0.5 + sign * (way + further)
-        profile = Profile(0.5, sign * v, sign * a, target, limit)
+        profile = JointProfile(0.5, sign * v, sign * a, target, limit)
         assert seconds < profile.duration < seconds + 2.0
         states = np.array([profile.at(t) for t in np.linspace(0.0, profile.duration, 400, endpoint=False)])
         assert states[-1] == pytest.approx([target, 0.0, 0.0], abs=0.05)
@@ -90,7 +92,7 @@ def test_it_is_there_when_its_time_is_over_and_stays() -> None:
     assert (led.q, led.qd, led.qdd) == ([0.5] * 6, [0.0] * 6, [0.0] * 6)
     led.aim([0.5] * 5 + [2.5])
     is_there.append(led.is_at_target)
-    led.advance(Profile(0.5, 0.0, 0.0, 2.5, limit).duration)
+    led.advance(JointProfile(0.5, 0.0, 0.0, 2.5, limit).duration)
     is_there.append(led.is_at_target)
     assert is_there == [True, False, True]
     assert led.q == led.target == [0.5] * 5 + [2.5]

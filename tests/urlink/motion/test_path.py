@@ -24,7 +24,7 @@ from urlink.firmware import Firmware
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.kinematics import Arm
 from urlink.motion import path
-from urlink.motion.path import Plan, Rates, Section, Waypoint, plan
+from urlink.motion.path import PathSection, Plan, Rates, Waypoint, plan
 from urlink.poses import compose
 from urlink.vectors import FloatArray
 
@@ -123,7 +123,7 @@ def test_a_waypoint_that_says_how_it_is_reached() -> None:
         assert Joint(READY, **own).has_motion_of_its_own
 
 
-def from_there(q: list[float], waypoint: Waypoint, rates: Rates = TOOL_RATES, arm: Arm = ARM) -> Section:
+def from_there(q: list[float], waypoint: Waypoint, rates: Rates = TOOL_RATES, arm: Arm = ARM) -> PathSection:
     """One movement from joint positions, of an arm without a tool."""
     state = RealtimeState("5.11", q_target=q, q_actual=q, tool_vector_actual=arm.forward(q))
     (section,) = plan([waypoint], JOINT_RATES, rates, arm, state).sections

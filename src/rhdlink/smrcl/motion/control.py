@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from ..arithmetic import NAN, normalize_angle, sign
-from ..odometry import Pose
+from ..odometry import PlanarPose
 from ..profile import Profile
 
 
@@ -133,7 +133,7 @@ class MotionControl:
     profile: Profile
     speed: float = 0.3
     acceleration: float = 0.6
-    pose: Pose = field(default_factory=Pose)
+    pose: PlanarPose = field(default_factory=PlanarPose)
     velocity: float = 0.0
     left_velocity: float = 0.0
     right_velocity: float = 0.0
@@ -145,11 +145,11 @@ class MotionControl:
     wall_angle_right: float = 0.0
     line_position: Callable[[], float] = float
     line_is_missing: bool = False
-    reference: Pose = field(default_factory=Pose)
-    world: Pose = field(default_factory=Pose)
+    reference: PlanarPose = field(default_factory=PlanarPose)
+    world: PlanarPose = field(default_factory=PlanarPose)
     distance: float = 0.0
-    target: Pose = field(default_factory=Pose)
-    before: Pose = field(default_factory=Pose)
+    target: PlanarPose = field(default_factory=PlanarPose)
+    before: PlanarPose = field(default_factory=PlanarPose)
     heading_error: float = 0.0
     remaining: float = 0.0
     is_blocked: bool = False

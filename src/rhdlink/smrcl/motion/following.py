@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from ..arithmetic import cosine, divide, normalize_angle, sine
-from ..odometry import Pose
+from ..odometry import PlanarPose
 from .control import ControlledMotion, MotionControl, limited
 
 
@@ -16,7 +16,7 @@ class FollowLine(ControlledMotion):
     LIMIT = 0.15
 
     def __init__(self) -> None:
-        self._seen = Pose()
+        self._seen = PlanarPose()
         self._steering = 0.0
 
     def begin(self, control: MotionControl) -> None:

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from ..arithmetic import cosine, sine
-from ..odometry import Pose
+from ..odometry import PlanarPose
 from .basic import FollowDirection, Forward
 from .control import ControlledMotion, MotionControl
 from .turning import ArcTurn
@@ -50,7 +50,7 @@ class ArcPath:
         return min(self.first_direction, self.straight_direction, self.last_direction) < 0
 
 
-def choose_path(goal: Pose, radius: float, *, forward_only: bool = False) -> ArcPath | None:
+def choose_path(goal: PlanarPose, radius: float, *, forward_only: bool = False) -> ArcPath | None:
     """The shortest path from the origin to `goal`; None if there is none: `forward_only`, or the goal is nan or inf."""
     best: ArcPath | None = None
     for path in ways(goal, radius):
@@ -66,14 +66,14 @@ def _cleared(value: float) -> float:
     return 0.0 if abs(value) < _NEGLIGIBLE else value
 
 
-def relative(goal: Pose, start: Pose) -> Pose:
+def relative(goal: PlanarPose, start: PlanarPose) -> PlanarPose:
     """`goal` as it is seen from `start`; the heading is not normalised."""
     x, y = goal.x - start.x, goal.y - start.y
     c, s = cosine(start.th), sine(start.th)
-    return Pose(x * c + y * s, y * c - x * s, goal.th - start.th)
+    return PlanarPose(x * c + y * s, y * c - x * s, goal.th - start.th)
 
 
-def ways(goal: Pose, radius: float) -> Iterator[ArcPath]:
+def ways(goal: PlanarPose, radius: float) -> Iterator[ArcPath]:
     """Every path from the origin to `goal`."""
     if radius < _EXACT:
         # Turn on the spot, drive, turn on the spot.
@@ -120,7 +120,7 @@ def _tangents(start: _Point, end: _Point, radius: float, *, is_same_side: bool) 
 
 
 def _around(
-    start: _Point, end: _Point, leave: _Point, arrive: _Point, goal: Pose, radius: float, side: int
+    start: _Point, end: _Point, leave: _Point, arrive: _Point, goal: PlanarPose, radius: float, side: int
 ) -> Iterator[ArcPath]:
     """The paths along one tangent: round each circle to either side."""
     straight = _distance(leave, arrive)
@@ -187,7 +187,7 @@ class DriveToPoint(ControlledMotion):
         is_absolute: the goal is in odometry coordinates, else seen from the robot.
     """
 
-    def __init__(self, goal: Pose, radius: float, *, is_absolute: bool = False) -> None:
+    def __init__(self, goal: PlanarPose, radius: float, *, is_absolute: bool = False) -> None:
         self._goal = goal
         self._radius = radius
         self._is_absolute = is_absolute

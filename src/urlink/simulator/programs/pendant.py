@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from linkcore.errors import BadValue
 
 from ...interfaces.enums import ProgramState
-from ..robot.generator import Drive, Unreachable
+from ..robot.generator import ArmDrive, OutOfReach
 from ..state import ControllerState
 from ..urscript import ProgramError, compile_script
 from .runner import ProgramRunner
@@ -107,7 +107,7 @@ class Pendant:
             return False
         try:
             drive.generator.movej(q, 1.4, speed)
-        except Unreachable as error:
+        except OutOfReach as error:
             raise BadValue(str(error)) from None
         self._state.by_hand = drive
         return True
@@ -124,14 +124,14 @@ class Pendant:
         self._state.by_hand = drive
         return True
 
-    def _drive(self) -> Drive | None:
+    def _drive(self) -> ArmDrive | None:
         """What moves the arm by hand; None if it may not."""
         state = self._state
         plays = state.source.is_program and not state.is_paused
         if not (state.is_up and state.modes.may_move) or plays or state.arm.is_moving:
             return None
         arm = state.arm
-        return Drive(state.kinematics, lambda: arm.dynamics, arm.setpoint, 1.0, state.scaling_parameters)
+        return ArmDrive(state.kinematics, lambda: arm.dynamics, arm.setpoint, 1.0, state.scaling_parameters)
 
     def stop(self) -> bool:
         """End what runs; False if nothing does. See `ProgramRunner.stop_all`."""

@@ -19,7 +19,7 @@ from urlink.interfaces.rtde.variables import INPUTS, OUTPUTS
 
 from ..messages import popup_message, text_message
 from ..registers import Action
-from ..robot.generator import Drive, ForceTask, MotionGenerator
+from ..robot.generator import ArmDrive, ForceTask, MotionGenerator
 from ..rtde_variables import OUTPUT_VALUES
 from ..state import ControllerState
 
@@ -97,7 +97,7 @@ class ProgramWorld:
         drive: moves the arm for the program; None for a secondary program, which may only read whether the arm moves.
     """
 
-    def __init__(self, state: ControllerState, route: Route, drive: Drive | None = None) -> None:
+    def __init__(self, state: ControllerState, route: Route, drive: ArmDrive | None = None) -> None:
         self._state = state
         self._drive = drive
         self.sockets = ProgramSockets(route)

@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 
 from ...interfaces.enums import ControlMode
 from .. import messages
-from ..robot.generator import Drive, LimitViolation
+from ..robot.generator import ArmDrive, LimitViolation
 from ..robot.sources import Setpoint, SetpointSource, Still
 from ..state import ControllerState
 from ..urscript import Execution, ProgramError, Script
@@ -52,7 +52,7 @@ class RunningProgram:
         self._state = state
         self._on_end = on_end
         # It continues from what moved the arm before, at its speed.
-        self._drive = Drive(
+        self._drive = ArmDrive(
             state.kinematics, lambda: state.arm.dynamics, state.arm.setpoint, state.scaling, state.scaling_parameters
         )
         self._world = ProgramWorld(state, route, self._drive)

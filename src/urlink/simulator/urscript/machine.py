@@ -27,7 +27,7 @@ from typing import Any, Literal, NamedTuple
 from linkcore.errors import BadValue
 from urlink.firmware import Firmware
 
-from ..robot.generator import Unreachable
+from ..robot.generator import OutOfReach
 from .errors import (
     ANOTHER_THREAD,
     MAX_CALL_DEPTH,
@@ -357,7 +357,7 @@ class Machine:
         self.has_moved = True
         try:
             move = self._move = begin()
-        except Unreachable as unreachable:
+        except OutOfReach as unreachable:
             raise Fault(str(unreachable)) from None
         while True:
             # Even a motion without a distance takes a cycle.

@@ -23,7 +23,7 @@ from tests.urlink.simulator.generator.stepping import (
     trapezoid,
 )
 from urlink.models import MODELS, Model
-from urlink.simulator.robot.generator import Unreachable
+from urlink.simulator.robot.generator import OutOfReach
 from urlink.simulator.robot.sources import HOME
 
 arms = st.sampled_from(list(MODELS.values()))
@@ -64,7 +64,7 @@ def test_no_way_to_go_is_over_at_once() -> None:
 def test_a_target_out_of_range_is_refused_at_once() -> None:
     generator = standing()
     before = generator.setpoint
-    with pytest.raises(Unreachable, match=r"base.*7.0000 rad is out of range"):
+    with pytest.raises(OutOfReach, match=r"base.*7.0000 rad is out of range"):
         generator.movej([7.0, *HOME[1:]])
     assert generator.advance(CYCLE) == before
     finish(generator, generator.movej(moved(0.1, 0, 0, 0, 0, 0)))

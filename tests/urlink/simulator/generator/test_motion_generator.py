@@ -25,7 +25,7 @@ from tests.urlink.simulator.generator.stepping import (
 )
 from urlink.kinematics import Arm
 from urlink.models import MODELS, Model
-from urlink.simulator.robot.generator import LimitViolation, MotionGenerator, Move, Unreachable
+from urlink.simulator.robot.generator import LimitViolation, MotionGenerator, Move, OutOfReach
 from urlink.simulator.robot.sources import HOME, Setpoint
 
 HARDEST = 2.5 * UR5E.max_acceleration
@@ -339,7 +339,7 @@ def test_any_commands_in_any_cycles(
                 setpoints.append(generator.advance(CYCLE))
         except LimitViolation:
             move = generator.stopj(3.0)
-        except Unreachable:
+        except OutOfReach:
             pass
     generator.speed_fraction = 1.0
     generator.stopj(3.0)

@@ -7,21 +7,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.urlink.simulator.generator.stepping import trapezoid
-from urlink.simulator.robot.generator.path_motion import Profile, timed
+from urlink.simulator.robot.generator.path_motion import Trapezoid, timed
 
 lengths = st.floats(1e-3, 10.0)
 rates = st.floats(0.05, 50.0)
 
 
 def test_nothing_to_go_takes_no_time() -> None:
-    assert Profile(0.0, 1.0, 1.0).duration == 0.0
-    assert Profile(0.0, 1.0, 1.0).at(0.0) == (0.0, 0.0, 0.0)
+    assert Trapezoid(0.0, 1.0, 1.0).duration == 0.0
+    assert Trapezoid(0.0, 1.0, 1.0).at(0.0) == (0.0, 0.0, 0.0)
 
 
 @pytest.mark.property
 @given(lengths, rates, rates, rates, st.floats(0.0, 1.0))
 def test_way_and_speed_agree(length: float, speed: float, fall: float, rise: float, part: float) -> None:
-    profile = Profile(length, speed, fall, rise)
+    profile = Trapezoid(length, speed, fall, rise)
     time, step = part * profile.duration, 1e-6 * profile.duration
     way, now, acceleration = profile.at(time)
     later, then, _ = profile.at(time + step)
@@ -36,7 +36,7 @@ def test_way_and_speed_agree(length: float, speed: float, fall: float, rise: flo
 @pytest.mark.property
 @given(lengths, rates, rates)
 def test_it_takes_as_long_as_a_trapezoid(length: float, speed: float, acceleration: float) -> None:
-    assert Profile(length, speed, acceleration).duration == pytest.approx(trapezoid(length, speed, acceleration))
+    assert Trapezoid(length, speed, acceleration).duration == pytest.approx(trapezoid(length, speed, acceleration))
 
 
 @pytest.mark.property
@@ -45,5 +45,5 @@ def test_a_wanted_time_is_taken_where_the_limits_allow(length: float, wanted: fl
     speed, acceleration = timed(length, wanted, v, a)
     assert speed <= v * (1 + 1e-9)
     assert acceleration <= a * (1 + 1e-9)
-    takes = Profile(length, speed, acceleration).duration
+    takes = Trapezoid(length, speed, acceleration).duration
     assert takes == pytest.approx(max(wanted, trapezoid(length, v, a)), rel=1e-6)

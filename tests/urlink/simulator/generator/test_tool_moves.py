@@ -26,7 +26,7 @@ from tests.urlink.simulator.generator.stepping import (
 from urlink.kinematics import Arm
 from urlink.models import MODELS, Model
 from urlink.poses import compose, invert
-from urlink.simulator.robot.generator import LimitViolation, MotionGenerator, Unreachable
+from urlink.simulator.robot.generator import LimitViolation, MotionGenerator, OutOfReach
 from urlink.simulator.robot.sources import HOME, Setpoint
 
 TOOL = [0.01, -0.02, 0.1, 0.1, 0.2, 0.3]
@@ -208,7 +208,7 @@ def test_points_on_a_line_have_no_circle() -> None:
     generator = with_tool()
     middle, end = (shifted(np.array([d, 0, 0]), np.zeros(3)) for d in (0.05, 0.1))
     for via, to in ((middle, end), (middle, middle), (pose(HOME).tolist(), end), (middle, pose(HOME).tolist())):
-        with pytest.raises(Unreachable, match="on no circle"):
+        with pytest.raises(OutOfReach, match="on no circle"):
             generator.movec(via, to)
     with pytest.raises(BadValue, match="mode"):
         generator.movec(middle, end, mode=2)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from .compliance import ForceTask
-from .drive import Drive
-from .joint_limits import LimitViolation, Unreachable
+from .drive import ArmDrive
+from .joint_limits import LimitViolation, OutOfReach
 from .motion_generator import MotionGenerator
 from .path_motion import Move
 
-__all__ = ["Drive", "ForceTask", "LimitViolation", "MotionGenerator", "Move", "Unreachable"]
+__all__ = ["ArmDrive", "ForceTask", "LimitViolation", "MotionGenerator", "Move", "OutOfReach"]

@@ -43,7 +43,7 @@ from urlink.poses import compose, rotvec_to_matrix
 from urlink.vectors import FloatArray
 
 from ..sources import Setpoint
-from .joint_limits import JointLimits, LimitViolation, Unreachable
+from .joint_limits import JointLimits, LimitViolation, OutOfReach
 from .path_motion import Move
 from .streamed_motion import JointSpeed
 from .tool_paths import setpoint_at
@@ -300,7 +300,7 @@ class Compliance:
             pose += self._pose[3:]
         try:
             setpoint = setpoint_at(self._kinematics, pose, self._tcp, self._last, seconds)
-        except Unreachable as error:
+        except OutOfReach as error:
             raise LimitViolation(str(error)) from None
         self._limits.check(self._last, setpoint, seconds)
         self._pose, self._last = pose, setpoint

@@ -4,8 +4,7 @@ In force mode the program still commands the arm, which follows along the axes t
 all axes free, commands of the program have no effect.
 
 Guesses: a stop ends both modes, so that a program which continues after it has to begin them again; a movement that
-    runs
-when a mode ends continues from where the arm is then.
+runs when a mode ends continues from where the arm is then.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from .motion_generator import MotionGenerator
 _ALL = (True,) * 6
 
 
-class Drive:
+class ArmDrive:
     """Makes the set-points of one program.
 
     Args:

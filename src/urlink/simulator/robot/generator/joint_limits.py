@@ -39,7 +39,7 @@ class LimitViolation(Exception):
         self.reason = reason
 
 
-class Unreachable(Exception):
+class OutOfReach(Exception):
     """The pose that a motion function gets is out of reach."""
 
 

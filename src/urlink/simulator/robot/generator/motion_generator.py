@@ -26,8 +26,8 @@ from urlink.vectors import FloatArray
 from ..robot_parameters import ScalingParameters, approached
 from ..sources import BRAKING, Setpoint
 from .compliance import TorqueMotion
-from .joint_limits import JointLimits, LimitViolation, Unreachable, checked, positive
-from .path_motion import Blend, JointPath, Move, Path, PathMotion, Profile, timed
+from .joint_limits import JointLimits, LimitViolation, OutOfReach, checked, positive
+from .path_motion import Blend, JointPath, MotionPath, Move, PathMove, Trapezoid, timed
 from .streamed_motion import JointSpeed, ServoMotion, ToolSpeed, lag_of
 from .tool_paths import ToolPath
 
@@ -115,7 +115,7 @@ class MotionGenerator:
     def waypoint(self) -> list[float] | None:
         """The pose of the TCP at the end of the present path move, m and rad; None without one."""
         command = self._command
-        return command.end_pose if isinstance(command, PathMotion) and not command.is_at_rest else None
+        return command.end_pose if isinstance(command, PathMove) and not command.is_at_rest else None
 
     # -- time --------------------------------------------------------------------------------------
 
@@ -164,7 +164,7 @@ class MotionGenerator:
         command = self._command
         if command is None or command.is_at_rest:
             self._begin(JointSpeed(_REST, self._gentle, None))
-        elif isinstance(command, PathMotion):
+        elif isinstance(command, PathMove):
             way = [b - a for a, b in zip(setpoint.q, command.place, strict=True)]
             # Back to the path at half of the speed that the joints may have: the peak of the blend is 3/2 of its mean.
             furthest = max(abs(d) / limit for d, limit in zip(way, self._limits.speed, strict=True))
@@ -185,13 +185,13 @@ class MotionGenerator:
 
         Raises:
             BadValue: an argument is invalid.
-            Unreachable: a joint would leave its range.
+            OutOfReach: a joint would leave its range.
         """
         end = checked(q, "joint positions")
         try:
             self._limits.check_target(end)
         except LimitViolation as violation:
-            raise Unreachable(violation.reason) from None
+            raise OutOfReach(violation.reason) from None
         start, blend = self._take_over()
         path = JointPath(self._kinematics, self._limits, self.tcp, start, end)
         return self._follow_path(path, start, blend, a, v, t, r)
@@ -227,7 +227,7 @@ class MotionGenerator:
 
         Raises:
             BadValue: an argument is invalid.
-            Unreachable: the points are not on a circle.
+            OutOfReach: the points are not on a circle.
         """
         if mode not in (0, 1):
             raise BadValue(f"the mode of an arc is 0 or 1, not {mode!r}")
@@ -237,7 +237,7 @@ class MotionGenerator:
         try:
             arc = Arc(begin, *ends, is_fixed=mode == 1)
         except BadValue as error:
-            raise Unreachable(str(error)) from None
+            raise OutOfReach(str(error)) from None
         path = ToolPath(self._kinematics, self._limits, self.tcp, arc, start)
         return self._follow_path(path, start, blend, a, v, 0.0, r)
 
@@ -319,7 +319,7 @@ class MotionGenerator:
 
     def release(self) -> None:
         """End the commands: brake to rest. A path move whose blend is followed by nothing continues to its end."""
-        if isinstance(self._command, PathMotion) and self._command.blends:
+        if isinstance(self._command, PathMove) and self._command.blends:
             return
         if not self.is_standing:
             self._begin(JointSpeed(_REST, self._gentle, None))
@@ -345,7 +345,7 @@ class MotionGenerator:
         return command.move
 
     def _follow_path(
-        self, path: Path, start: list[float], blend: Blend | None, a: float, v: float, t: float, r: float
+        self, path: MotionPath, start: list[float], blend: Blend | None, a: float, v: float, t: float, r: float
     ) -> Move:
         radius = _not_negative(r, "a blend radius")
         if _not_negative(t, "a time") > 0.0:
@@ -355,12 +355,12 @@ class MotionGenerator:
             if isinstance(path, JointPath):
                 fastest, hardest = path.fastest()
                 speed, acceleration = min(speed, fastest), min(acceleration, hardest)
-        profile = Profile(path.length, speed, acceleration)
+        profile = Trapezoid(path.length, speed, acceleration)
         if blend is not None and profile.duration > 0.0:
             # No faster than the old speed dies away: then the sum of both never exceeds the larger one.
             rise = min(acceleration, profile.peak / (blend.duration * max(self.scaling, 0.01)))
-            profile = Profile(path.length, profile.peak, acceleration, rise)
-        return self._begin(PathMotion(path, profile, start, blend, radius))
+            profile = Trapezoid(path.length, profile.peak, acceleration, rise)
+        return self._begin(PathMove(path, profile, start, blend, radius))
 
     def _take_over(self) -> tuple[list[float], Blend | None]:
         """The start of a path, and the rest of the present movement on the way there."""
@@ -369,7 +369,7 @@ class MotionGenerator:
         duration = max(abs(v) / limit for v, limit in zip(qd, self._gentle, strict=True))
         if duration < 1e-9:  # s: at rest, or too slow to matter; a blend divides by its duration
             return list(q), None
-        if isinstance(self._command, PathMotion) and self._command.blends:
+        if isinstance(self._command, PathMove) and self._command.blends:
             corner, duration = self._command.corner()
             way = [b - a for a, b in zip(q, corner, strict=True)]
             return corner, Blend(way, qd, duration, self._limits.acceleration)

@@ -1,8 +1,8 @@
 """Following a path from rest to rest: movej, and with the paths of `tool_paths` movel, movep, movec and servoc.
 
-A `Path` gives the joints at a distance along it. A `Profile` gives the distance over time: acceleration, constant
-speed, braking, as the manual of the pendant draws it, as far as that is remembered. A `Blend` takes over the speed of
-the movement before. How a controller blends is not published, so that is a guess.
+A `MotionPath` gives the joints at a distance along it. A `Trapezoid` gives the distance over time: acceleration,
+constant speed, braking, as the manual of the pendant draws it, as far as that is remembered. A `Blend` takes over the
+speed of the movement before. How a controller blends is not published, so that is a guess.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Move:
 # -- speed profiles ------------------------------------------------------------------------------------
 
 
-class Profile:
+class Trapezoid:
     """From rest to rest over a length, as fast as a speed and two accelerations allow: the speed over time is a
     trapezoid, or a triangle if the length is too short to reach the speed.
 
@@ -150,7 +150,7 @@ class Blend:
 # -- paths and their motion ----------------------------------------------------------------------------
 
 
-class Path(Protocol):
+class MotionPath(Protocol):
     """The joints by the distance along a path.
 
     Attributes:
@@ -224,7 +224,7 @@ def _within(limits: Sequence[float], shares: Sequence[float]) -> float:
     return min((limit / abs(share) for limit, share in zip(limits, shares, strict=True) if share), default=1.0)
 
 
-class PathMotion:
+class PathMove:
     """One path move. It is over at its end, or within the blend radius of it, in the second half of its length.
 
     That a blend never begins in the first half is a guess: a controller ignores blends that overlap.
@@ -233,7 +233,7 @@ class PathMotion:
         move: the movement that the program waits for.
     """
 
-    def __init__(self, path: Path, profile: Profile, start: list[float], blend: Blend | None, r: float) -> None:
+    def __init__(self, path: MotionPath, profile: Trapezoid, start: list[float], blend: Blend | None, r: float) -> None:
         self.move = Move()
         self._path, self._profile, self._blend, self._radius = path, profile, blend, r
         self._time = 0.0

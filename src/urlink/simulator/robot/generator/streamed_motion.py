@@ -30,7 +30,7 @@ from urlink.parameters import number
 from urlink.poses import compose
 
 from ..sources import Setpoint
-from .joint_limits import JOINTS, JointLimits, LimitViolation, Unreachable
+from .joint_limits import JOINTS, JointLimits, LimitViolation, OutOfReach
 from .path_motion import Move
 from .tool_paths import setpoint_at
 
@@ -272,7 +272,7 @@ class ToolSpeed:
             setpoint = setpoint_at(self._kinematics, pose, self._tcp, last, seconds)
             if self._stops:
                 self._limits.check(last, setpoint, seconds)
-        except (Unreachable, LimitViolation) as error:
+        except (OutOfReach, LimitViolation) as error:
             if not self._stops:
                 raise LimitViolation(str(error)) from None
             self._brake = JointSpeed(_REST, self._limits.acceleration, None)

@@ -11,7 +11,7 @@ from urlink.kinematics import Arm
 from urlink.parameters import number
 
 from ..sources import Setpoint
-from .joint_limits import JointLimits, LimitViolation, Unreachable
+from .joint_limits import JointLimits, LimitViolation, OutOfReach
 
 #: m that count as much as a turn of 1 rad, at least, so that a tool which turns in place takes its time. A guess.
 RADIAN = number("metres_per_turn_simulated")
@@ -25,12 +25,12 @@ def joints_at(arm: Arm, pose: Sequence[float], tcp: Sequence[float], near: Seque
     """The joint positions closest to `near` that put the TCP at a pose.
 
     Raises:
-        Unreachable: the pose is out of reach.
+        OutOfReach: the pose is out of reach.
     """
     try:
         found: list[float] = arm.inverse(pose, near, tcp, is_limited=False).tolist()
     except kinematics.Unreachable:
-        raise Unreachable(f"the arm does not reach the pose {[round(number, 4) for number in pose]}") from None
+        raise OutOfReach(f"the arm does not reach the pose {[round(number, 4) for number in pose]}") from None
     return found
 
 
@@ -38,7 +38,7 @@ def setpoint_at(arm: Arm, pose: Sequence[float], tcp: Sequence[float], last: Set
     """The joints at a pose of the TCP, one cycle after `last`; speeds and accelerations are differences.
 
     Raises:
-        Unreachable: the pose is out of reach.
+        OutOfReach: the pose is out of reach.
     """
     q = joints_at(arm, pose, tcp, last.q)
     qd = [(new - old) / seconds for new, old in zip(q, last.q, strict=True)]
@@ -70,7 +70,7 @@ class ToolPath:
         for sample in range(1, _SAMPLES + 1):
             try:
                 new = joints_at(self._kinematics, self._curve.pose(sample / _SAMPLES), self._tcp, old)
-            except Unreachable:
+            except OutOfReach:
                 break
             ways = [abs(b - a) for a, b in zip(old, new, strict=True)]
             if max(ways) > _JUMP:
@@ -91,7 +91,7 @@ class ToolPath:
             return Setpoint(last.q, _REST, _REST)
         try:
             return setpoint_at(self._kinematics, self._curve.pose(way / self.length), self._tcp, last, seconds)
-        except Unreachable as error:
+        except OutOfReach as error:
             raise LimitViolation(str(error)) from None
 
     def end(self, near: Sequence[float]) -> list[float]:
@@ -103,7 +103,7 @@ class ToolPath:
         if self._end_joints is None:
             try:
                 self._end_joints = joints_at(self._kinematics, self.end_pose, self._tcp, near)
-            except Unreachable as error:
+            except OutOfReach as error:
                 raise LimitViolation(str(error)) from None
         return self._end_joints
 
