@@ -273,6 +273,8 @@ class LinkedProgram:
                 self._life.fail(lost.error)
         elif braked:
             if self._passed - braked.at > _END_TIMEOUT and stands(state.qd_actual):
+                if self.is_paused:
+                    self._context.programs.stop(self._life)
                 self._life.finish()
         elif link.is_up or link.poll(self._life.phase is Phase.RUNNING):
             self._talk(link, state, now)
@@ -330,8 +332,10 @@ class LinkedProgram:
         if link is not None and link.is_up and self._dialogue.farewell:
             self._owes_farewell = True
             self._context.channel.setpoint(lambda: link.send(self._dated(self._dialogue.farewell)), is_stop=True)
-        else:
-            self._context.programs.stop(self._life)
+            if not self.is_paused:
+                return
+        # One that is paused reads nothing, and would go on for some cycles before it reads that word.
+        self._context.programs.stop(self._life)
 
     def _release(self) -> None:
         self._on_linked()

@@ -195,6 +195,33 @@ def test_an_arm_that_was_moved_a_little_goes_on_from_there(cell: Callable[[str, 
     assert one.robot.realtime.wait().q_target == pytest.approx(READY, abs=NEAR)
 
 
+@pytest.mark.matrix(5)
+@pytest.mark.parametrize("way", WAYS)
+def test_what_is_given_up_in_a_pause_does_not_go_on(cell: Callable[[str, str], Cell], way: str) -> None:
+    """Its program reads nothing meanwhile, and would set out before it reads that it is to end."""
+    arm, firmware, options = WAYS[way]
+    one = cell(arm, firmware)
+    motion = one.robot.motion.follow(curve(), **options)
+    time.sleep(1.0)
+    pressed(one, one.controller.pendant.pause)
+    comes_to_rest(one)
+    motion.cancel()
+    until(lambda: not one.controller.is_running_program, TIMEOUT)
+    assert moved_after(one, lambda: one.controller.call(one.controller.pendant.play)) < REST
+
+
+def test_a_loop_that_is_left_in_a_pause_does_not_go_on(cell: Callable[[str, str], Cell]) -> None:
+    one = cell("UR5e", "5.11")
+    with one.robot.motion.servo() as servo:
+        for part in np.linspace(0.0, 0.1, 200):
+            servo.send(np.array(READY) + part)
+            one.robot.realtime.wait(TIMEOUT)
+        pressed(one, one.controller.pendant.pause)
+        comes_to_rest(one)
+    until(lambda: not one.controller.is_running_program, TIMEOUT)
+    assert moved_after(one, lambda: one.controller.call(one.controller.pendant.play)) < REST
+
+
 @pytest.mark.slow
 @pytest.mark.matrix(5)
 @pytest.mark.parametrize("way", WAYS)
