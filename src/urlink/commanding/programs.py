@@ -277,8 +277,8 @@ class Programs:
 
     @property
     def permitted(self) -> list[Lifecycle]:
-        """Of what is not over, and may move the arm: it has begun, or needs no permission."""
-        runs = [run for run in self._pending() if run.has_begun or run.wrapped.permission is None]
+        """Of what is not over, and may move the arm: it has begun, or does so without being let go on."""
+        runs = [run for run in self._pending() if run.has_begun or run.moves_late]
         return [run.life for run in runs if not run.life.is_over]
 
     def _newest(self) -> _Run | None:

@@ -410,6 +410,14 @@ def test_what_runs_now(desk: Programming) -> None:
     assert current == [None, motion._life, free._life, None]
 
 
+def test_a_program_that_connects_back_may_move_the_arm_once_it_has_begun(desk: Programming) -> None:
+    """A speed that followed it would move the arm also where it is never let in."""
+    linked = desk.motion(asks=False, is_linked=True)
+    assert desk.programs.permitted == []
+    linked.begins()
+    assert desk.programs.permitted == [linked._life]
+
+
 def test_what_is_over_is_not_current_while_it_is_braked(desk: Programming) -> None:
     run = desk.motion(asks=False)
     seen: list[object] = []
