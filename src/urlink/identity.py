@@ -129,12 +129,12 @@ class KnownIdentity:
 
     def __init__(self, ask: Callable[[], Identity], known: Identity | None = None) -> None:
         self._ask = ask
-        self._is_stale = False
+        self._doubts = self._dispelled = 0
         self.last = ask() if known is None else known
 
     def doubt(self) -> None:
         """It was connected to anew, and may be another one."""
-        self._is_stale = True
+        self._doubts += 1
 
     @property
     def identity(self) -> Identity:
@@ -143,9 +143,10 @@ class KnownIdentity:
         Raises:
             RemoteError: it had to be asked, and did not answer.
         """
-        if self._is_stale:
+        doubts = self._doubts
+        if doubts != self._dispelled:
             self.last = self._ask()
-            self._is_stale = False
+            self._dispelled = doubts  # one that has come up meanwhile stays
         return self.last
 
 

@@ -14,7 +14,7 @@ import urlink
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout, LocalError, WrongPeer
 from tests.fakes.server import OneAfterAnother
 from urlink.firmware import RELEASES, Firmware, Release
-from urlink.identity import Identity, identify
+from urlink.identity import Identity, KnownIdentity, identify
 from urlink.interfaces.primary.protocol import PrimaryProtocol
 from urlink.models import MODELS
 from urlink.packets import RobotState, VersionMessage
@@ -281,3 +281,20 @@ def test_kinematics_of_dh_parameters_that_are_those_of_another_arm() -> None:
 
 def test_kinematics_without_dh_parameters_are_as_published() -> None:
     assert repr(Identity(Firmware(5, 11), True, "UR10e").kinematics) == "<Arm UR10e, as published>"
+
+
+def test_a_doubt_that_comes_up_while_it_is_asked_stays() -> None:
+    """Connected to anew meanwhile: it may be another one than the one that has answered."""
+    asked: list[str] = []
+
+    def ask() -> Identity:
+        asked.append("asked")
+        if len(asked) == 2:
+            known.doubt()
+        return Identity(Firmware(5, 11), True, "UR5e")
+
+    known = KnownIdentity(ask)
+    known.doubt()
+    for asks in (2, 3, 3):
+        assert known.identity.model == "UR5e"
+        assert len(asked) == asks

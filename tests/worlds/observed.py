@@ -541,10 +541,10 @@ class Observed:
         return f"whose handle ended at {sent.ended:.3f} s: {sent.error}"
 
     def _is_kept(self, sent: Sent) -> bool:
-        """Given up during a stop, in which the controller takes no program, by a client that did not stay to its end.
+        """Given up during a stop, in which the controller takes no program, and let go on by a person or by its end.
 
-        Or by one that has read of the stop and, over a network that was cut, of nothing since. A person has let it go
-        on; docs/safety.md names this.
+        Its client stops it within `_KEPT` of that, unless it did not stay so long, or has read of the stop and, over a
+        network that was cut, of nothing since; docs/safety.md names this.
         """
         assert sent.ended is not None
         closed, known = self._closed.get(sent.computer, math.inf), self._known.get(sent.computer)
@@ -552,7 +552,7 @@ class Observed:
         return any(
             begun <= sent.ended + _KEPT
             and sent.ended <= over + _KEPT
-            and (is_unaware or closed <= over + _KEPT)
+            and (is_unaware or min(closed, self._sim.now) <= over + _KEPT)
             and self.played[-1:] > [over]
             for begun, over in self.stopped
         )

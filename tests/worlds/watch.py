@@ -167,6 +167,8 @@ class Watch:
             why = observed.why_not(sent, is_faster=speed > before + 1e-3)
             if why is not None:
                 self._once(f"the arm moves at {speed:.3f} rad/s by {sent.wrapped.name} ({sent.life.name}), {why}")
+        elif (controller.program_name or "").startswith("urlink_stop_") and speed <= before + BEGINS:
+            pass  # of a client, which may have stopped what it had given up
         elif not self.wanting and self._sim.now > self._until and not self._is_admitted:
             self._once(f"the arm moves at {speed:.3f} rad/s, and nobody wants it to: {controller.program_name}")
 

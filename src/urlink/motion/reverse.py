@@ -51,8 +51,8 @@ class ReversePort:
         """
         if self.port and self._link is not None:
             self._link.stop_listening()
-        self._link = ReverseLink(self)
-        return self._link
+        link = self._link = ReverseLink(self)
+        return link  # and not what another thread may have set meanwhile
 
 
 class ReverseLink:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Iterator
+from typing import ClassVar
 
 import pytest
 
@@ -215,6 +216,27 @@ def test_free_ports_wait_side_by_side() -> None:
     first, second = where.open(), where.open()
     for link in (first, second):
         serves(link)
+        link.close()
+
+
+class Interrupted(ReversePort):
+    """Another thread opens a link when the first one has just been kept."""
+
+    others: ClassVar[list[ReverseLink]] = []
+
+    def __setattr__(self, name: str, value: object) -> None:
+        super().__setattr__(name, value)
+        if name == "_link" and value is not None and not self.others:
+            self.others.append(value)  # type: ignore[arg-type] # only once
+            self.others[:] = [self.open()]
+
+
+def test_threads_that_open_at_once_have_a_link_each() -> None:
+    """Two programs that shared one would be led by each other's words."""
+    where = Interrupted("127.0.0.1")
+    links = [where.open(), *where.others]
+    assert len(set(links)) == 2
+    for link in links:
         link.close()
 
 
