@@ -46,6 +46,8 @@ _log = logging.getLogger(__name__)
 _AFTERMATH = 1.0
 #: Seconds after the beginning of a program by which the flag in the robot mode data shows it: five states.
 _FLAG_LAG = 0.5
+#: The same where key messages report its end, unless the controller has dropped them, as for a client that is slow.
+_KEY_LAG = 5.0
 #: Seconds by which a stop may be reported later than the end of the program that it stopped: three states.
 _STOP_LAG = 0.3
 #: Seconds after a stop was sent, by which its program has ended: more than two states.
@@ -451,8 +453,8 @@ class Programs:
             _log.info("%s, which was given up, was not stopped yet: %s", self._kept, error)
 
     def _was_missed(self, begun: float) -> bool:
-        """It was over before a state could show it, and no key message reports it: its flag is down too long."""
-        return not self._has_keys and self._clock() - begun > _FLAG_LAG
+        """It was over before a state could show it, and no key message has reported it: its flag is down too long."""
+        return self._clock() - begun > (_KEY_LAG if self._has_keys else _FLAG_LAG)
 
     def _check_time(self) -> None:
         now = self._clock()

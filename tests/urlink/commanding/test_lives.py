@@ -260,7 +260,7 @@ def test_a_program_that_is_paused_goes_on(desk: Programming, is_paused: bool) ->
 
 @pytest.mark.parametrize("has_keys", [True, False])
 def test_a_flag_that_is_down_for_half_a_second_has_been_missed(desk: Programming, has_keys: bool) -> None:
-    """Where key messages tell, it only has not risen yet."""
+    """Where key messages tell, it only has not risen yet, or for five seconds they were lost."""
     run = desk.script()
     if has_keys:
         desk.key(STARTED, "theirs")
@@ -271,6 +271,9 @@ def test_a_flag_that_is_down_for_half_a_second_has_been_missed(desk: Programming
         assert run.phase is Phase.RUNNING
     desk.state(0.25)
     assert (run.phase is Phase.RUNNING) == has_keys
+    desk.state(4.0)
+    desk.state(0.4)
+    assert run.end == f"ProgramStopped: {run.name} was stopped before its end, from elsewhere"
 
 
 def test_a_stop_that_is_told_after_the_end(desk: Programming) -> None:
