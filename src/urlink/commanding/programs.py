@@ -259,8 +259,7 @@ class Programs:
             if newest is not None and newest.life is not life:
                 raise Cancelled(f"{newest.life.name} was sent meanwhile, which stops it anyway")
 
-        self._stopping = newest.name
-        self._told = self._clock()
+        self._stopping, self._told = newest.name, self._clock()
         try:
             self._send_stop(claim)
         except SafetyStop:
@@ -413,13 +412,15 @@ class Programs:
 
     def _on_mode(self, mode: RobotModeData) -> None:
         self._mode = mode
+        # After it, a flag that is down says that a program was over before a state could show it running.
+        lag = _KEY_LAG if self._has_keys else _FLAG_LAG
         for run in self._pending():
             begun = run.life.happened(Event.BEGIN)
             if run.wrapped.is_secondary or begun is None:
                 continue
             if mode.is_program_running or mode.is_program_paused:
                 run.was_seen = True
-            elif run.was_seen or run.life.happened(Event.REPORT) or self._was_missed(begun.at):
+            elif run.was_seen or run.life.happened(Event.REPORT) or self._clock() - begun.at > lag:
                 self._end(run)
         self._check_time()
 
@@ -451,10 +452,6 @@ class Programs:
             self._stopping, self._kept, self._told = (self._kept if self._has_keys else None), None, now
         except LinkError as error:
             _log.info("%s, which was given up, was not stopped yet: %s", self._kept, error)
-
-    def _was_missed(self, begun: float) -> bool:
-        """It was over before a state could show it, and no key message has reported it: its flag is down too long."""
-        return self._clock() - begun > (_KEY_LAG if self._has_keys else _FLAG_LAG)
 
     def _check_time(self) -> None:
         now = self._clock()

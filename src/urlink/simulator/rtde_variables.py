@@ -98,12 +98,8 @@ def execution_time(state: ControllerState) -> float:
     return busy if state.modes.program_state is ProgramState.PLAYING else idle
 
 
-def _named(**outputs: Output) -> dict[str, Output]:
-    return outputs
-
-
 def _outputs() -> dict[str, Output]:
-    found = _named(
+    found = dict[str, Output](
         timestamp=lambda s: UPTIME + s.time,
         target_q=lambda s: s.arm.sample.q_target,
         target_qd=lambda s: s.arm.sample.qd_target,
