@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import Callable, Coroutine, Generator
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
@@ -90,6 +91,21 @@ def happened(future: asyncio.Future[None]) -> None:
         future.set_result(None)
 
 
+def ended(future: Future[Any], loop: asyncio.AbstractEventLoop) -> asyncio.Future[None]:
+    """A future of the loop that is done soon after one of any thread is. It is neither cancelled nor read.
+
+    `asyncio.wrap_future` reads it, at once if the loop itself ends it on Python 3.14, and else in its next turn.
+    """
+    end = loop.create_future()
+
+    def told(_: object) -> None:
+        with contextlib.suppress(RuntimeError):  # the loop is closed
+            loop.call_soon_threadsafe(happened, end)
+
+    future.add_done_callback(told)
+    return end
+
+
 class Workers:
     """Threads of one robot. The first call starts one, which stays; another is started only while all are busy.
 
@@ -134,7 +150,10 @@ class Workers:
         pending = PendingCall()
         making = self.submit(partial(pending.make, call))
         try:
-            return await asyncio.wrap_future(making)
+            await ended(making, asyncio.get_running_loop())
+            if making.cancelled():  # it waited for a thread
+                raise Closed(f"{self._name} was closed")
+            return making.result()
         except asyncio.CancelledError:
             self.give_up(pending, making, undo)
             raise

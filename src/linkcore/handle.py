@@ -385,18 +385,14 @@ class Handle:
         self._life.call_back(lambda: callback(self))
 
     def __await__(self) -> Generator[Any, None, None]:
-        import asyncio
-
-        from .event_loop import running_loop
+        from .event_loop import ended, running_loop
 
         loop = running_loop(f"awaiting {self.name}")
         try:
-            yield from asyncio.wrap_future(self._life.future, loop=loop).__await__()
+            yield from ended(self._life.future, loop)
         except BaseException as error:
-            if not self.done or error is not self._life.future.exception():
-                self._give_up(error)
-                raise
-            error.__traceback__ = None  # that of the life itself was raised; a copy is raised instead
+            self._give_up(error)
+            raise
         if self._life.error is not None:
             raise self._life.error
 

@@ -97,6 +97,8 @@ class Preemption:
             line = frame.f_lineno
             if event == "return":
                 last[0] = 0
+            elif event == "exception" and not last[0]:  # thrown into it where it waits: a line once more from 3.13 on
+                last[0] = line
             if event != "line" or line == last[0] or line not in _parsed(frame.f_code.co_filename)[0]:
                 return trace
             last[0] = line

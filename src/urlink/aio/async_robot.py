@@ -263,7 +263,7 @@ class AsyncRobot(AwaitedPart[threaded.Robot]):
         robot, workers = self._part, self._workers
         try:
             if workers.is_used or robot._controller is not None:
-                await asyncio.wrap_future(workers.submit(lambda: robot.close(timeout)))
+                await workers.make(lambda: robot.close(timeout))
             else:
                 await asyncio.gather(*(stream.close() for stream in self._streams.values()))
                 robot.close(0.0)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Concatenate, Generic, ParamSpec, TypeVar,
 
 from linkcore.clock import Stamp
 from linkcore.errors import BadValue, LinkTimeout
-from linkcore.event_loop import Workers, running_loop
+from linkcore.event_loop import Workers, ended, running_loop
 from linkcore.handle import Handle
 from linkcore.net.awaited import AwaitedTcp
 
@@ -169,7 +169,8 @@ class Block(Generic[T]):
         return self._given(self._entered, self._workers)
 
     async def __aexit__(self, *exc: object) -> None:
-        leaving = asyncio.wrap_future(self._workers.submit(functools.partial(self._entered.__exit__, *exc)))
+        left = self._workers.submit(functools.partial(self._entered.__exit__, *exc))
+        leaving = ended(left, asyncio.get_running_loop())
         try:
             await asyncio.wait({leaving})
         except asyncio.CancelledError:
@@ -178,9 +179,9 @@ class Block(Generic[T]):
             await asyncio.wait({leaving})
             raise
         try:
-            leaving.result()
+            left.result()
         finally:
-            del leaving  # an error refers to this frame, and the future to the error
+            del left  # an error refers to this frame, and the future to the error
 
 
 @overload

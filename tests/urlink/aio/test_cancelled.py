@@ -245,7 +245,7 @@ async def connected(address: str) -> AsyncIterator[Any]:
 def check(number: int, controller: Controller, sent: list[Sent], work: Callable[[Trial], Any], name: str = "") -> bool:
     was_cancelled, late = run_cancelled(number, work, sent)
     assert not [each for each in late if not may_follow(name, each)], number
-    until(lambda: stands(controller), 5.0)
+    until(lambda: stands(controller), 10.0)  # a script that came to no permission waits for it for five seconds
     return was_cancelled
 
 
