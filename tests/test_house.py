@@ -27,7 +27,6 @@ SOCKETS = {
 
 #: The only modules that may import `asyncio`.
 AWAITED = {
-    "linkcore.handle",
     "linkcore.event_loop",
     "linkcore.net.awaited",
     "linkcore.aio.async_stream",

@@ -13,11 +13,11 @@ from collections.abc import Callable
 from typing import Any
 
 from linkcore.clock import monotonic
-from linkcore.errors import ConnectFailed, ConnectionLost
+from linkcore.errors import ConnectionLost
 from linkcore.streaming.stream import Stream
 
 from ..urscript.buffering import REPORTED, WORD, PointRegisters
-from .register_link import InputClaim, random_token
+from .register_link import InputClaim, ProgramRegisters, random_token
 
 #: Registers below those of `urlink.motion.register_link`, which another motion of this robot may have claimed: from 24
 #: on, 24 to 29 of the integers are left to users, and so are outputs below 30 and above 36: in 47 a program finds its
@@ -63,8 +63,8 @@ class PointLinks:
         return PointRegisterLink(inputs, lambda: stream.latest)
 
 
-class PointRegisterLink:
-    """The registers of one program that holds points. As `RegisterLink`, but the program answers.
+class PointRegisterLink(ProgramRegisters):
+    """The registers of a program that holds points, and answers.
 
     Args:
         inputs: the claimed inputs.
@@ -73,22 +73,14 @@ class PointRegisterLink:
 
     Attributes:
         endpoint: the registers and the token, for the program's text.
-        is_up: whether the program has begun, so that words are written.
     """
 
     def __init__(self, inputs: InputClaim, outputs: Callable[[], Any], clock: Callable[[], float] = monotonic) -> None:
+        super().__init__(inputs, INPUTS)
         self.endpoint = PointRegisters(FIRST_FLOAT, FIRST_INTEGER, FIRST_OUTPUT, random_token())
-        self.is_up = False
-        self._inputs, self._outputs, self._clock = inputs, outputs, clock
-        self._count = 0
+        self._outputs, self._clock = outputs, clock
         self._heard = clock()
         self._last: tuple[int, ...] | None = None
-        self._is_closed = False
-
-    def poll(self, has_begun: bool) -> bool:
-        """The link is up once the program has begun."""
-        self.is_up = has_begun and not self._is_closed
-        return self.is_up
 
     def send(self, data: bytes) -> None:
         """Write a dated word.
@@ -96,13 +88,10 @@ class PointRegisterLink:
         Raises:
             LinkError: it could not be written.
         """
-        if self._is_closed:
-            raise ConnectionLost("the registers are not written any more")
         numbers = _WORD.unpack(data)
         self._count = min(self._count + 1, _MOST)
         own = (numbers[-1], self._count, self.endpoint.token)
-        values = (*numbers[:_WHOLE], *own, *map(float, numbers[_WHOLE:-1]))
-        self._inputs._write(dict(zip(INPUTS, values, strict=True)))
+        self._write((*numbers[:_WHOLE], *own, *map(float, numbers[_WHOLE:-1])))
 
     def received(self) -> bytes:
         """The newest report; nothing if it is the same as before, or that of another program.
@@ -121,15 +110,3 @@ class PointRegisterLink:
             return b""
         self._last = tuple(report)
         return _REPORT.pack(*report)
-
-    def absence(self, why: str) -> ConnectFailed:
-        """The error for a program that does not read what is written."""
-        return ConnectFailed(
-            f"the program on the robot does not see what is written into its input registers: {why}. Does another RTDE "
-            f"client or a fieldbus write one of {', '.join(INPUTS)}?"
-        )
-
-    def close(self, *, farewell: bool) -> None:
-        """Write nothing more; a program that still runs finds no new word, and brakes. Idempotent."""
-        self._is_closed = True
-        self.is_up = False

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import random
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Generic, Protocol, TypeVar
 
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout
@@ -85,7 +85,7 @@ def random_token() -> int:
     return random.SystemRandom().randrange(1, TOKENS)
 
 
-class RegisterLink:
+class ProgramRegisters:
     """The registers of one program.
 
     A program reads no word before its token is in its register. The token is written once the program has begun, and
@@ -93,16 +93,15 @@ class RegisterLink:
 
     Args:
         inputs: the claimed inputs.
+        names: of all of them, in the order in which they are written.
 
     Attributes:
-        endpoint: the registers and the token, for the program's text.
         is_up: whether the program has begun, so that words are written.
     """
 
-    def __init__(self, inputs: InputClaim) -> None:
-        self.endpoint = InputRegisters(FIRST_FLOAT, FIRST_INTEGER, random_token())
+    def __init__(self, inputs: InputClaim, names: Sequence[str]) -> None:
         self.is_up = False
-        self._inputs = inputs
+        self._inputs, self._names = inputs, names
         self._count = 0
         self._is_closed = False
 
@@ -111,31 +110,47 @@ class RegisterLink:
         self.is_up = has_begun and not self._is_closed
         return self.is_up
 
+    def received(self) -> bytes:
+        """No bytes: a program with registers answers by `textmsg` only."""
+        return b""
+
+    def _write(self, values: Iterable[float]) -> None:
+        if self._is_closed:
+            raise ConnectionLost("the registers are not written any more")
+        self._inputs._write(dict(zip(self._names, values, strict=True)))
+
+    def absence(self, why: str) -> ConnectFailed:
+        """The error for a program that does not read what is written."""
+        return ConnectFailed(
+            f"the program on the robot does not see what is written into its input registers: {why}. Does another RTDE "
+            f"client or a fieldbus write one of {', '.join(self._names)}?"
+        )
+
+    def close(self, *, farewell: bool) -> None:
+        """Write nothing more; a program that still runs finds no new word, and brakes. Idempotent."""
+        self._is_closed, self.is_up = True, False
+
+
+class RegisterLink(ProgramRegisters):
+    """The registers of a program that is led by set-points.
+
+    Args:
+        inputs: the claimed inputs.
+
+    Attributes:
+        endpoint: the registers and the token, for the program's text.
+    """
+
+    def __init__(self, inputs: InputClaim) -> None:
+        super().__init__(inputs, NAMES)
+        self.endpoint = InputRegisters(FIRST_FLOAT, FIRST_INTEGER, random_token())
+
     def send(self, data: bytes) -> None:
         """Write a dated word.
 
         Raises:
             LinkError: it could not be written.
         """
-        if self._is_closed:
-            raise ConnectionLost("the registers are not written any more")
         q, qd, mode = read_word(data[:WORD_SIZE])
-        date = int.from_bytes(data[WORD_SIZE:], "big")
         self._count = self._count % _MOST + 1
-        self._inputs._write(dict(zip(NAMES, (*q, *qd, date, self._count, mode, self.endpoint.token), strict=True)))
-
-    def received(self) -> bytes:
-        """No bytes: a program with registers answers by `textmsg` only."""
-        return b""
-
-    def absence(self, why: str) -> ConnectFailed:
-        """The error for a program that does not read what is written."""
-        return ConnectFailed(
-            f"the program on the robot does not see what is written into its input registers: {why}. Does another RTDE "
-            f"client or a fieldbus write one of {', '.join(NAMES)}?"
-        )
-
-    def close(self, *, farewell: bool) -> None:
-        """Write nothing more; a program that still runs finds no new word, and brakes. Idempotent."""
-        self._is_closed = True
-        self.is_up = False
+        self._write((*q, *qd, int.from_bytes(data[WORD_SIZE:], "big"), self._count, mode, self.endpoint.token))
