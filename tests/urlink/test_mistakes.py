@@ -125,6 +125,7 @@ def test_a_mistake_is_answered_with_advice(robot: Any, attempt: Try, kind: type[
     assert robot.motion.current is None
 
 
+@pytest.mark.real_time
 def test_what_is_told_of_another_name_is_there(robot: Any) -> None:
     """Each dotted name in the table can be looked up on a robot, or in the library."""
     for name, advice in _OWN.items():
@@ -142,12 +143,14 @@ def test_what_is_told_of_another_name_is_there(robot: Any) -> None:
     assert own_name("no_such_name") is None
 
 
+@pytest.mark.real_time
 def test_private_names_get_no_advice(robot: Any) -> None:
     with pytest.raises(AttributeError, match=r"Robot has no attribute '_repr_png_'$"):
         robot._repr_png_()
     assert not hasattr(robot, "_ipython_display_")
 
 
+@pytest.mark.real_time
 @pytest.mark.parametrize("part", ["", "motion", "safety", "io"])
 def test_a_notebook_shows_the_robot_and_its_parts(robot: Any, part: str) -> None:
     shown = (getattr(robot, part) if part else robot)._repr_html_()
@@ -186,6 +189,7 @@ def test_every_error_is_imported_from_where_a_traceback_shows_it() -> None:
         assert kind.__name__ in page, kind
 
 
+@pytest.mark.real_time
 def test_types_refuse_text_for_joints(robot: urlink.Robot) -> None:
     """An unused `type: ignore` is an error, so type checkers have to refuse each line."""
     with pytest.raises(LocalError, match="q is 'home'; expected numbers"):
