@@ -439,8 +439,13 @@ class Observed:
             before = self.programs.get(main.name) if main is not None and main.is_program else None
             match = re.fullmatch(r"urlink_stop_(\w+)_\d+", script.name)
             if match is not None and before is not None and f"_{match[1]}_" in before.wrapped.name:
-                is_unasked = not before.life.is_over and not self.lost_since(before.computer, before.asked)
-                if is_unasked:
+                # What was to replace it, and was given up, may have been ignored in local control.
+                is_replaced = any(
+                    sent.asked > before.asked and sent.life.is_over and not sent.wrapped.is_secondary
+                    for sent in self.programs.values()
+                    if f"_{match[1]}_" in sent.wrapped.name
+                )
+                if not (is_replaced or before.life.is_over or self.lost_since(before.computer, before.asked)):
                     self._fault(f"{script.name} stops {before.wrapped.name}, which nobody has cancelled")
             sent = self.programs.get(script.name)
             if sent is not None:
