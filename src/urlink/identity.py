@@ -129,7 +129,7 @@ class KnownIdentity:
 
     def __init__(self, ask: Callable[[], Identity], known: Identity | None = None) -> None:
         self._ask = ask
-        self._doubts = self._dispelled = 0
+        self._doubts = self._answered = 0
         self.last = ask() if known is None else known
 
     def doubt(self) -> None:
@@ -144,9 +144,9 @@ class KnownIdentity:
             RemoteError: it had to be asked, and did not answer.
         """
         doubts = self._doubts
-        if doubts != self._dispelled:
+        if doubts != self._answered:
             self.last = self._ask()
-            self._dispelled = doubts  # one that has come up meanwhile stays
+            self._answered = doubts  # one that has come up meanwhile stays
         return self.last
 
 
