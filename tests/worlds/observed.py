@@ -301,7 +301,7 @@ class Observed:
             has_happened = fire(life, event, *rest, **named)
             if life.phase is not before:
                 self.transitions.add((before.value, life.phase.value))
-                for sent in self.programs.values():
+                for sent in tuple(self.programs.values()):
                     if sent.life is life:
                         self._step(sent)
             elif event in (Event.FINISH, Event.CANCEL, Event.FAIL) and not life.is_over:
