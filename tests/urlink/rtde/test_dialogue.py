@@ -156,6 +156,7 @@ def test_refusals(request_class: type[State], reply: State, error: str) -> None:
         (StartRequest, "StartReply"),
     ],
 )
+@pytest.mark.simulated_time
 def test_what_is_not_answered_is_said(request_class: type[State], awaited: str) -> None:
     desk = ScriptedRtde()
     desk.answers[request_class] = lambda request: []
@@ -163,6 +164,7 @@ def test_what_is_not_answered_is_said(request_class: type[State], awaited: str) 
         opened(desk, Requests(("timestamp",)), 0.05)
 
 
+@pytest.mark.simulated_time
 def test_a_start_that_yields_no_data_is_noticed() -> None:
     desk = ScriptedRtde()
     desk.answers[StartRequest] = lambda request: [StartReply(accepted=True)]
