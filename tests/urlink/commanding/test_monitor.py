@@ -220,6 +220,7 @@ def test_closing_lets_go_of_everything(desk: Monitored) -> None:
 # -- waiting -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.simulated_time
 def test_who_waits_looks_again_when_time_is_up() -> None:
     desk = Desk(may_wait=True)
     answers = iter([False, True, False, False])

@@ -47,6 +47,8 @@ from urlink.interfaces.rtde.protocol import (
 from urlink.interfaces.rtde.recipes import Outputs, Recipe
 from urlink.interfaces.rtde.transport import RtdeTransport
 
+pytestmark = pytest.mark.simulated_time
+
 
 def opened(desk: ScriptedRtde, plan: Requests, timeout: float = 2.0) -> tuple[RtdeTransport, RtdeProtocol]:
     transport = RtdeTransport(desk, plan)
@@ -156,7 +158,6 @@ def test_refusals(request_class: type[State], reply: State, error: str) -> None:
         (StartRequest, "StartReply"),
     ],
 )
-@pytest.mark.simulated_time
 def test_what_is_not_answered_is_said(request_class: type[State], awaited: str) -> None:
     desk = ScriptedRtde()
     desk.answers[request_class] = lambda request: []
@@ -164,7 +165,6 @@ def test_what_is_not_answered_is_said(request_class: type[State], awaited: str) 
         opened(desk, Requests(("timestamp",)), 0.05)
 
 
-@pytest.mark.simulated_time
 def test_a_start_that_yields_no_data_is_noticed() -> None:
     desk = ScriptedRtde()
     desk.answers[StartRequest] = lambda request: [StartReply(accepted=True)]
