@@ -471,9 +471,14 @@ class Observed:
             self._closed[client] = self._sim.now
             close(programs)
             robot = network.find(self._controller.host, client)
-            if robot is not None and not network.carries(client, robot):
-                # The connections are closed 0.7 s later, and what has not been acknowledged by then is discarded.
-                self._lost.setdefault(client, []).append(self._sim.now)
+
+            def look() -> None:
+                if robot is not None and not network.carries(client, robot):
+                    self._lost.setdefault(client, []).append(self._sim.now)
+
+            # The connections are closed 0.7 s later, and what has not been acknowledged by then is discarded.
+            for tenths in range(8):
+                self._sim.at(self._sim.now + tenths / 10, look)
 
         return wrapped
 
