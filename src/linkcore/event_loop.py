@@ -92,9 +92,9 @@ def happened(future: asyncio.Future[None]) -> None:
 
 
 def ended(future: Future[Any], loop: asyncio.AbstractEventLoop) -> asyncio.Future[None]:
-    """A future of the loop that is done soon after one of any thread is. It is neither cancelled nor read.
+    """A future of `loop` that is done one turn after `future`, which any thread may end and which is left as it is.
 
-    `asyncio.wrap_future` reads it, at once if the loop itself ends it on Python 3.14, and else in its next turn.
+    `asyncio.wrap_future` takes no turn of the loop from Python 3.14 on where the loop's own thread ends `future`.
     """
     end = loop.create_future()
 

@@ -143,8 +143,7 @@ class KnownIdentity:
         Raises:
             RemoteError: it had to be asked, and did not answer.
         """
-        doubts = self._doubts
-        if doubts != self._answered:
+        if (doubts := self._doubts) != self._answered:
             self.last = self._ask()
             self._answered = doubts  # one that has come up meanwhile stays
         return self.last

@@ -97,7 +97,7 @@ class Preemption:
             line = frame.f_lineno
             if event == "return":
                 last[0] = 0
-            elif event == "exception" and not last[0]:  # thrown into it where it waits: a line once more from 3.13 on
+            elif event == "exception" and not last[0]:  # resumed by `throw`: from 3.13 on its line is traced again
                 last[0] = line
             if event != "line" or line == last[0] or line not in _parsed(frame.f_code.co_filename)[0]:
                 return trace

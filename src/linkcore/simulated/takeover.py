@@ -243,7 +243,7 @@ def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
     sleep, select_, ioctl, getaddrinfo, urandom = time.sleep, select.select, fcntl.ioctl, socket.getaddrinfo, os.urandom
     getpid = os.getpid
     # Of `call_soon_threadsafe`: since CPython 3.14 it has a lock, which is for threads that run at once.
-    handles: list[Any] = [vars(sys.modules["asyncio.events"]).get("_ThreadSafeHandle")]
+    handle: Any = vars(sys.modules["asyncio.events"]).get("_ThreadSafeHandle", type("Handle", (), {}))
 
     def clock(real: Callable[[], Any], epoch: float, scale: int) -> Callable[[], Any]:
         def read() -> Any:
@@ -305,7 +305,7 @@ def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
         (threading.Semaphore, primitives.Semaphore),
         (queue.SimpleQueue, primitives.SimpleQueue),
         (_pool._global_shutdown_lock, primitives.Lock()),
-        *((handle, type("Handle", handle.__bases__, {})) for handle in handles if handle),
+        (handle, type("Handle", handle.__bases__, {})),
         (socket.socket, choose(new_socket, socket.socket)),
         (socket.socketpair, choose(sockets.pair, socket.socketpair)),
         (getaddrinfo, choose(sockets.addresses, getaddrinfo)),

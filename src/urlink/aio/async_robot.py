@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 from linkcore.aio.async_stream import AsyncStream
 from linkcore.aio.loop_connection import LoopConnection
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout, LocalError, unraised
-from linkcore.event_loop import Opening, Workers, finished, running_loop
+from linkcore.event_loop import Opening, Workers, ended, finished, running_loop
 from linkcore.net.awaited import AwaitedTcp
 
 from .. import robot as threaded
@@ -263,7 +263,9 @@ class AsyncRobot(AwaitedPart[threaded.Robot]):
         robot, workers = self._part, self._workers
         try:
             if workers.is_used or robot._controller is not None:
-                await workers.make(lambda: robot.close(timeout))
+                closing = workers.submit(lambda: robot.close(timeout))
+                await ended(closing, asyncio.get_running_loop())
+                closing.result()
             else:
                 await asyncio.gather(*(stream.close() for stream in self._streams.values()))
                 robot.close(0.0)

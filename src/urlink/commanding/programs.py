@@ -278,7 +278,7 @@ class Programs:
 
     @property
     def permitted(self) -> list[Lifecycle]:
-        """Of what is not over, and may move the arm: it has begun, or does so without being let go on."""
+        """Of what is not over, and may move the arm: it has begun, or begins without a permission or a link."""
         runs = [run for run in self._pending() if run.has_begun or run.moves_late]
         return [run.life for run in runs if not run.life.is_over]
 

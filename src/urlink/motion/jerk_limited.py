@@ -179,9 +179,8 @@ class TargetFilter:
             self._plan(joint, x)
 
     def _plan(self, joint: int, target: float) -> None:
-        self._profiles[joint] = JointProfile(
-            self.q[joint], self.qd[joint], self.qdd[joint], target, self._limits[joint]
-        )
+        state = self.q[joint], self.qd[joint], self.qdd[joint]
+        self._profiles[joint] = JointProfile(*state, target, self._limits[joint])
         self._times[joint] = 0.0
 
     def after(self, seconds: float) -> tuple[list[float], list[float]]:

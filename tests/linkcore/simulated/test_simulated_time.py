@@ -386,7 +386,7 @@ def test_asyncio_on_the_same_clock() -> None:
 
 
 def calls(sim: Simulation) -> list[int]:
-    """Calls of tasks in two threads, where some queue, and one ends another one."""
+    """Calls of tasks in two threads, where some have to queue."""
 
     async def program() -> list[int]:
         loop = asyncio.get_running_loop()

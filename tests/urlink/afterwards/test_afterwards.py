@@ -165,8 +165,8 @@ def what_becomes_of_it(rig: Rig, firmware: str, name: str, column: str) -> None:
     begin(rig)
     rig.ask("mark")
     EVENTS[column](rig)
-    # What had come to its kernel is read by a controller that goes on, and a short speed asks for no permission.
-    is_late = name == "speed_short" and column == "suspended controller"
+    # A process that goes on reads what had come to its kernel, and a short speed asks for no permission.
+    is_late = isinstance(rig, Processes) and (name, column) == ("speed_short", "suspended controller")
     within = row.within + rig.hold * is_late
     watched = within + LONGER
     rig.ask("after", watched)

@@ -245,7 +245,8 @@ async def connected(address: str) -> AsyncIterator[Any]:
 def check(number: int, controller: Controller, sent: list[Sent], work: Callable[[Trial], Any], name: str = "") -> bool:
     was_cancelled, late = run_cancelled(number, work, sent)
     assert not [each for each in late if not may_follow(name, each)], number
-    until(lambda: stands(controller), 10.0)  # a script that came to no permission waits for it for five seconds
+    # A script whose robot was closed before it was permitted waits for its permission for five seconds.
+    until(lambda: stands(controller), 5.0 if was_cancelled else 10.0)
     return was_cancelled
 
 

@@ -45,9 +45,7 @@ def test_a_profile_keeps_its_limits_and_arrives(limit: JointLimit, v: float, a: 
 def test_from_rest_to_rest_it_takes_as_long_as_it_has_to() -> None:
     """By the formulas of textbooks: of each shape one."""
     assert JointProfile(0, 0, 0, 2.0, JointLimit(10, 10, 1)).duration == pytest.approx(4.0)  # 4 (x / 2j)^(1/3)
-    assert JointProfile(0, 0, 0, -6.0, JointLimit(10, 1, 1)).duration == pytest.approx(
-        6.0
-    )  # with the acceleration held
+    assert JointProfile(0, 0, 0, -6.0, JointLimit(10, 1, 1)).duration == pytest.approx(6.0)  # the acceleration held
     assert JointProfile(0, 0, 0, 10.0, JointLimit(1, 1, 1)).duration == pytest.approx(12.0)  # and the speed
     assert JointProfile(3, 0, 0, 3.0, JointLimit(1, 1, 1)).duration == 0.0
 
