@@ -93,9 +93,7 @@ def _start_place(register: int | None, flags: Collection[int]) -> StartPlace:
     return StartPlace(register, numbers)
 
 
-def _taking(
-    options: Callable[P, ConnectOptions],
-) -> Callable[[Callable[[ConnectOptions], T]], Callable[P, T]]:
+def _taking(options: Callable[P, ConnectOptions]) -> Callable[[Callable[[ConnectOptions], T]], Callable[P, T]]:
     """Makes a function of these options one of their arguments, which type checkers and `inspect.signature` see."""
 
     def taking(function: Callable[[ConnectOptions], T]) -> Callable[P, T]:

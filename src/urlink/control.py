@@ -209,7 +209,7 @@ class Control:
         until = time.monotonic() + timeout
         self._is_closed = True
         self._recall.close(self)
-        self._programs.close()
+        self._programs.close(timeout)
         self._monitor.close()
         if (dashboard := self._dashboard.made) is not None:
             dashboard.close()

@@ -465,18 +465,18 @@ class Observed:
 
         return wrapped
 
-    def _close(self, close: Callable[[Programs], None]) -> Callable[[Programs], None]:
-        def wrapped(programs: Programs) -> None:
+    def _close(self, close: Callable[[Programs, float], None]) -> Callable[[Programs, float], None]:
+        def wrapped(programs: Programs, timeout: float) -> None:
             client, network = here(), self._sim.network
             self._closed[client] = self._sim.now
-            close(programs)
+            close(programs, timeout)
             robot = network.find(self._controller.host, client)
 
             def look() -> None:
                 if robot is not None and not network.carries(client, robot):
                     self._lost.setdefault(client, []).append(self._sim.now)
 
-            # The connections are closed 0.7 s later, and what has not been acknowledged by then is discarded.
+            # What has not been acknowledged 0.7 s after `close` has sent its last is discarded.
             for tenths in range(8):
                 self._sim.at(self._sim.now + tenths / 10, look)
 

@@ -52,6 +52,8 @@ _KEY_LAG = 5.0
 _STOP_LAG = 0.3
 #: Seconds after a stop was sent, by which its program has ended: more than two states.
 _IGNORED = 0.25
+#: Seconds that `close` waits for a stop to be over, and what was given up during it to be stopped: three states.
+_CLOSING = 0.3
 #: Seconds before a silence began, in which a text that was sent may not have arrived.
 _BEFORE = 0.5
 #: rad/s² with which an arm brakes whose motion is cancelled.
@@ -286,10 +288,18 @@ class Programs:
         """The program that was sent last, unless it is over."""
         return next((run for run in reversed(self._pending()) if not run.wrapped.is_secondary), None)
 
-    def close(self) -> None:
-        """Cancel the motion that runs, begin nothing more, and follow programs no longer. Idempotent."""
-        was_closed, self._is_closed = self._is_closed, True
-        if not was_closed and self._kept is not None and self._mode is not None and self._mode.is_program_paused:
+    def close(self, timeout: float = 0.0) -> None:
+        """Cancel the motion that runs, begin nothing more, and follow programs no longer. Idempotent.
+
+        One that was given up during a stop goes on where the stop is over, or was none: a safety mode that is in no
+        list stops nothing. It is given `timeout` or 0.3 s, whichever is less, to be stopped.
+        """
+        if self._is_closed:
+            return
+        self._is_closed = True
+        if self._section.may_wait:
+            self._monitor.wait_for(lambda interlock: self._kept is None, min(timeout, _CLOSING))
+        if self._kept is not None and self._mode is not None and self._mode.is_program_paused:
             _log.warning("closed during a stop: the controller has %s paused, and may go on with it later", self._kept)
         newest = self._newest()
         if newest is not None and newest.is_motion:

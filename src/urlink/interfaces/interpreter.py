@@ -12,14 +12,7 @@ from typing import NamedTuple
 from linkcore.errors import BadValue, LocalError, PacketError, WrongPeer
 
 #: Words that are not statements.
-WORDS = (
-    "skipbuffer",
-    "abort",
-    "statelastexecuted",
-    "statelastinterpreted",
-    "statelastcleared",
-    "stateunexecuted",
-)
+WORDS = ("skipbuffer", "abort", "statelastexecuted", "statelastinterpreted", "statelastcleared", "stateunexecuted")
 #: Bytes. The limit of a controller is not known; this is far more than a statement has.
 LONGEST_STATEMENT = 8000
 #: Bytes of a reply: the text of the statement comes back.

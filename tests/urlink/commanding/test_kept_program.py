@@ -110,3 +110,31 @@ def test_a_program_that_the_pendant_began_instead_is_left_alone(
     until(lambda: moves(controller))
     time.sleep(1.0)
     assert moves(controller)
+
+
+def test_closing_after_a_stop_that_the_controller_goes_on_from_stops_it(
+    controller: Controller, robot: urlink.Robot
+) -> None:
+    """As after a safety mode that is in no list, which stops nothing."""
+    move(robot)
+    until(lambda: moves(controller))
+    controller.faults.safeguard_stop(resumes=True)
+    robot.safety.wait_for_stop(5)
+    controller.faults.clear()
+    robot.close()
+    until(lambda: not controller.program_name, 5.0)
+    time.sleep(1.0)
+    assert not moves(controller)
+
+
+@pytest.mark.parametrize(("timeout", "longest"), [(2.0, 0.31), (0.0, 0.001)])
+def test_closing_during_a_stop_waits_for_three_states(
+    controller: Controller, robot: urlink.Robot, timeout: float, longest: float
+) -> None:
+    move(robot)
+    until(lambda: moves(controller))
+    controller.faults.protective_stop()
+    robot.safety.wait_for_stop(5)
+    began = time.monotonic()
+    robot._control.made._programs.close(timeout)  # type: ignore[union-attr]
+    assert time.monotonic() - began <= longest

@@ -201,7 +201,4 @@ MESSAGES: dict[int, type[RobotMessage]] = {
 }
 
 #: type byte -> class, of the packages that are neither robot state nor robot message
-PACKAGES: dict[int, type[State]] = {
-    24: SafetyComplianceTolerances,
-    25: ProgramStateMessage,
-}
+PACKAGES: dict[int, type[State]] = {24: SafetyComplianceTolerances, 25: ProgramStateMessage}
