@@ -226,12 +226,27 @@ class SimpleQueue(_Waited):
         return 0 if self.empty() else len(self._items)
 
 
+_init, _hash = threading.Thread.__init__, threading.Thread.__hash__
 _start, _join, _is_alive = threading.Thread.start, threading.Thread.join, threading.Thread.is_alive
 
 
 def _task(thread: threading.Thread) -> Task | None:
     """The task of a thread that takes part."""
     return getattr(thread, "_simulated", None)
+
+
+def init(thread: threading.Thread, *args: Any, **options: Any) -> None:
+    """`Thread.__init__`."""
+    scheduler = current()
+    if scheduler is not None:
+        scheduler.threads += 1
+        thread._number = scheduler.threads  # type: ignore[attr-defined]
+    _init(thread, *args, **options)
+
+
+def hash_(thread: threading.Thread) -> int:
+    """`Thread.__hash__`: not by its address, since pools join their threads in the order of a set."""
+    return getattr(thread, "_number", None) or _hash(thread)
 
 
 def start(thread: threading.Thread) -> None:
@@ -294,3 +309,7 @@ def is_alive(thread: threading.Thread) -> bool:
     """`Thread.is_alive`."""
     task = _task(thread)
     return _is_alive(thread) if task is None else not task.is_over
+
+
+#: Of `threading.Thread`, that are replaced.
+METHODS = {"__init__": init, "start": start, "join": join, "is_alive": is_alive}

@@ -59,9 +59,6 @@ _FAULT = re.compile(r"(\w+)=([\w.-]+)@(\d+(?:\.\d*)?)")
 #: most of the time of a short one.
 _names: dict[str, tuple[int, tuple[str, ...]]] = {}
 
-#: Methods of `threading.Thread` that are replaced.
-_METHODS = ("start", "join", "is_alive")
-
 
 class Simulation:
     """What goes on in a `simulated_time` block.
@@ -372,9 +369,11 @@ def _take_over(replacements: list[tuple[object, object]]) -> Callable[[], None]:
             done.append((module, attribute, value))
             setattr(module, attribute, by_identity[id(value)])
     # Methods of the class itself, for the sake of what is derived from it.
-    kept = {name: getattr(threading.Thread, name) for name in _METHODS}
-    for name in _METHODS:
-        setattr(threading.Thread, name, getattr(primitives, name))
+    kept = {name: getattr(threading.Thread, name) for name in primitives.METHODS}
+    for name, method in primitives.METHODS.items():
+        setattr(threading.Thread, name, method)
+    # For good: a thread of the block is found in sets afterwards too.
+    threading.Thread.__hash__ = primitives.hash_  # type: ignore[assignment]
 
     def put_back() -> None:
         for name, method in kept.items():

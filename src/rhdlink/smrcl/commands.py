@@ -167,12 +167,7 @@ _TABLE = (
     ScriptCommand("log", effects.log, (_TEXT,), repeats=True),
     ScriptCommand("control", effects.control_log, (_TEXT, _TEXT, _TEXT), optional=2),
     ScriptCommand("stream", effects.stream, (_NUMBER, _TEXT), optional=1, repeats=True),
-    ScriptCommand(
-        "addwatch",
-        effects.add_watch,
-        (_TEXT, _NUMBER),
-        needs_condition='addwatch "name" 1 : ($odox > 1)',
-    ),
+    ScriptCommand("addwatch", effects.add_watch, (_TEXT, _NUMBER), needs_condition='addwatch "name" 1 : ($odox > 1)'),
     ScriptCommand("putevent", effects.put_event, (_TEXT,)),
     ScriptCommand("syncevent", effects.sync_event, (_TEXT,)),
     ScriptCommand("print", effects.print_text, (_TEXT,)),

@@ -173,11 +173,7 @@ class Recipe:
 
 @lru_cache(maxsize=256)
 def _state_class(
-    names: tuple[str, ...],
-    types: tuple[str, ...],
-    number: int | None,
-    base: type[Outputs],
-    left_out: tuple[str, ...],
+    names: tuple[str, ...], types: tuple[str, ...], number: int | None, base: type[Outputs], left_out: tuple[str, ...]
 ) -> type[Outputs]:
     recipe = Recipe(names, types, number)
     body = {name: wire(field.shape, field.unit, field.doc) for name, field in recipe.fields.items()}
