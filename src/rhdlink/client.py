@@ -154,6 +154,7 @@ class Variables(Declarations):
         self._exchange = threading.RLock()  # held by the thread that uses the connection
         self._subscribers = Subscribers(address)
         self._closing = threading.Event()
+        self._background = threading.Lock()  # held by the thread that begins to keep it in sync
         self._sync_thread: SyncThread | None = None
         self._connections = 0
         self._state = ConnectionState.IDLE
@@ -327,10 +328,16 @@ class Variables(Declarations):
         self._known()
         if self._closing.is_set():
             raise Closed(f"{self._address} was closed")
-        if self._sync_thread is not None and self._sync_thread.is_running:
-            raise LocalError(f"{self._address} is kept in sync already")
-        self._sync_thread = SyncThread(self.sync, period, backoff, name=f"{self._address} sync")
-        return self._sync_thread
+        # Without waiting: it may be a signal handler that finds it held, by the thread that it interrupts.
+        is_first = self._background.acquire(blocking=False)
+        try:
+            if not is_first or (self._sync_thread is not None and self._sync_thread.is_running):
+                raise LocalError(f"{self._address} is kept in sync already")
+            made = self._sync_thread = SyncThread(self.sync, period, backoff, name=f"{self._address} sync")
+            return made
+        finally:
+            if is_first:
+                self._background.release()
 
     def subscribe(
         self,

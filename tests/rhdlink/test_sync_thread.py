@@ -10,6 +10,7 @@ import pytest
 
 import rhdlink
 from linkcore.errors import BadValue, ConnectionLost, LocalError
+from linkcore.simulated import Simulation
 from rhdlink import Backoff, Int32, Read, Variables
 from rhdlink.sync_thread import SyncThread
 from rhdlink.variables import Update
@@ -29,6 +30,29 @@ def leaves_no_thread() -> Iterator[None]:
     before = set(threading.enumerate())
     yield
     until(lambda: not set(threading.enumerate()) - before)
+
+
+@pytest.mark.parametrize(
+    "seed", [pytest.param(seed, marks=pytest.mark.simulated_time(seed=seed)) for seed in range(40)]
+)
+def test_one_of_two_threads_keeps_it_in_sync(seed: int, simulated_time: Simulation) -> None:
+    simulated_time.preempt("rhdlink")
+    with ScriptedServer(endless(Robot())) as server, rhdlink.connect(server.address, Smr) as robot:
+        robot.sync()
+        errors: list[str] = []
+
+        def begin() -> None:
+            try:
+                robot.background()
+            except LocalError as error:
+                errors.append(str(error))
+
+        threads = [threading.Thread(target=begin) for _ in range(2)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert errors == [f"{server.address} is kept in sync already"]
 
 
 def test_the_sync_thread_keeps_it_in_sync_and_tells_what_is_new() -> None:

@@ -38,12 +38,7 @@ SINGULAR = 1e-4
 
 
 def solve(
-    lengths: Lengths,
-    target: Rigid[float],
-    free_q6: float = 0.0,
-    *,
-    slack: float = SLACK,
-    is_loose: bool = False,
+    lengths: Lengths, target: Rigid[float], free_q6: float = 0.0, *, slack: float = SLACK, is_loose: bool = False
 ) -> list[Angles[float] | None]:
     """The eight branches that put the flange at `target`, rad, not wrapped; None for a branch that does not reach it.
 
