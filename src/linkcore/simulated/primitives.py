@@ -226,7 +226,6 @@ class SimpleQueue(_Waited):
         return 0 if self.empty() else len(self._items)
 
 
-_init, _hash = threading.Thread.__init__, threading.Thread.__hash__
 _start, _join, _is_alive = threading.Thread.start, threading.Thread.join, threading.Thread.is_alive
 
 
@@ -235,18 +234,22 @@ def _task(thread: threading.Thread) -> Task | None:
     return getattr(thread, "_simulated", None)
 
 
-def init(thread: threading.Thread, *args: Any, **options: Any) -> None:
-    """`Thread.__init__`."""
-    scheduler = current()
-    if scheduler is not None:
-        scheduler.threads += 1
-        thread._number = scheduler.threads  # type: ignore[attr-defined]
-    _init(thread, *args, **options)
+def numbering(init: Callable[..., None]) -> Callable[..., None]:
+    """`__init__` of a class, for objects that have a number as their hash."""
+
+    def wrapped(it: Any, *args: Any, **options: Any) -> None:
+        scheduler = current()
+        if scheduler is not None:
+            scheduler.numbered += 1
+            it._number = scheduler.numbered
+        init(it, *args, **options)
+
+    return wrapped
 
 
-def hash_(thread: threading.Thread) -> int:
-    """`Thread.__hash__`: not by its address, since pools join their threads in the order of a set."""
-    return getattr(thread, "_number", None) or _hash(thread)
+def hash_(it: Any) -> int:
+    """`__hash__`: not by the address, since pools join threads, and asyncio cancels tasks, in the order of a set."""
+    return getattr(it, "_number", None) or object.__hash__(it)
 
 
 def start(thread: threading.Thread) -> None:
@@ -312,4 +315,4 @@ def is_alive(thread: threading.Thread) -> bool:
 
 
 #: Of `threading.Thread`, that are replaced.
-METHODS = {"__init__": init, "start": start, "join": join, "is_alive": is_alive}
+METHODS = {"__init__": numbering(threading.Thread.__init__), "start": start, "join": join, "is_alive": is_alive}

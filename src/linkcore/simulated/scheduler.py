@@ -126,7 +126,7 @@ class Scheduler:
         now: seconds since the beginning.
         trace: checksum of every step that was decided so far.
         steps: how often the tasks passed the seam.
-        threads: how many were made.
+        numbered: how many threads and tasks of asyncio were made.
     """
 
     def __init__(self, seed: int, limit: float) -> None:
@@ -134,7 +134,7 @@ class Scheduler:
         self.now = 0.0
         self.trace = 0
         self.steps = 0
-        self.threads = 0
+        self.numbered = 0
         self.limit = limit
         self.is_ending = False
         self.tasks: list[Task] = []

@@ -242,6 +242,9 @@ def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
     # Of `call_soon_threadsafe`: since CPython 3.14 it has a lock, which is for threads that run at once.
     handle: Any = vars(sys.modules["asyncio.events"]).get("_ThreadSafeHandle", type("Handle", (), {}))
 
+    task: Any = sys.modules["asyncio.tasks"].Task
+    numbered = {"__init__": primitives.numbering(task.__init__), "__hash__": primitives.hash_}
+
     def clock(real: Callable[[], Any], epoch: float, scale: int) -> Callable[[], Any]:
         def read() -> Any:
             scheduler = current()
@@ -303,6 +306,7 @@ def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
         (queue.SimpleQueue, primitives.SimpleQueue),
         (_pool._global_shutdown_lock, primitives.Lock()),
         (handle, type("Handle", handle.__bases__, {})),
+        (task, type("Task", (task,), numbered)),
         (socket.socket, choose(new_socket, socket.socket)),
         (socket.socketpair, choose(sockets.pair, socket.socketpair)),
         (getaddrinfo, choose(sockets.addresses, getaddrinfo)),

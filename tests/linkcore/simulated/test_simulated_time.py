@@ -399,6 +399,31 @@ def test_a_thread_is_found_after_the_block() -> None:
     assert {thread for thread in list(threads) if thread in threads} == threads
 
 
+def left(sim: Simulation) -> list[int]:
+    """Tasks that `asyncio.run` cancels in the order of a set."""
+    order: list[int] = []
+
+    async def waits(number: int) -> None:
+        try:
+            await asyncio.sleep(60.0)
+        finally:
+            order.append(number)
+
+    async def program() -> None:
+        tasks = [asyncio.create_task(waits(number)) for number in range(300)]
+        await asyncio.sleep(1.0)
+        assert all(type(task).__name__ == "Task" and isinstance(task, asyncio.Task) for task in tasks)
+
+    asyncio.run(program())
+    return order
+
+
+def test_tasks_that_are_left_are_cancelled_in_the_same_order_each_time() -> None:
+    first, second = outcome(0, left), outcome(0, left)
+    assert first == second
+    assert sorted(first[0]) == list(range(300))  # type: ignore[call-overload]
+
+
 def calls(sim: Simulation) -> list[int]:
     """Calls of tasks in two threads, where some have to queue."""
 
