@@ -98,11 +98,11 @@ def ended(future: Future[Any], loop: asyncio.AbstractEventLoop) -> asyncio.Futur
     """
     end = loop.create_future()
 
-    def told(_: object) -> None:
+    def end_it(_: object) -> None:
         with contextlib.suppress(RuntimeError):  # the loop is closed
             loop.call_soon_threadsafe(happened, end)
 
-    future.add_done_callback(told)
+    future.add_done_callback(end_it)
     return end
 
 

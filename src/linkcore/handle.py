@@ -230,7 +230,7 @@ class Lifecycle:
                 regardless(self.brake)
         except LinkError as failure:
             # It was stopped by other means, or the link is gone.
-            _log.info("%s: the robot was not told to stop: %s", self.name, failure)
+            _log.info("%s: the robot was sent no stop: %s", self.name, failure)
         except Exception:
             raise
         except BaseException:  # a second Ctrl-C: what it has interrupted may not have been sent

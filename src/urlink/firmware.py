@@ -239,12 +239,12 @@ def infer(sizes: Mapping[int, int]) -> Firmware | None:
         None where no row of the table has these sizes.
     """
 
-    def told(state: Mapping[int, int]) -> dict[int, int]:
+    def telling(state: Mapping[int, int]) -> dict[int, int]:
         return {kind: size for kind, size in state.items() if kind not in (_MASTERBOARD, *_FIRST_STATE_ONLY)}
 
     for row in RELEASES:
         masterboard = row.state[_MASTERBOARD]
         euromap = 12 if row.since.is_cb2 else 16
-        if told(sizes) == told(row.state) and sizes.get(_MASTERBOARD) in (masterboard, masterboard + euromap):
+        if telling(sizes) == telling(row.state) and sizes.get(_MASTERBOARD) in (masterboard, masterboard + euromap):
             return row.since
     return None

@@ -164,7 +164,7 @@ def identify(host: str, port: int, timeout: float) -> Identity:
     try:
         while not introduction.is_over:
             try:
-                introduction.hear(transport.receive()[0])
+                introduction.receive(transport.receive()[0])
             except LinkTimeout:
                 continue
             except ConnectionLost as error:
@@ -205,7 +205,7 @@ class Introduction:
         is_told = firmware is not None and (self._configuration is not None or _says_no_more(firmware, self._state))
         return is_told or self._lost is not None or not self.left
 
-    def hear(self, data: bytes) -> None:
+    def receive(self, data: bytes) -> None:
         """Bytes have come."""
         self._received = (self._received + data)[:64]
         for frame in self._protocol.framer.feed(data):

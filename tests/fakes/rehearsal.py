@@ -23,7 +23,7 @@ from urlink.motion.motions import LinkName, Motions
 from urlink.motion.point_registers import INPUTS, PointRegisterLink
 from urlink.motion.register_link import NAMES, RegisterLink, RegisterPort
 from urlink.motion.reverse import ReversePort
-from urlink.motion.setpoints import WORD_SIZE
+from urlink.motion.setpoints import MESSAGE_SIZE
 from urlink.urscript.wrapping import finish_marker, start_marker
 from urlink.vectors import FloatArray
 
@@ -48,7 +48,7 @@ class InputClaim:
 
 
 class Rehearsal(ScriptedController):
-    """Each `tick` is one state of the robot; `q` is where its arm is, and what is sent to it is read by `word`."""
+    """Each `tick` is one state of the robot; `q` is where its arm is, and what is sent to it is read by `message`."""
 
     def __init__(
         self, firmware: str = "5.11", model: str = "UR5e", port: int = 0, link: LinkName = "reverse", **options: Any
@@ -81,7 +81,7 @@ class Rehearsal(ScriptedController):
         self.scaling = 1.0
         self.cycle = 1.0 / self.firmware.rate
         self.link: socket.socket | None = None
-        #: those in the last word, rad/s
+        #: those in the last message, rad/s
         self.speeds = [0.0] * 6
         self._rest = b""
         self.clear()
@@ -183,7 +183,7 @@ class Rehearsal(ScriptedController):
 
     def connect(self) -> None:
         """The program that was sent last begins, and connects or sees its token."""
-        self.inputs.written = SimpleQueue()  # without the last words of the motion before
+        self.inputs.written = SimpleQueue()  # without the last messages of the motion before
         self.begin()
         if self.has_registers:
             # It is told on another connection than the states, at which it is written to.
@@ -195,8 +195,8 @@ class Rehearsal(ScriptedController):
         self.link.sendall(self.token)
         self._rest = b""
 
-    def word(self) -> tuple[list[float], int] | None:
-        """The next word: six joints in rad, and what to do; None where the connection has ended.
+    def message(self) -> tuple[list[float], int] | None:
+        """The next message: six joints in rad, and what to do; None where the connection has ended.
 
         Registers have no end; there it is None once nothing more can come, since no motion is left.
         """
@@ -213,7 +213,7 @@ class Rehearsal(ScriptedController):
             self.speeds = numbers[6:]
             return numbers[:6], int(inputs["input_int_register_46"])
         assert self.link is not None
-        while len(self._rest) < WORD_SIZE + 4:
+        while len(self._rest) < MESSAGE_SIZE + 4:
             try:
                 data = self.link.recv(4096)
             except ConnectionError:
@@ -221,19 +221,19 @@ class Rehearsal(ScriptedController):
             if not data:
                 return None
             self._rest += data
-        *words, mode = struct.unpack(">13i", self._rest[:WORD_SIZE])
-        self._rest = self._rest[WORD_SIZE + 4 :]  # without its date
-        numbers = [each / 1e6 for each in words]
+        *messages, mode = struct.unpack(">13i", self._rest[:MESSAGE_SIZE])
+        self._rest = self._rest[MESSAGE_SIZE + 4 :]  # without its date
+        numbers = [each / 1e6 for each in messages]
         self.speeds = numbers[6:]
         return numbers[:6], mode
 
     def obey(self) -> tuple[list[float], int] | None:
-        """One tick, and the word that answers it; the arm goes there."""
+        """One tick, and the message that answers it; the arm goes there."""
         self.tick()
-        word = self.word()
-        if word is not None and word[1] == FOLLOW:
-            self.q = word[0]
-        return word
+        message = self.message()
+        if message is not None and message[1] == FOLLOW:
+            self.q = message[0]
+        return message
 
     def line(self) -> str:
         """The next line that was answered."""

@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 
 import urlink
-from linkcore.errors import LinkError
+from linkcore.errors import ConnectionLost, LinkError
 from linkcore.handle import Handle
 from tests.spawning import spawning
 from tests.waiting import until
@@ -48,6 +48,8 @@ pytestmark = pytest.mark.real_time
 
 #: Seconds in which a setting is shown: the computer may be busy.
 CONFIRM = 10.0
+#: Seconds without a message after which the robot brakes: the same.
+WATCHDOG = 2.0
 HOME = np.array([0.0, -1.57, 1.57, -1.57, -1.57, 0.0])
 NEAR = HOME + 0.01
 #: How often each is called: the cycles of one call in ten would show, and one in 10,000 with `URLINK_CYCLES`.
@@ -116,18 +118,19 @@ class Within:
         self.is_once = is_once
 
     def __call__(self, robot: Robot, count: int = 1) -> None:
-        with self.opened(robot) as opened:
+        # Where the computer is so busy that nothing comes for longer, the robot brakes.
+        with contextlib.suppress(ConnectionLost), self.opened(robot) as opened:
             for _ in range(count):
                 self.use(opened)
 
 
 def servo(robot: Robot, **options: Any) -> Servo:
     robot.motion.move_joints(HOME, wait=True)
-    return robot.motion.servo(watchdog=2.0, **options)
+    return robot.motion.servo(watchdog=WATCHDOG, **options)
 
 
 def pressing(robot: Robot) -> Any:
-    return robot.motion.force_mode("base", (0, 0, 1, 0, 0, 0), [0] * 6, [0.1] * 6)
+    return robot.motion.force_mode("base", (0, 0, 1, 0, 0, 0), [0] * 6, [0.1] * 6, watchdog=WATCHDOG)
 
 
 def measured(block: Servo) -> None:
@@ -204,29 +207,41 @@ _directions = itertools.cycle([1, -1])
 
 #: Each method that sends, with how it is called.
 CALLS: dict[str, Callable[[Robot], object]] = {
-    "Robot.freedrive": Within(lambda robot: robot.freedrive()),
+    "Robot.freedrive": Within(lambda robot: robot.freedrive(watchdog=WATCHDOG)),
     "Robot.interpreter": Within(lambda robot: robot.interpreter()),
     "Robot.popup": lambda robot: robot.popup("x"),
     "Robot.set_gravity": lambda robot: robot.set_gravity((0, 0, -9.82)),
     "Robot.set_payload": lambda robot: robot.set_payload(0.5, (0, 0, 0.01), confirm=CONFIRM),
     "Robot.set_speed_slider": lambda robot: robot.set_speed_slider(1.0, confirm=CONFIRM),
     "Robot.set_tcp": lambda robot: robot.set_tcp((0, 0, 0.1, 0, 0, 0), confirm=CONFIRM),
-    "Robot.teach": Within(lambda robot: robot.teach(), lambda teaching: teaching.record(), is_once=True),
+    "Robot.teach": Within(
+        lambda robot: robot.teach(watchdog=WATCHDOG), lambda teaching: teaching.record(), is_once=True
+    ),
     "Robot.zero_force_sensor": lambda robot: robot.zero_force_sensor(),
-    "Motions.follow": lambda robot: robot.motion.follow(_trajectory(), start_tolerance=1.0, watchdog=2.0, wait=True),
+    "Motions.follow": lambda robot: robot.motion.follow(
+        _trajectory(), start_tolerance=1.0, watchdog=WATCHDOG, wait=True
+    ),
     "Motions.force_mode": Within(pressing, lambda mode: mode.set_wrench([0] * 6), is_once=True),
-    "Motions.impedance": Within(lambda robot: robot.motion.impedance(), lambda soft: soft.send(HOME), is_once=True),
-    "Motions.jog": Within(lambda robot: robot.motion.jog(), lambda jog: jog.move([0.0] * 6), is_once=True),
+    "Motions.impedance": Within(
+        lambda robot: robot.motion.impedance(watchdog=WATCHDOG), lambda soft: soft.send(HOME), is_once=True
+    ),
+    "Motions.jog": Within(
+        lambda robot: robot.motion.jog(watchdog=WATCHDOG), lambda jog: jog.move([0.0] * 6), is_once=True
+    ),
     "Motions.move_circular": circled,
     "Motions.move_joints": lambda robot: robot.motion.move_joints(NEAR, wait=True),
     "Motions.move_linear": moved,
     "Motions.path": lambda robot: robot.motion.path([urlink.Joint(NEAR)], wait=True),
     "Motions.servo": Within(servo, lambda block: block.send(HOME), is_once=True),
-    "Motions.stream": Within(lambda robot: robot.motion.stream(), lambda stream: stream.clear(), is_once=True),
+    "Motions.stream": Within(
+        lambda robot: robot.motion.stream(watchdog=WATCHDOG), lambda stream: stream.clear(), is_once=True
+    ),
     "Motions.speed_joints": lambda robot: robot.motion.speed_joints([0.0] * 6, duration=0.02).wait(),
     "Motions.speed_linear": lambda robot: robot.motion.speed_linear([0.0] * 6, duration=0.02).wait(),
     "Motions.stop": lambda robot: robot.motion.stop(wait=True),
-    "Motions.torque": Within(lambda robot: robot.motion.torque(), lambda torque: torque.send([0.0] * 6), is_once=True),
+    "Motions.torque": Within(
+        lambda robot: robot.motion.torque(watchdog=1.0), lambda torque: torque.send([0.0] * 6), is_once=True
+    ),
     "Motions.until_contact": untouched,
     "Scripts.run": lambda robot: robot.script.run("sync()", wait=True, on_text=lambda text: None),
     "Scripts.send_line": lambda robot: robot.script.send_line("set_flag(1, True)"),
@@ -247,15 +262,19 @@ CALLS: dict[str, Callable[[Robot], object]] = {
     "Servo.send": Within(lambda robot: servo(robot, target_filter="jerk_limited"), lambda block: block.send(HOME)),
     "Servo.schedule": Within(servo, lambda block: block.schedule(HOME, 1e6)),
     "Servo.measure_delay": Within(servo, measured),
-    "PointStream.append": Within(lambda robot: robot.motion.stream(), appended, is_once=True),
-    "PointStream.clear": Within(lambda robot: robot.motion.stream(), lambda stream: stream.clear()),
-    "PointStream.replace": Within(lambda robot: robot.motion.stream(), replaced),
-    "PointStream.wait_until_dry": Within(lambda robot: robot.motion.stream(), lambda stream: stream.wait_until_dry()),
-    "Jog.move": Within(lambda robot: robot.motion.jog(), lambda jog: jog.move([0.01] * 6)),
-    "Jog.stop": Within(lambda robot: robot.motion.jog(), lambda jog: jog.stop()),
-    "Impedance.send": Within(lambda robot: robot.motion.impedance(), lambda soft: soft.send(HOME)),
-    "Impedance.set_gains": Within(lambda robot: robot.motion.impedance(), lambda soft: soft.set_gains(500)),
-    "Torque.send": Within(lambda robot: robot.motion.torque(), lambda torque: torque.send([0.01] * 6)),
+    "PointStream.append": Within(lambda robot: robot.motion.stream(watchdog=WATCHDOG), appended, is_once=True),
+    "PointStream.clear": Within(lambda robot: robot.motion.stream(watchdog=WATCHDOG), lambda stream: stream.clear()),
+    "PointStream.replace": Within(lambda robot: robot.motion.stream(watchdog=WATCHDOG), replaced),
+    "PointStream.wait_until_dry": Within(
+        lambda robot: robot.motion.stream(watchdog=WATCHDOG), lambda stream: stream.wait_until_dry()
+    ),
+    "Jog.move": Within(lambda robot: robot.motion.jog(watchdog=WATCHDOG), lambda jog: jog.move([0.01] * 6)),
+    "Jog.stop": Within(lambda robot: robot.motion.jog(watchdog=WATCHDOG), lambda jog: jog.stop()),
+    "Impedance.send": Within(lambda robot: robot.motion.impedance(watchdog=WATCHDOG), lambda soft: soft.send(HOME)),
+    "Impedance.set_gains": Within(
+        lambda robot: robot.motion.impedance(watchdog=WATCHDOG), lambda soft: soft.set_gains(500)
+    ),
+    "Torque.send": Within(lambda robot: robot.motion.torque(watchdog=1.0), lambda torque: torque.send([0.01] * 6)),
     "Handle.cancel": cancelled,
     "Registers.write_bit": lambda robot: robot.registers.write_bit(64, True),
     "Registers.write_float": lambda robot: robot.registers.write_float(24, 1.0),

@@ -355,7 +355,7 @@ def test_a_pause_of_one_holds_the_stream_of_the_other() -> None:
 
 @pytest.mark.slow
 def test_where_the_stream_of_one_runs_dry_all_stand() -> None:
-    """Words to the right arm take so long that it has no points; the other one waits for it on its way."""
+    """Messages to the right arm take so long that it has no points; the other one waits for it on its way."""
     with pair(15) as both, both.group.stream(buffer=0.1) as stream:
         route = both.sim.network.route(both.sim.here, both.right.computer)
         stream.append(both.dense(), wait=False)
@@ -430,8 +430,8 @@ def test_where_one_cannot_go_over_none_does() -> None:
 
 
 @pytest.mark.slow
-def test_where_a_word_comes_too_late_to_one_all_are_cleared() -> None:
-    """The left arm has gone over when the right one says that its points were past before the word came."""
+def test_where_a_message_comes_too_late_to_one_all_are_cleared() -> None:
+    """The left arm has gone over when the right one says that its points were past before the message came."""
     with pair(23) as both, both.group.stream(buffer=1.5) as stream:
         stream.append(both.dense(), wait=False)
         time.sleep(0.8)

@@ -1,6 +1,6 @@
 """What the library and the controller do in a world, step by step, and which of it must not be.
 
-The methods through which programs, permissions and words leave a client are wrapped while a world runs, and those by
+The methods through which programs, permissions and messages leave a client are wrapped while a world runs, and those by
 which the controller begins and ends programs. So for each program is known who sent it, what became of its handle, who
 permitted it, and when it moved the arm. All this is beside the library's own account of it.
 """
@@ -28,7 +28,7 @@ from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.motion.linked import LinkedProgram
 from urlink.motion.register_link import RegisterLink
 from urlink.motion.reverse import ReverseLink
-from urlink.motion.setpoints import STOP_WORD, WAIT_WORD, WORD_SIZE
+from urlink.motion.setpoints import MESSAGE_SIZE, STOP_MESSAGE, WAIT_MESSAGE
 from urlink.robot import Robot
 from urlink.rtde import Rtde
 from urlink.simulator import Controller
@@ -145,7 +145,7 @@ def here() -> Computer:
 
 
 class Observed:
-    """Programs, permissions, words and ends of one world.
+    """Programs, permissions, messages and ends of one world.
 
     Args:
         sim: the simulation.
@@ -198,8 +198,8 @@ class Observed:
             (Programs, "close", self._close),
             (CommandChannel, "_send_some", self._text),
             (LinkedProgram, "begin", self._link_begins),
-            (ReverseLink, "send", self._word),
-            (RegisterLink, "send", self._word),
+            (ReverseLink, "send", self._sending),
+            (RegisterLink, "send", self._sending),
             (Lifecycle, "fire", self._fire),
             (Handle, "wait", self._wait),
             (Robot, "rtde", self._rtde),
@@ -279,17 +279,17 @@ class Observed:
 
         return wrapped
 
-    def _word(self, send: Callable[..., None]) -> Callable[..., None]:
+    def _sending(self, send: Callable[..., None]) -> Callable[..., None]:
         def wrapped(link: object, data: bytes) -> None:
-            word = data[:WORD_SIZE]
-            leads = len(data) > WORD_SIZE and word not in (STOP_WORD, WAIT_WORD)
+            message = data[:MESSAGE_SIZE]
+            leads = len(data) > MESSAGE_SIZE and message not in (STOP_MESSAGE, WAIT_MESSAGE)
             refusal = self._refusal() if leads else None
             send(link, data)
-            if word == STOP_WORD:
+            if message == STOP_MESSAGE:
                 self._farewells.add(id(link))
                 self._links.append(link)
             elif id(link) in self._farewells:
-                self._fault(f"{here().name} sent a word to a program after the one that ends it")
+                self._fault(f"{here().name} sent a message to a program after the one that ends it")
             elif refusal is not None:
                 self._fault(f"{here().name} sent a set-point although {refusal}")
 

@@ -37,7 +37,7 @@ SCENES: Mapping[str, World] = {
         events=(Event("mute", 0.0, 0.5, 0, 1.0, 1), Event("protective_stop", 0.05, 0.2, 0, 1.0, 1)),
     ),
     # The block is left in the moment in which a state is answered.
-    "word-after-the-last": _world(Client((_ask("jog", "leave", size=0.6),), 0.0)),
+    "message-after-the-last": _world(Client((_ask("jog", "leave", size=0.6),), 0.0)),
     "up-before-its-ports": _world(
         Client((_ask("wait_state", after=0.5, patience=1.0),), 0.0), events=(Event("reboot", 0.01, 0.3, 0, 1.0),)
     ),
@@ -58,7 +58,7 @@ SCENES: Mapping[str, World] = {
         latency=5e-3,
     ),
     # Both are the first to command, before the first state has come.
-    "first-word-of-two-threads": _world(Client((_ask("output", size=0.4), _ask("output", size=0.4, thread=1)), 0.0)),
+    "first-message-of-two-threads": _world(Client((_ask("output", size=0.4), _ask("output", size=0.4, thread=1)), 0.0)),
     # Both have slept longer than a state may be old, and wait for news.
     "stop-after-the-next": _world(
         Client(

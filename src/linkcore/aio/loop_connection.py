@@ -163,9 +163,9 @@ class LoopConnection(Connection):
     def _stop(self) -> None:
         super()._stop()
         with contextlib.suppress(LocalError):  # no loop, so nothing that goes on
-            self.call(self._hear_of_closing)
+            self.call(self._on_closing)
 
-    def _hear_of_closing(self) -> None:
+    def _on_closing(self) -> None:
         happened(self._closing)
         happened(self._settled)
         if self._opening is not None:

@@ -370,17 +370,17 @@ class Connection(abc.ABC):
     def _connecting(self) -> None:
         """It is about to be made."""
         with self._changed:
-            told = self._life.fire(LifeEvent.CONNECT)
-        self._tell(told)
+            news = self._life.fire(LifeEvent.CONNECT)
+        self._tell(news)
 
     def _opened(self) -> Receiver:
         """The transport is open: publish the event, and receive until the connection is lost."""
         protocol = self._protocol()
         self.counters.connected(protocol, self._transport.round_trip)
         with self._changed:
-            told = self._life.fire(LifeEvent.OPEN)
+            news = self._life.fire(LifeEvent.OPEN)
             self._life.attempt.has_opened = True
-        self._tell(told)
+        self._tell(news)
         self._settle()
         return Receiver(self.name, protocol, self.counters)
 
@@ -437,13 +437,13 @@ class Connection(abc.ABC):
         if not self._life.is_closed:
             _log.info("%s: connection lost: %s", self.name, printable(error))
         with self._changed:
-            told = self._life.lose(error)
-        self._tell(told, self._life.error)
+            news = self._life.lose(error)
+        self._tell(news, self._life.error)
 
     def _finish(self, failure: Exception | None) -> None:
         """Nothing is read any more: end every subscription, and let the next use begin anew."""
         with self._changed:
-            told = self._life.end(failure)
+            news = self._life.end(failure)
         self._transport.abort()
         self.counters.disconnected()
         if failure is not None or self._life.is_closed:
@@ -451,7 +451,7 @@ class Connection(abc.ABC):
         if failure is not None and self._life.attempt.has_opened:
             # For a callback without an error handler, the log is the only report.
             _log.warning("%s: given up: %s", self.name, printable(failure))
-        self._tell(told, failure)
+        self._tell(news, failure)
         self.fan_out.end()
         with self._changed:
             self._life.fire(LifeEvent.REST)

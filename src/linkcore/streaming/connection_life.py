@@ -248,8 +248,8 @@ class ConnectionLife:
         after = TRANSITIONS.get((self.phase, event))
         if after is None:
             raise RuntimeError(f"{self._name}: {event.value!r} cannot happen while it is {self.phase.value}")
-        self.phase, told = after
-        return told
+        self.phase, news = after
+        return news
 
     def use(self, is_patient: bool, received: int) -> None:
         """Begin with a new reader; with `is_patient` nobody waits for its first connection.

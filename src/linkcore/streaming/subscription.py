@@ -179,7 +179,7 @@ class ThreadedDelivery(Delivery):
     def _run(self) -> None:
         take, callback, deadline = self._queue.next, self._callback, self._deadline
         wait = 0.0 if self._gather else deadline
-        told = -1.0
+        reported = -1.0
         while True:
             packet = take(wait)
             if packet is not None:
@@ -203,8 +203,8 @@ class ThreadedDelivery(Delivery):
                 last = self._last
                 age = monotonic() - last
                 wait = deadline - age if age < deadline else deadline
-                if age >= deadline and told != last:  # called once for each time
-                    told = last
+                if age >= deadline and reported != last:  # called once for each time
+                    reported = last
                     self._miss(age)
 
 
@@ -317,13 +317,13 @@ class InlineDelivery(Delivery):
 
     def _watch(self) -> None:
         assert self._deadline is not None
-        wait, told = self._deadline, -1.0
+        wait, reported = self._deadline, -1.0
         while not self._waits_closed(wait):
             last = self._last
             age = monotonic() - last
             wait = self._deadline - age if age < self._deadline else self._deadline
-            if age >= self._deadline and told != last:
-                told = last
+            if age >= self._deadline and reported != last:
+                reported = last
                 self._miss(age)
 
 

@@ -397,7 +397,7 @@ class MqttTurtle(Plugin):
         self._clock = clock
         self._broker: _Broker | None = None
         self._master: tuple[float, ...] | None = None
-        self._heard = -math.inf
+        self._received_at = -math.inf
         self._command: Mapping[str, float] = {}
         self._seconds = 0.0
 
@@ -436,10 +436,10 @@ class MqttTurtle(Plugin):
 
     def _follow_master(self, alive: tuple[float, ...] | None) -> None:
         now = self._clock()
-        if now - self._heard > MASTER_TIMEOUT:
+        if now - self._received_at > MASTER_TIMEOUT:
             self._master = None
         if alive is not None and self._master in (None, alive):
-            self._master, self._heard = alive, now
+            self._master, self._received_at = alive, now
 
     def terminate(self) -> None:
         """Disconnect."""

@@ -38,8 +38,8 @@ class _Moved:
         if self.said.get("event") != "end":
             raise NotTried("it was broken off")
         # A motion is given up where this computer, or the network, holds up what paces it. `frozen` does so on purpose.
-        self.words = _words(evidence, begin, end)
-        gap = max(held_up(evidence, step), float(np.diff([*self.words, end]).max()) if self.words else 0.0)
+        self.messages = _messages(evidence, begin, end)
+        gap = max(held_up(evidence, step), float(np.diff([*self.messages, end]).max()) if self.messages else 0.0)
         if self.error and step != "frozen" and gap > _STARVING:
             raise NotTried(f"for {gap * 1e3:.0f} ms nothing came from the controller or went to it; {self.error}")
         packets = evidence.realtime
@@ -59,10 +59,10 @@ class _Moved:
     @property
     def answered(self) -> float:
         """Which part of the states that came between set-points was answered with one; 1 where none were sent."""
-        if not self.words:
+        if not self.messages:
             return 1.0
-        there = (self.arrived >= self.words[0]) & (self.arrived <= self.words[-1])
-        return len(self.words) / max(int(there.sum()), 1)
+        there = (self.arrived >= self.messages[0]) & (self.arrived <= self.messages[-1])
+        return len(self.messages) / max(int(there.sum()), 1)
 
     def far(self) -> float:
         """rad from the goal at the end."""
@@ -82,7 +82,7 @@ class _Moved:
         return float(self.time[last] - self.time[first]), float(self.time[end] - self.time[last])
 
 
-def _words(evidence: Evidence, begin: float, end: float) -> list[float]:
+def _messages(evidence: Evidence, begin: float, end: float) -> list[float]:
     """When something was sent to a program that reads set-points, s."""
     chunks = (at for wire in evidence.wires if wire.is_sent and wire.interface == "reverse" for at, _ in wire.chunks)
     return sorted(at.monotonic for at in chunks if begin <= at.monotonic <= end)

@@ -355,7 +355,7 @@ async def _identify(host: str, port: int, timeout: float) -> Identity:
     try:
         while not introduction.is_over:
             try:
-                introduction.hear((await transport.receive_awaited(introduction.left))[0])
+                introduction.receive((await transport.receive_awaited(introduction.left))[0])
             except LinkTimeout:
                 continue
             except ConnectionLost as error:

@@ -236,7 +236,7 @@ class AwaitedRtde(RtdeTransport):
                 # The first bytes on a connection: the buffer of the kernel has room for them.
                 self._tcp.send(dialogue.requests(), 0.0)
                 try:
-                    dialogue.hear(*await self._tcp.receive_awaited(max(until - time.monotonic(), 0.001)))
+                    dialogue.receive(*await self._tcp.receive_awaited(max(until - time.monotonic(), 0.001)))
                 except LinkTimeout:
                     raise dialogue.unanswered(self.name, timeout) from None
                 if time.monotonic() > until and not dialogue.is_answered:

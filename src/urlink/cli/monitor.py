@@ -108,7 +108,7 @@ def watch(robot: Robot, interface: str) -> Iterator[Glance]:
 
     def on_message(message: RobotMessage) -> None:
         if not isinstance(message, (VersionMessage, UnnamedMessage12)):  # sent at the start of every connection
-            messages[:] = [_told(message)]
+            messages[:] = [_as_text(message)]
 
     if interface == "primary":
         # Subscribed first: the first subscription connects, and messages are sent at once.
@@ -147,12 +147,12 @@ def _usual_rate(robot: Robot, interface: str) -> float | None:
     return (10.0 if interface == "primary" else float(robot.firmware.rate)) * times or None
 
 
-def _told(message: RobotMessage) -> str:
+def _as_text(message: RobotMessage) -> str:
     """The content of a message, without the fields that all messages have."""
     own = [name for name in message.FIELDS if name not in RobotMessage.FIELDS]
-    told = ((name, getattr(message, name)) for name in own)
+    values = ((name, getattr(message, name)) for name in own)
     return f"{type(message).__name__} " + " ".join(
-        f"{name}={as_text(value)}" for name, value in told if value is not None
+        f"{name}={as_text(value)}" for name, value in values if value is not None
     )
 
 

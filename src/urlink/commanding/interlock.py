@@ -71,7 +71,7 @@ class Status(NamedTuple):
 class _Source:
     def __init__(self) -> None:
         self.status: Status | None = None
-        self.heard = float("-inf")
+        self.reported = float("-inf")
         #: why it reports nothing: its connection was lost, or the robot is silent
         self.absence: str | None = None
 
@@ -114,22 +114,22 @@ class Interlock:
         self._sources.pop(source, None)
         self._look()
 
-    def hear(self, source: str, status: Status, at: float) -> LinkError | None:
+    def report(self, source: str, status: Status, at: float) -> LinkError | None:
         """A source reported something at the time `at`. The error that ends all motions, if that has closed it."""
-        heard = self._sources.setdefault(source, _Source())
-        heard.status, heard.heard, heard.absence = status.over(heard.status), at, None
+        known = self._sources.setdefault(source, _Source())
+        known.status, known.reported, known.absence = status.over(known.status), at, None
         return self._look()
 
     def amend(self, source: str, status: Status, at: float) -> LinkError | None:
-        """As `hear`, of what is only a part of its report: without effect before the whole has been received."""
-        heard = self._sources.get(source)
-        return None if heard is None or heard.status is None else self.hear(source, status, at)
+        """As `report`, of what is only a part of its report: without effect before the whole has been received."""
+        known = self._sources.get(source)
+        return None if known is None or known.status is None else self.report(source, status, at)
 
     def lose(self, source: str, why: str) -> LinkError | None:
         """The connection of a source was lost. The error that ends all motions, if that has closed it."""
-        heard = self._sources.setdefault(source, _Source())
-        heard.status = None
-        heard.absence = f"the connection to the {source} interface is lost, so nothing is known of the robot: {why}"
+        known = self._sources.setdefault(source, _Source())
+        known.status = None
+        known.absence = f"the connection to the {source} interface is lost, so nothing is known of the robot: {why}"
         return self._look()
 
     def fall_silent(self, source: str, seconds: float) -> LinkError | None:
@@ -137,9 +137,9 @@ class Interlock:
 
         The error that ends all motions, if that has closed the interlock.
         """
-        heard = self._sources.get(source)
-        if heard is not None and heard.absence is None:
-            heard.absence = (
+        known = self._sources.get(source)
+        if known is not None and known.absence is None:
+            known.absence = (
                 f"the robot has said nothing on the {source} interface for {seconds:.1f} s, so nothing is known of it"
             )
         return self._look()
@@ -159,25 +159,25 @@ class Interlock:
         """The source has to report, or has reported already."""
         return source in self._sources
 
-    def has_word(self, source: str) -> bool:
+    def has_reported(self, source: str) -> bool:
         """The source has reported, or its connection is lost."""
-        heard = self._sources.get(source)
-        return heard is not None and (heard.status is not None or heard.absence is not None)
+        known = self._sources.get(source)
+        return known is not None and (known.status is not None or known.absence is not None)
 
-    def has_heard_since(self, since: float) -> bool:
+    def has_reported_since(self, since: float) -> bool:
         """Every source has reported after that time, and there is one."""
-        return bool(self._sources) and all(heard.heard > since for heard in self._sources.values())
+        return bool(self._sources) and all(known.reported > since for known in self._sources.values())
 
     @property
     def statuses(self) -> list[Status]:
         """What each source reported last on its present connection, the newest first."""
-        heard = sorted(self._sources.values(), key=lambda each: each.heard, reverse=True)
-        return [each.status for each in heard if each.status is not None]
+        known = sorted(self._sources.values(), key=lambda each: each.reported, reverse=True)
+        return [each.status for each in known if each.status is not None]
 
     @property
     def cause(self) -> str | None:
         """The stop that holds, as text, or None."""
-        return next((cause for heard in self._sources.values() if heard.status and (cause := heard.status.cause)), None)
+        return next((cause for known in self._sources.values() if known.status and (cause := known.status.cause)), None)
 
     def absence(self, now: float) -> NotRunning | None:
         """Why even what moves nothing cannot be sent, or None."""
@@ -208,15 +208,15 @@ class Interlock:
 
     def _absence(self) -> NotRunning | None:
         if not self._sources:
-            return NotRunning("nothing has been heard of the robot yet; nothing was sent")
+            return NotRunning("nothing has been received from the robot yet; nothing was sent")
         modes: list[RobotMode | RobotModeCB2] = []
-        for name, heard in self._sources.items():
-            if heard.absence is not None:
-                return NotRunning(heard.absence)
-            if heard.status is None:
-                return NotRunning(f"nothing has been heard on the {name} interface yet; nothing was sent")
-            if heard.status.robot_mode is not None:
-                modes.append(heard.status.robot_mode)
+        for name, known in self._sources.items():
+            if known.absence is not None:
+                return NotRunning(known.absence)
+            if known.status is None:
+                return NotRunning(f"nothing has been received on the {name} interface yet; nothing was sent")
+            if known.status.robot_mode is not None:
+                modes.append(known.status.robot_mode)
         if not modes:
             return NotRunning("the robot has not said its mode")
         for mode in modes:
@@ -226,8 +226,8 @@ class Interlock:
         return None
 
     def _staleness(self, now: float) -> NotRunning | None:
-        for name, heard in self._sources.items():
-            age = now - heard.heard
+        for name, known in self._sources.items():
+            age = now - known.reported
             if age > self.stale_after:
                 return NotRunning(
                     f"nothing has been read from the {name} interface for {age:.1f} s, so nothing is known of the "

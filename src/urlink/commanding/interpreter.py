@@ -311,7 +311,7 @@ class Interpreters:
         take_back = TakeBack(connection, partial(_take_back, life))
         interpreter = Interpreter(life, texts, dialogue, self._channel, self._recall, take_back, finish_timeout)
 
-        def hear(text: str) -> None:
+        def receive(text: str) -> None:
             texts.append(text)
             if on_text is not None:
                 self._callbacks.call(on_text, text)
@@ -320,7 +320,7 @@ class Interpreters:
             # Refused before the arm's program is replaced, where the service is switched off.
             parse_reply(dialogue.ask("statelastexecuted", _REPLY))
             wrapped = self._programs.own(scripts.interpreter_mode())
-            self._programs.start(wrapped, life, left_alone="its program executes what it has taken", on_text=hear)
+            self._programs.start(wrapped, life, left_alone="its program executes what it has taken", on_text=receive)
             self._await_mode(interpreter, until, start_timeout)
         except BaseException:
             interpreter._close()

@@ -25,10 +25,10 @@ from .interlock import Interlock, Status
 from .section import Section
 
 #: Seconds that an interface has for its first state.
-_FIRST_WORD = 2.0
+_FIRST_REPORT = 2.0
 #: Seconds within which every working interface reports again, also over a connection that is made anew. The slowest
 #: sends ten times a second; the rest is for a computer that others keep busy.
-_NEXT_WORD = 0.5
+_NEXT_REPORT = 0.5
 
 _Stop = Callable[[LinkError], object]
 
@@ -143,12 +143,12 @@ class SafetyMonitor:
                 self._begin_to_listen(name)
             elif self._section.may_wait and not self._is(is_expected):
                 # Another thread has begun to listen just now, and waits for the first report too.
-                self.wait_for(is_expected, _FIRST_WORD)
+                self.wait_for(is_expected, _FIRST_REPORT)
 
     def _begin_to_listen(self, name: str) -> None:
         self._subscribe(name)
         if self._section.may_wait:
-            self.wait_for(lambda interlock: interlock.has_word(name), _FIRST_WORD)
+            self.wait_for(lambda interlock: interlock.has_reported(name), _FIRST_REPORT)
         with self.decision() as interlock:
             # Only now: an interface without a first state must not close an interlock that was open.
             interlock.expect(name)
@@ -164,10 +164,10 @@ class SafetyMonitor:
         def is_settled(interlock: Interlock) -> bool:
             now = self.clock()
             in_the_way = interlock.blocked(now) if moves else interlock.absence(now)
-            return in_the_way is None or interlock.has_heard_since(began)
+            return in_the_way is None or interlock.has_reported_since(began)
 
         if self._section.may_wait:
-            self.wait_for(is_settled, _NEXT_WORD)
+            self.wait_for(is_settled, _NEXT_REPORT)
         elif not self._is(is_settled):
             for connection in self._connections.values():
                 if connection.reads_here():
@@ -227,16 +227,16 @@ class SafetyMonitor:
 
     def _subscribe(self, name: str) -> None:
         connection = self._connections[name]
-        hear: Callable[[Any], None] = self._hear_primary if name == "primary" else self._hear_realtime
+        on_state: Callable[[Any], None] = self._on_primary if name == "primary" else self._on_realtime
         kind: type = State if name == "primary" else RealtimeState
         listening = _Listening()
         try:
             # Silence is reported by the reader, not by a clock: this process may have been held up itself.
             seconds = min(self._interlock.stale_after, connection.silence.limit or math.inf)
             listening.add(connection.silence.watch(seconds, partial(self._fall_silent, name)))
-            on_event = partial(self._hear_event, name, listening)
+            on_event = partial(self._on_event, name, listening)
             listening.add(connection.subscribe_inline(ConnectionEvent, on_event).close)
-            listening.add(connection.subscribe_inline(kind, hear).close)
+            listening.add(connection.subscribe_inline(kind, on_state).close)
         except BaseException:
             listening.end()
             with self._section:
@@ -247,11 +247,11 @@ class SafetyMonitor:
             return
         newest = connection.fan_out.newest(RobotState if name == "primary" else RealtimeState)
         if newest is not None:
-            hear(newest)
+            on_state(newest)
         if connection.state is not ConnectionState.CONNECTED:
             self._observe(lambda: self._interlock.lose(name, "not connected at present"))
 
-    def _hear_event(self, name: str, listening: _Listening, event: ConnectionEvent) -> None:
+    def _on_event(self, name: str, listening: _Listening, event: ConnectionEvent) -> None:
         if event.state in (ConnectionState.CONNECTING, ConnectionState.CONNECTED) or listening.is_over:
             return
         why = str(event.error or "closed")
@@ -265,7 +265,7 @@ class SafetyMonitor:
         for hook in tuple(self._silence_hooks):
             hook(seconds)
 
-    def _hear_primary(self, packet: State) -> None:
+    def _on_primary(self, packet: State) -> None:
         if isinstance(packet, RobotState):
             mode, board = packet.robot_mode_data, packet.masterboard_data
             if mode is None:
@@ -277,14 +277,14 @@ class SafetyMonitor:
                 mode.is_protective_stopped,
                 board.master_safety_state if board is not None else None,
             )
-            self._observe(lambda: self._interlock.hear("primary", status, self._came(packet)))
+            self._observe(lambda: self._interlock.report("primary", status, self._came(packet)))
         elif isinstance(packet, SafetyModeMessage):
             news = Status(safety_mode=packet.safety_mode)
             self._observe(lambda: self._interlock.amend("primary", news, self._came(packet)))
 
-    def _hear_realtime(self, state: RealtimeState) -> None:
+    def _on_realtime(self, state: RealtimeState) -> None:
         status = Status(state.robot_mode, state.safety_mode)
-        self._observe(lambda: self._interlock.hear("realtime", status, self._came(state)))
+        self._observe(lambda: self._interlock.report("realtime", status, self._came(state)))
 
     def _came(self, packet: State) -> float:
         return packet.received.monotonic if packet.received is not None else self.clock()

@@ -148,7 +148,7 @@ class Programs:
         self._has_keys = False  # this controller sends key messages
         #: name of the program that was sent a stop, until the controller reports that it has
         self._stopping: str | None = None
-        self._told = -math.inf  # when it was
+        self._stop_sent = -math.inf  # when it was
         #: name of the program that was given up and that the controller may keep, paused by a stop of the robot
         self._kept: str | None = None
         self._was_clear = False  # by the state before, nothing kept that program from being stopped
@@ -261,7 +261,7 @@ class Programs:
             if newest is not None and newest.life is not life:
                 raise Cancelled(f"{newest.life.name} was sent meanwhile, which stops it anyway")
 
-        self._stopping, self._told = newest.name, self._clock()
+        self._stopping, self._stop_sent = newest.name, self._clock()
         try:
             self._send_stop(claim)
         except SafetyStop:
@@ -315,21 +315,21 @@ class Programs:
             return
         subscriptions: list[Subscription] = []
 
-        def only_once(hear: Callable[[Any], None], packet: Any) -> None:
+        def only_once(on_packet: Callable[[Any], None], packet: Any) -> None:
             """Another thread, or a signal handler of this one, may subscribe at the same time."""
             if self._subscriptions.made is subscriptions:
-                hear(packet)
+                on_packet(packet)
 
         try:
-            subscriptions.append(self._primary.subscribe_inline(State, partial(only_once, self.hear)))
-            subscriptions.append(self._primary.subscribe_inline(ConnectionEvent, partial(only_once, self.hear_event)))
+            subscriptions.append(self._primary.subscribe_inline(State, partial(only_once, self.on_packet)))
+            subscriptions.append(self._primary.subscribe_inline(ConnectionEvent, partial(only_once, self.on_event)))
         except BaseException:
             _close(subscriptions)
             raise
         if self._subscriptions.keep(subscriptions) is not subscriptions:
             _close(subscriptions)
 
-    def hear_event(self, event: ConnectionEvent) -> None:
+    def on_event(self, event: ConnectionEvent) -> None:
         """Something has happened to the connection."""
         if event.state in (ConnectionState.CONNECTING, ConnectionState.CONNECTED):
             return
@@ -343,7 +343,7 @@ class Programs:
         if event.state in (ConnectionState.IDLE, ConnectionState.CLOSED):  # given up: listen anew if asked
             self._subscriptions.take()
 
-    def hear(self, packet: State) -> None:
+    def on_packet(self, packet: State) -> None:
         """The primary interface has sent a packet."""
         if isinstance(packet, RobotState):
             mode = packet.robot_mode_data
@@ -440,7 +440,7 @@ class Programs:
         Once more also the one that was sent a stop and goes on: an e-Series in local control ignores what it is sent.
         """
         now = self._clock()
-        if self._kept is None and self._has_keys and now - self._told > _IGNORED:
+        if self._kept is None and self._has_keys and now - self._stop_sent > _IGNORED:
             self._kept = self._stopping
         is_clear = self._kept is not None and self._monitor.refusal(is_stop=True) is None
         was_clear, self._was_clear = self._was_clear, is_clear
@@ -459,7 +459,7 @@ class Programs:
                 return
             # Without waiting: this is the reader thread. Where it cannot be sent now, the next state asks again.
             self._send_stop(claim, wait=False)
-            self._stopping, self._kept, self._told = (self._kept if self._has_keys else None), None, now
+            self._stopping, self._kept, self._stop_sent = (self._kept if self._has_keys else None), None, now
         except LinkError as error:
             _log.info("%s, which was given up, was not stopped yet: %s", self._kept, error)
 
@@ -477,7 +477,7 @@ class Programs:
     def _never_began(self, run: _Run) -> LinkError:
         mode = self._mode
         if mode is None:
-            situation = "it has told no robot mode either"
+            situation = "it has reported no robot mode either"
         else:
             runs = "a program runs" if mode.is_program_running else "no program runs"
             situation = f"the robot mode is {mode.robot_mode.name}, {runs}"
@@ -486,7 +486,7 @@ class Programs:
             what = "begun"
             hint = f"; {self._what_if(run)}; an e-Series controller takes no programs while it is in local control"
         return LinkTimeout(
-            f"{run.life.name} has not {what} within {self._start_timeout:g} s, and no error was told; {situation}{hint}"
+            f"{run.life.name} has not {what} within {self._start_timeout:g} s, no error was reported; {situation}{hint}"
         )
 
     # -- what becomes of programs ------------------------------------------------------------------

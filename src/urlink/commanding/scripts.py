@@ -78,12 +78,12 @@ class Scripts:
         texts: deque[str] = deque(maxlen=TEXTS)
         program = Program(life, texts)
 
-        def hear(text: str) -> None:
+        def receive(text: str) -> None:
             texts.append(text)
             if on_text is not None:
                 self._callbacks.call(on_text, text)
 
-        self._programs.start(wrapped, life, is_motion=False, left_alone="it may still run", on_text=hear)
+        self._programs.start(wrapped, life, is_motion=False, left_alone="it may still run", on_text=receive)
         if seconds:
             program.wait(seconds)
         return program

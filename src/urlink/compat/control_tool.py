@@ -37,12 +37,12 @@ def ask(robot: urlink.Robot, expression: str) -> str:
     mark = f"urlink answer {next(_numbers)} "
     answers: SimpleQueue[str] = SimpleQueue()
 
-    def hear(message: urlink.packets.TextMessage) -> None:
+    def on_message(message: urlink.packets.TextMessage) -> None:
         if message.text.startswith(mark):
             answers.put(message.text[len(mark) :])
 
     # Subscribed to the stream and not to the program: a line of text does not say which program sent it.
-    with robot.primary.subscribe(hear, urlink.packets.TextMessage, inline=True):
+    with robot.primary.subscribe(on_message, urlink.packets.TextMessage, inline=True):
         robot.script.run(f'sec urlink_question():\n  textmsg("{mark}", {expression})\nend')
         try:
             return answers.get(timeout=_TIMEOUT)

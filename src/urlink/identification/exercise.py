@@ -92,7 +92,7 @@ class Guard:
     Args:
         box: rad by which any joint may be away from where it stands now, or six of them, one for each.
         is_held: whether the arm may move, by a state.
-        told: called with why it has stopped the arm.
+        on_stop: called with why it has stopped the arm.
 
     Raises:
         Cancelled: a program runs or is paused, which could move the arm later, or the arm moves already.
@@ -103,7 +103,7 @@ class Guard:
         robot: Robot,
         box: float | FloatArray,
         is_held: Callable[[RealtimeState], bool] = lambda state: True,
-        told: Callable[[str], object] = lambda why: None,
+        on_stop: Callable[[str], object] = lambda why: None,
     ) -> None:
         self.start = _where_it_stands(robot)
         self.tripped = ""
@@ -111,7 +111,7 @@ class Guard:
         self.is_held = is_held
         self._robot = robot
         self._box = box
-        self._told = told
+        self._on_stop = on_stop
 
     def __call__(self, state: RealtimeState) -> None:
         if self.tripped:
@@ -127,7 +127,7 @@ class Guard:
 
     def _trip(self, why: str) -> None:
         self.tripped = why
-        self._told(why)
+        self._on_stop(why)
         self._stop = self._robot.motion.stop()
 
     def check(self) -> None:

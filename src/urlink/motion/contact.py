@@ -45,7 +45,7 @@ class ContactMotion(Motion):
         """Where the contact began; None while it runs, and if it ended without a contact."""
         return self._contact
 
-    def _hear(self, text: str) -> None:
+    def _on_text(self, text: str) -> None:
         """Handle a line of text from the program."""
         if text.startswith(yielding.NO_CONTACT):
             self._life.fail(NoContact(f"nothing was touched within {self._distance:g} m"))

@@ -76,10 +76,10 @@ class ControllerClock:
         if last is None:
             self._quickest = way
             return 0.0
-        told = time - last[0]
-        if told >= 0.0 and way >= self._quickest - EARLIER:
+        elapsed = time - last[0]
+        if elapsed >= 0.0 and way >= self._quickest - EARLIER:
             self._quickest = min(self._quickest, way)
-            return told
+            return elapsed
         self._quickest = way
         return max(now - last[1], self._cycle)
 

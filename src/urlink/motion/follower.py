@@ -25,7 +25,7 @@ from ..models import Model
 from ..urscript.links import InputRegisters, ReverseSocket
 from .controller_clock import ProgramClock
 from .following import AHEAD, Following, Tolerances
-from .setpoints import STOP_WORD, WAIT_WORD, Servoing, SetpointStream
+from .setpoints import STOP_MESSAGE, WAIT_MESSAGE, Servoing, SetpointStream
 from .trajectory import Trajectory
 
 #: rad/s, at most, of the correction from the position of the arm to the trajectory.
@@ -114,7 +114,7 @@ class Follower(Following):
         self._cycle = self._stream.cycle
         super().__init__(trajectory, tolerances, clock or ProgramClock(self._cycle))
         self._lag = 0.0 if delay is None else delay - AHEAD * self._cycle
-        self.farewell = STOP_WORD
+        self.farewell = STOP_MESSAGE
         self._servoing = servoing
         #: s that have passed on the trajectory; None before it began
         self._t: float | None = None
@@ -150,7 +150,7 @@ class Follower(Following):
             self._stream.begin(here)
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
-        """The word that answers a state; a second state of the same cycle is not answered.
+        """The message that answers a state; a second state of the same cycle is not answered.
 
         Raises:
             BadValue: the arm is not at the beginning of the trajectory.
@@ -163,7 +163,7 @@ class Follower(Following):
         if self._t is None:
             beginning = self._clock.beginning() if self._rest.is_reached(state, now) else None
             if beginning is None:
-                return WAIT_WORD
+                return WAIT_MESSAGE
             here = self._check_start(state)
             self._start = _Fade(_difference(here, self._trajectory.q[0].tolist()), 0.0)
             self._stream.begin(here)
@@ -178,9 +178,9 @@ class Follower(Following):
             self._stream.advance(passed, scaled)
             if not self._stream.is_due:
                 return b""
-        word = self._next(self._t + AHEAD * cycle, cycle, now)
+        message = self._next(self._t + AHEAD * cycle, cycle, now)
         self._compare(state, self._s - AHEAD * cycle - self._lag)
-        return word
+        return message
 
     def _next(self, wanted: float, cycle: float, now: float) -> bytes:
         """The next set-point: for the time `wanted` on the trajectory, or as close to it as the limits allow.

@@ -129,7 +129,7 @@ class Following(ABC):
         clock: of the trajectory.
 
     Attributes:
-        farewell: the word that ends the program.
+        farewell: the message that ends the program.
         survives_its_program: whether the motion goes on if the program ends before the arm has arrived.
         progress: the fraction that is over.
         is_over: whether the arm has arrived and stands still: of the arm, not of the motion, whose BRAKE follows.
@@ -159,7 +159,7 @@ class Following(ABC):
 
     @abstractmethod
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
-        """The word that answers a state."""
+        """The message that answers a state."""
 
     def conclude(self) -> None:  # noqa: B027 -- only one of them has something left to do then
         """Handle that the program has ended by itself."""

@@ -15,7 +15,7 @@ from ..urscript import yielding
 from ..vectors import FloatArray, Numbers, six
 from .context import MotionContext
 from .linked import Link
-from .linked_block import KeptWord, LinkedBlock
+from .linked_block import KeptMessage, LinkedBlock
 
 #: N and Nm; no arm exerts more.
 _LARGEST = 1000.0
@@ -112,7 +112,7 @@ class ForceMode(LinkedBlock):
     ) -> None:
         firmware = context.who.identity.firmware
         pressing.check(firmware)
-        self._told = KeptWord(
+        self._message = KeptMessage(
             partial(
                 yielding.force_mode,
                 firmware,
@@ -126,13 +126,13 @@ class ForceMode(LinkedBlock):
             ),
             _wrench(wrench).tolist(),
         )
-        super().__init__(context, "force_mode", self._told, open_link)
+        super().__init__(context, "force_mode", self._message, open_link)
 
     @property
     def wrench(self) -> FloatArray:
         """(6,) what the tool is to exert, N and Nm along and about the axes of the frame."""
-        assert self._told.values is not None  # there is a wrench from the first word on
-        return six(self._told.values, "wrench")
+        assert self._message.values is not None  # there is a wrench from the first message on
+        return six(self._message.values, "wrench")
 
     def set_wrench(self, wrench: Numbers) -> None:
         """Exert another wrench from the next state on. Along axes that are not compliant it has no effect.
@@ -143,7 +143,7 @@ class ForceMode(LinkedBlock):
             LocalError: not within the block.
         """
         self._check_open()
-        self._told.values = _wrench(wrench).tolist()
+        self._message.values = _wrench(wrench).tolist()
 
 
 def _wrench(wrench: Numbers) -> FloatArray:
@@ -190,4 +190,4 @@ class Freedrive(LinkedBlock):
             raise LocalError(f"firmware {firmware} frees all axes or none; {_AXES} is the first that takes axes")
         seconds = check_number(watchdog, "watchdog", 0.05, 10.0)
         body = partial(yielding.freedrive, firmware, axes=axes, frame=frame, watchdog=seconds)
-        super().__init__(context, "freedrive", KeptWord(body, _NOTHING), open_link)
+        super().__init__(context, "freedrive", KeptMessage(body, _NOTHING), open_link)

@@ -24,11 +24,11 @@ from .jog import FrameName
 from .linked import Link
 from .linked_block import LinkedBlock
 from .path import shown_tcp
-from .setpoints import STOP_WORD, packed
+from .setpoints import STOP_MESSAGE, packed
 from .softness import Softness, damping_of, stiffness_of
 
-#: One word of so many has the gains or the posture. No simple fraction: a program that takes each n-th word meets them
-#: all the same.
+#: One message of so many has the gains or the posture. No simple fraction: a program that takes each n-th message meets
+#: them all the same.
 _GOLDEN, _GAINS_SHARE = 0.6180339887, 0.25
 
 
@@ -53,28 +53,28 @@ class Impedance(LinkedBlock):
         damping = damping_of(softness.frame, softness.damping).tolist()
         self.frame: FrameName = softness.frame
         self._tcp: FloatArray | None = None
-        self._words = _Words(body, stiffness.tolist(), damping, has_posture=has_posture)
-        super().__init__(context, "impedance", self._words, open_link)
+        self._messages = _Messages(body, stiffness.tolist(), damping, has_posture=has_posture)
+        super().__init__(context, "impedance", self._messages, open_link)
 
     @property
     def target(self) -> FloatArray | None:
         """(6,) rad of the joints, or the pose of the tool; None before the first, when the arm is held where it was."""
-        return None if self._words.target is None else np.array(self._words.target)
+        return None if self._messages.target is None else np.array(self._messages.target)
 
     @property
     def posture(self) -> FloatArray | None:
         """(6,) rad that the joints are drawn to beside the tool; None before the first target, and without a tool."""
-        return None if self._words.posture is None else np.array(self._words.posture)
+        return None if self._messages.posture is None else np.array(self._messages.posture)
 
     @property
     def stiffness(self) -> FloatArray:
         """(6,) as they were set last: Nm/rad, or N/m along and Nm/rad about the axes of the frame."""
-        return np.array(self._words.gains[0])
+        return np.array(self._messages.gains[0])
 
     @property
     def damping(self) -> FloatArray:
         """(6,) ratios, as they were set last; 1 is critical."""
-        return np.array(self._words.gains[1])
+        return np.array(self._messages.gains[1])
 
     def send(self, target: Numbers, posture: Numbers | None = None) -> None:
         """Draw the arm to a target from now on, at any rate: 10 or 500 a second, or one for all.
@@ -96,17 +96,17 @@ class Impedance(LinkedBlock):
         """
         self._check_open()
         identity = self._context.who.identity
-        if posture is not None and not self._words.has_posture:
+        if posture is not None and not self._messages.has_posture:
             raise BadValue("a posture is for springs of the tool by direct torque; expected none")
         if self.frame == "joints":
-            self._words.lead(_checked(identity.arm, target, "target"), None)
+            self._messages.lead(_checked(identity.arm, target, "target"), None)
             return
         goal, state = check_pose(target, "target"), self._context.state()
         if self._tcp is None:
             self._tcp = shown_tcp(identity.kinematics, state)
-        near = state.q_actual if self._words.posture is None else self._words.posture
+        near = state.q_actual if self._messages.posture is None else self._messages.posture
         bent: list[float] = identity.kinematics.inverse(goal, near, self._tcp).tolist()
-        self._words.lead(goal.tolist(), bent if posture is None else _checked(identity.arm, posture, "posture"))
+        self._messages.lead(goal.tolist(), bent if posture is None else _checked(identity.arm, posture, "posture"))
 
     def set_gains(self, stiffness: ArrayLike | None = None, damping: ArrayLike | None = None) -> None:
         """Go over to another stiffness and damping, within some tenths of a second.
@@ -121,14 +121,14 @@ class Impedance(LinkedBlock):
             LocalError: not within the block.
         """
         self._check_open()
-        old = self._words.gains
-        self._words.gains = (
+        old = self._messages.gains
+        self._messages.gains = (
             old[0] if stiffness is None else stiffness_of(self.frame, stiffness).tolist(),
             old[1] if damping is None else damping_of(self.frame, damping).tolist(),
         )
 
 
-class _Words:
+class _Messages:
     """The dialogue with the program: each state is answered with the target, or with the gains or the posture.
 
     Attributes:
@@ -137,7 +137,7 @@ class _Words:
         has_posture: whether the program takes one.
     """
 
-    farewell = STOP_WORD
+    farewell = STOP_MESSAGE
     is_over = False
     survives_its_program = False
 
@@ -152,28 +152,28 @@ class _Words:
         self.gains = list(stiffness), list(damping)
         self.has_posture = has_posture
         self._body = body
-        self._told: tuple[int, list[float], list[float] | None] = (0, [0.0] * 6, None)
+        self._goal: tuple[int, list[float], list[float] | None] = (0, [0.0] * 6, None)
         self._turn = 0.0
 
     @property
     def target(self) -> list[float] | None:
-        number, values, _ = self._told
+        number, values, _ = self._goal
         return values if number else None
 
     @property
     def posture(self) -> list[float] | None:
-        return self._told[2]
+        return self._goal[2]
 
     def lead(self, target: list[float], posture: list[float] | None) -> None:
         """Go to another target."""
-        self._told = (self._told[0] % 1000 + 1, target, posture)
+        self._goal = (self._goal[0] % 1000 + 1, target, posture)
 
     def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
         return self._body(link)
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
         self._turn = (self._turn + _GOLDEN) % 1.0
-        number, target, posture = self._told
+        number, target, posture = self._goal
         counted = [float(number), 0.0, 0.0, 0.0, 0.0, 0.0]
         if self.has_posture and posture is not None and self._turn < 0.5 * _GAINS_SHARE:
             return packed(posture, counted, POSTURE)

@@ -18,7 +18,7 @@ from ..vectors import FloatArray, Numbers
 from .context import MotionContext
 from .linked import Link, LinkedProgram
 from .linked_block import LinkedBlock
-from .setpoints import STOP_WORD, WAIT_WORD, setpoint
+from .setpoints import STOP_MESSAGE, WAIT_MESSAGE, setpoint
 from .speed_limit import check_joint_speeds
 
 #: The frame of the six speeds.
@@ -36,7 +36,7 @@ UNLED = 0.5
 
 
 class _Jogging:
-    """Answers each state with the newest speeds, or with `WAIT_WORD` if they have expired.
+    """Answers each state with the newest speeds, or with `WAIT_MESSAGE` if they have expired.
 
     Args:
         frame: of the speeds.
@@ -44,7 +44,7 @@ class _Jogging:
         write: makes the lines of the program.
     """
 
-    farewell = STOP_WORD
+    farewell = STOP_MESSAGE
     is_over = False
     survives_its_program = False
 
@@ -55,16 +55,16 @@ class _Jogging:
         self._timeout = timeout
         self._write = write
         #: the speeds, and when they were set, monotonic s; one assignment, by any thread
-        self.told: tuple[FloatArray, float] | None = None
+        self.newest: tuple[FloatArray, float] | None = None
 
     def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
         return self._write(link)
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
-        told = self.told
-        if told is None:
-            return WAIT_WORD
-        speeds, at = told
+        newest = self.newest
+        if newest is None:
+            return WAIT_MESSAGE
+        speeds, at = newest
         if now - at > self._timeout:
             speeds = _REST
         elif self._frame == "tool":
@@ -127,7 +127,7 @@ class Jog(LinkedBlock):
             if self.frame == "joints"
             else check_speeds(speeds, "speeds")
         )
-        self._dialogue.told = values, self._context.clock()
+        self._dialogue.newest = values, self._context.clock()
 
     def stop(self) -> None:
         """Brake; the next `move` moves again.
@@ -145,10 +145,10 @@ class _Holding:
         section: of the robot.
         write: makes the lines of the program.
         speeds: (6,) of the joints, or of the tool in the base frame.
-        duration: s from the first word on.
+        duration: s from the first message on.
     """
 
-    farewell = STOP_WORD
+    farewell = STOP_MESSAGE
     survives_its_program = False
 
     def __init__(
@@ -169,7 +169,7 @@ class _Holding:
         return self._write(link)
 
     def change(self, speeds: FloatArray, duration: float) -> bool:
-        """Hold another speed from the next state on; False if the last word has been decided on."""
+        """Hold another speed from the next state on; False if the last message has been decided on."""
         with self._section:
             if not self.is_over:
                 self._speeds, self._duration, self._began = speeds, duration, None

@@ -1,10 +1,10 @@
-"""A program on the robot that is linked to this computer, and the words that are sent to it.
+"""A program on the robot that is linked to this computer, and the messages that are sent to it.
 
-Each real-time state that arrives, one per cycle of the controller, is answered with a word, so the controller's clock
-sets the pace. A `LinkDialogue`, sans-IO, decides the words. Each word carries the cycle of the newest state, by which
-the program counts one as none that is too old (`urlink.urscript.links`): so words that waited in the socket of a
-controller that hung do not lead the arm. If no state arrives, the interlock closes after a second, which ends every
-motion; the program on the robot brakes sooner.
+Each real-time state that arrives, one per cycle of the controller, is answered with a message, so the controller's
+clock sets the pace. A `LinkDialogue`, sans-IO, decides the messages. Each message carries the cycle of the newest
+state, by which the program counts one as none that is too old (`urlink.urscript.links`): so messages that waited in the
+socket of a controller that hung do not lead the arm. If no state arrives, the interlock closes after a second, which
+ends every motion; the program on the robot brakes sooner.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from .setpoints import dated
 CONNECT_TIMEOUT = 5.0
 #: Seconds after a lost connection in which its reason may arrive over the other interfaces.
 _GRACE = 1.0
-#: Seconds on the controller's clock after the last word, from which on an arm that stands still ends the motion though
-#: the end of the program was not reported.
+#: Seconds on the controller's clock after the last message, from which on an arm that stands still ends the motion
+#: though the end of the program was not reported.
 _END_TIMEOUT = 1.0
 
 
@@ -41,25 +41,25 @@ def _nothing() -> None:
 
 
 class LinkDialogue(Protocol):
-    """Decides the words for a program, from the bytes that it sends and from the states of the robot."""
+    """Decides the messages for a program, from the bytes that it sends and from the states of the robot."""
 
     @property
     def farewell(self) -> bytes:
-        """The word that ends the program and brakes; empty if the program ends by itself."""
+        """The message that ends the program and brakes; empty if the program ends by itself."""
 
     @property
     def is_over(self) -> bool:
-        """Whether no word is left to send: where it is, the BRAKE of the motion's life follows."""
+        """Whether no message is left to send: where it is, the BRAKE of the motion's life follows."""
 
     @property
     def survives_its_program(self) -> bool:
         """Whether the program may end by itself before the dialogue is over."""
 
     def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
-        """The lines of the program, which receives its words over `link`."""
+        """The lines of the program, which receives its messages over `link`."""
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
-        """The word that answers a state; raises `LinkError` if the motion cannot go on."""
+        """The message that answers a state; raises `LinkError` if the motion cannot go on."""
 
     def resume(self, state: RealtimeState) -> None:
         """Go on after a pause: the arm stands where the program has left it, or close to that."""
@@ -77,13 +77,13 @@ class Link(Protocol):
 
     @property
     def is_up(self) -> bool:
-        """Whether the program can receive words."""
+        """Whether the program can receive messages."""
 
     def poll(self, has_begun: bool) -> bool:
         """Check whether it is up now; `has_begun`: whether the controller has begun the program."""
 
     def send(self, data: bytes) -> None:
-        """Send a word; raises `LinkError` if the connection is lost."""
+        """Send a message; raises `LinkError` if the connection is lost."""
 
     def received(self) -> bytes:
         """The bytes from the program since the last call; raises `ConnectionLost` if the connection is lost."""
@@ -92,7 +92,7 @@ class Link(Protocol):
         """The error for a link that does not come up."""
 
     def close(self, *, farewell: bool) -> None:
-        """Close the link; with `farewell` the last word is still delivered. Idempotent."""
+        """Close the link; with `farewell` the last message is still delivered. Idempotent."""
 
 
 class LinkedProgram:
@@ -101,11 +101,11 @@ class LinkedProgram:
     Args:
         life: life cycle of the motion.
         context: the robot.
-        dialogue: decides its words.
+        dialogue: decides its messages.
         open_link: opens the link to it; may raise `LinkError`.
         tolerance: rad by which any joint may be away, after a pause, from where the arm came to rest in it.
-        on_linked: called, possibly more than once, when the first word has been sent, and when no more words will be
-            sent.
+        on_linked: called, possibly more than once, when the first message has been sent, and when no more messages will
+            be sent.
     """
 
     def __init__(
@@ -176,7 +176,7 @@ class LinkedProgram:
         self._context.channel.setpoint(lambda: self._transmit(data))
 
     def feed(self, data: bytes, watchdog: float) -> None:
-        """Send a word that answers no state, but comes from a loop of the user, unless no state comes either.
+        """Send a message that answers no state, but comes from a loop of the user, unless no state comes either.
 
         Without a state for `watchdog` seconds it would be too old for the program, and is not sent: read at once, after
         a controller has hung, it would be where the arm has to go with all its speed. After twice that time the program
@@ -189,7 +189,7 @@ class LinkedProgram:
         silence = self._clock() - self._seen
         if silence > 2.0 * watchdog:
             error = ConnectionLost(
-                f"the robot has sent no state for {silence:.2f} s, so its program takes no words; it brakes by itself"
+                f"the robot has sent no state for {silence:.2f} s, so its program takes no message; it brakes by itself"
             )
             self._life.fail(error, brake=True)
             raise error
@@ -198,7 +198,7 @@ class LinkedProgram:
 
     @property
     def is_paused(self) -> bool:
-        """Whether the program is paused: it takes no words.
+        """Whether the program is paused: it takes no messages.
 
         By the newest state too: a loop of the user may have it before the thread that answers states.
         """
@@ -208,8 +208,8 @@ class LinkedProgram:
     def _transmit(self, data: bytes) -> None:
         if self._life.error is not None:
             raise self._life.error
-        # Composed before another thread ended the program: a register holds its newest word only. Or before the thread
-        # that stops it for a task that was cancelled has come to do so: nothing follows that task but the stop.
+        # Composed before another thread ended the program: a register holds its newest message only. Or before the
+        # thread that stops it for a task that was cancelled has come to do so: nothing follows that task but the stop.
         if (self.is_finishing or not self._life.is_wanted) and data != self._dialogue.farewell:
             return
         assert self._link is not None
@@ -228,7 +228,7 @@ class LinkedProgram:
         """End the program; the motion is over once it has ended.
 
         Raises:
-            LinkError: the word could not be sent.
+            LinkError: the message could not be sent.
         """
         # Fired before sending: the program may end before this thread goes on.
         if self._life.fire(Event.BRAKE, at=self._passed) and self._dialogue.farewell:
@@ -237,7 +237,7 @@ class LinkedProgram:
 
     @property
     def is_finishing(self) -> bool:
-        """Whether the word that ends the program was sent."""
+        """Whether the message that ends the program was sent."""
         return self._life.happened(Event.BRAKE) is not None
 
     def lose(self, error: LinkError) -> None:
@@ -334,7 +334,7 @@ class LinkedProgram:
             self._context.channel.setpoint(lambda: link.send(self._dated(self._dialogue.farewell)), is_stop=True)
             if not self.is_paused:
                 return
-        # One that is paused reads nothing, and would go on for some cycles before it reads that word.
+        # One that is paused reads nothing, and would go on for some cycles before it reads that message.
         self._context.programs.stop(self._life)
 
     def _release(self) -> None:

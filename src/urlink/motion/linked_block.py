@@ -1,7 +1,7 @@
 """A motion that lasts as long as a ``with`` block, linked to its program on the robot.
 
-`KeptWord` is the dialogue with a program that runs while words come: the same word answers each state, until it
-changes.
+`KeptMessage` is the dialogue with a program that runs while messages come: the same message answers each state, until
+it changes.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ..interfaces.realtime.packets import RealtimeState
 from ..urscript.links import InputRegisters, ReverseSocket
 from .context import MotionContext
 from .linked import Link, LinkDialogue, LinkedProgram
-from .setpoints import STOP_WORD, WAIT_WORD, setpoint
+from .setpoints import STOP_MESSAGE, WAIT_MESSAGE, setpoint
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -40,7 +40,7 @@ class LinkedBlock(Motion):
     Args:
         context: the robot.
         name: of the motion, for messages.
-        dialogue: decides the words that are sent to the program.
+        dialogue: decides the messages that are sent to the program.
         open_link: opens the link to it.
     """
 
@@ -78,7 +78,7 @@ class LinkedBlock(Motion):
             raise
         if self.error is not None:
             raise self.error
-        self._block.enter_context(urgent())  # the user's loop has a word to send in each cycle
+        self._block.enter_context(urgent())  # the user's loop has a message to send in each cycle
         return self
 
     def __exit__(self, *exc: object) -> None:
@@ -108,7 +108,7 @@ class LinkedBlock(Motion):
             raise self.error or Closed(f"the block of the {self.name} was left")
 
     def _say(self, data: bytes, watchdog: float) -> None:
-        """Send a word of the user's loop to the program; `watchdog`: s without a word after which that brakes.
+        """Send a message of the user's loop to the program; `watchdog`: s without a message after which that brakes.
 
         Raises:
             LinkError: why nothing can be sent; the reason that the robot reports, if that comes in time.
@@ -132,24 +132,24 @@ class LinkedBlock(Motion):
 _NO_SPEEDS = (0.0,) * 6
 
 
-def word(values: Sequence[float]) -> bytes:
+def message(values: Sequence[float]) -> bytes:
     """Six values, as a program by `urlink.urscript.yielding` reads them."""
     return setpoint(values, _NO_SPEEDS)
 
 
-class KeptWord:
+class KeptMessage:
     """A dialogue with one such program.
 
     Args:
         body: makes the lines of the program, for its link.
-        values: (6,) of the word; None for a word that only shows that this computer is alive.
+        values: (6,) of the message; None for a message that only shows that this computer is alive.
 
     Attributes:
         values: as given; may be set by any thread.
-        is_mute: whether states are no longer answered, because the user's loop sends the words.
+        is_mute: whether states are no longer answered, because the user's loop sends the messages.
     """
 
-    farewell = STOP_WORD
+    farewell = STOP_MESSAGE
     is_over = False
     survives_its_program = False
 
@@ -166,7 +166,7 @@ class KeptWord:
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
         if self.is_mute:
             return b""
-        return WAIT_WORD if self.values is None else word(self.values)
+        return WAIT_MESSAGE if self.values is None else message(self.values)
 
     def resume(self, state: RealtimeState) -> None: ...
 

@@ -205,7 +205,7 @@ class Motions(AnswersForeignNames):
         life = self._life("path")
         motion = PathMotion(life, planned.sections, lambda: context.realtime.latest)
         wrapped = context.programs.own(planned.body)
-        context.programs.start(wrapped, life, left_alone=_MAY_GO_ON, on_text=motion._hear)
+        context.programs.start(wrapped, life, left_alone=_MAY_GO_ON, on_text=motion._on_text)
         end_where_moved(life, context.realtime)
         return _waited(motion, seconds)
 
@@ -541,7 +541,7 @@ class Motions(AnswersForeignNames):
         )
         life = self._life("until_contact")
         motion = ContactMotion(life, longest, self._tool_pose)
-        context.programs.start(context.programs.own(body), life, left_alone=_MAY_GO_ON, on_text=motion._hear)
+        context.programs.start(context.programs.own(body), life, left_alone=_MAY_GO_ON, on_text=motion._on_text)
         end_where_moved(life, context.realtime)
         return _waited(motion, seconds)
 
@@ -807,7 +807,7 @@ class Motions(AnswersForeignNames):
         return motion
 
     def _opener(self, link: LinkName, registers: RegisterPort[Any] | None = None) -> Callable[[], Link]:
-        """The function that opens the link to a program; `registers`: other than those of words of two times six."""
+        """The function that opens the link to a program; `registers`: other than those of messages of two times six."""
         check_choice(link, "link", get_args(LinkName))
         if link == "reverse":
             return self._context.reverse.open

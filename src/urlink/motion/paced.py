@@ -16,7 +16,7 @@ from ..models import Model
 from .controller_clock import ProgramClock
 from .following import Rest
 from .jerk_limited import JointLimit, TargetFilter
-from .setpoints import WAIT_WORD, Servoing, SetpointStream
+from .setpoints import WAIT_MESSAGE, Servoing, SetpointStream
 
 #: rad and rad/s, in any joint; a larger gap is not faded out. Chosen: at 1 rad/s it is the gap after 20 ms without
 #: set-points, with the default watchdog.
@@ -81,7 +81,7 @@ class PacedSetpoints:
             self._gap = [0.0] * 6
 
     def answer(self, state: RealtimeState, now: float) -> bytes:
-        """The word for the program on the robot.
+        """The message for the program on the robot.
 
         Raises:
             LinkTimeout: the arm does not come to rest before the first set-point.
@@ -89,7 +89,7 @@ class PacedSetpoints:
         passed, scaled = self._clock.passed(state, now)
         if not self._has_begun:
             if not self._rest.is_reached(state, now) or not self._source.has_targets:
-                return WAIT_WORD
+                return WAIT_MESSAGE
             self._has_begun = True
             here = state.q_target.tolist()
             self._source.begin(state.time, here)

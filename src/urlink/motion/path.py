@@ -198,7 +198,7 @@ class PathMotion(Motion):
         """Number of waypoints."""
         return len(self._sections)
 
-    def _hear(self, text: str) -> None:
+    def _on_text(self, text: str) -> None:
         """Handle a line of text from the program."""
         segment = programs.segment_of(text)
         if segment is not None and segment < self.segments:

@@ -62,7 +62,9 @@ class PointStream(LinkedBlock):
         firmware = identity.firmware
         if firmware < _BUFFERS:
             why = (
-                "CB2 controllers cannot read binary words" if firmware.is_cb2 else "its URScript lacks what that needs"
+                "CB2 controllers cannot read binary messages"
+                if firmware.is_cb2
+                else "its URScript lacks what that needs"
             )
             raise LocalError(
                 f"firmware {firmware} cannot hold points of a stream: {why}; {_BUFFERS} is the first. servo leads the "
@@ -70,7 +72,7 @@ class PointStream(LinkedBlock):
             )
         self.buffer = buffer
         cycle = 1.0 / firmware.rate
-        shortest = 2.0 * cycle  # the program reads one word in each cycle, and has to gain on the arm
+        shortest = 2.0 * cycle  # the program reads one message in each cycle, and has to gain on the arm
         bounds = Bounds(identity.arm, servoing.speeds, limits)
         self._reader = PointReader(bounds, shortest, partial(_inverse, context))
         capacity = min(round(buffer / shortest) + 4, _MOST)

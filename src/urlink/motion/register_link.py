@@ -1,6 +1,6 @@
 """Input registers of the robot as the link to a program: no connection to this computer is needed.
 
-The words are those of a reverse link, one register for each number. They reach the program by RTDE,
+The messages are those of a reverse link, one register for each number. They reach the program by RTDE,
 which applies a package as a whole in one cycle.
 """
 
@@ -14,18 +14,18 @@ from typing import Generic, Protocol, TypeVar
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout
 
 from ..urscript.links import TOKENS, InputRegisters
-from .setpoints import WORD_SIZE, read_word
+from .setpoints import MESSAGE_SIZE, read_message
 
 #: Number of the first float register and of the first integer register: the last twelve and the last four of all are
 #: used, so that others from 24 on are left to users, and those below 24 to fieldbuses. From 3.9 and 5.3 on.
 FIRST_FLOAT, FIRST_INTEGER = 36, 44
-#: The RTDE inputs that a link writes: positions and speeds of a set-point, the date and the number of the word, what to
-#: do, and the token.
+#: The RTDE inputs that a link writes: positions and speeds of a set-point, the date and the number of the message, what
+#: to do, and the token.
 NAMES = tuple(
     [f"input_double_register_{FIRST_FLOAT + i}" for i in range(12)]
     + [f"input_int_register_{FIRST_INTEGER + i}" for i in range(4)]
 )
-#: Largest number of a word, as large as an integer register holds; after it comes 1 again.
+#: Largest number of a message, as large as an integer register holds; after it comes 1 again.
 _MOST = 0x7FFF_FFFF
 
 
@@ -88,7 +88,7 @@ def random_token() -> int:
 class ProgramRegisters:
     """The registers of one program.
 
-    A program reads no word before its token is in its register. The token is written once the program has begun, and
+    A program reads no message before its token is in its register. The token is written once the program has begun, and
     only while its motion runs. So a program that the controller begins too late finds another token, and ends.
 
     Args:
@@ -96,7 +96,7 @@ class ProgramRegisters:
         names: of all of them, in the order in which they are written.
 
     Attributes:
-        is_up: whether the program has begun, so that words are written.
+        is_up: whether the program has begun, so that messages are written.
     """
 
     def __init__(self, inputs: InputClaim, names: Sequence[str]) -> None:
@@ -127,7 +127,7 @@ class ProgramRegisters:
         )
 
     def close(self, *, farewell: bool) -> None:
-        """Write nothing more; a program that still runs finds no new word, and brakes. Idempotent."""
+        """Write nothing more; a program that still runs finds no new message, and brakes. Idempotent."""
         self._is_closed, self.is_up = True, False
 
 
@@ -146,11 +146,11 @@ class RegisterLink(ProgramRegisters):
         self.endpoint = InputRegisters(FIRST_FLOAT, FIRST_INTEGER, random_token())
 
     def send(self, data: bytes) -> None:
-        """Write a dated word.
+        """Write a dated message.
 
         Raises:
             LinkError: it could not be written.
         """
-        q, qd, mode = read_word(data[:WORD_SIZE])
+        q, qd, mode = read_message(data[:MESSAGE_SIZE])
         self._count = self._count % _MOST + 1
-        self._write((*q, *qd, int.from_bytes(data[WORD_SIZE:], "big"), self._count, mode, self.endpoint.token))
+        self._write((*q, *qd, int.from_bytes(data[MESSAGE_SIZE:], "big"), self._count, mode, self.endpoint.token))

@@ -24,7 +24,7 @@ from .linked_block import LinkedBlock
 from .paced import FilteredTargets, PacedSetpoints
 from .path import Joint, Linear, Waypoint, shown_tcp
 from .servo_delay import measure
-from .setpoints import STOP_WORD, WAIT_WORD, Servoing, setpoint
+from .setpoints import STOP_MESSAGE, WAIT_MESSAGE, Servoing, setpoint
 from .speed_limit import LONGEST_PERIOD, SpeedLimit
 from .waypoint_schedule import Schedule
 
@@ -58,14 +58,14 @@ class ServoStatistics:
 class _Leading:
     """Answers each state with the next set-point of a target filter or schedule.
 
-    Before the first one, and if the loop sends its own set-points, it answers with `WAIT_WORD`.
+    Before the first one, and if the loop sends its own set-points, it answers with `WAIT_MESSAGE`.
 
     Args:
         servoing: how set-points are followed.
         paced: makes the set-points; None if the loop sends its own.
     """
 
-    farewell = STOP_WORD
+    farewell = STOP_MESSAGE
     is_over = False
     survives_its_program = False
 
@@ -76,7 +76,7 @@ class _Leading:
         self._clock = ProgramClock(1.0 / servoing.firmware.rate)
         #: s by which the program is behind the controller's clock, and when that was measured, monotonic s
         self._behind = self._at = 0.0
-        #: rad; target positions of the arm before the first word
+        #: rad; target positions of the arm before the first message
         self.here: list[float] | None = None
         self.has_begun = False
         #: after a pause: the next set-point is as the first
@@ -93,7 +93,7 @@ class _Leading:
         if self.has_begun:
             return b""
         self.here = state.q_target.tolist()
-        return WAIT_WORD
+        return WAIT_MESSAGE
 
     def program_time(self, now: float) -> float:
         """Monotonic s of which those are left out in which the program stood still, or its part of them."""
@@ -346,7 +346,7 @@ class Servo(LinkedBlock):
                 raise BadValue(excess)
             return
         here = self._dialogue.here
-        assert here is not None  # the block opens after the first word was sent
+        assert here is not None  # the block opens after the first message was sent
         for joint, (value, before) in enumerate(zip(values, here, strict=True)):
             if abs(value - before) > _NEAR:
                 raise BadValue(

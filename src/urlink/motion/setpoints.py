@@ -1,4 +1,4 @@
-"""Set-points: the words of the streaming program, how it follows them, and what is sent, one for each cycle."""
+"""Set-points: the messages of the streaming program, how it follows them, and what is sent, one for each cycle."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from ..urscript.links import FOLLOW, SCALE, STOP, WAIT, InputRegisters, ReverseS
 from ..urscript.streaming import COASTING, streaming
 from .speed_limit import SpeedLimit
 
-_WORD = struct.Struct(">13i")
+_MESSAGE = struct.Struct(">13i")
 #: Largest date, as large as 32 bits hold: after 49 days at 500 Hz.
 _LAST_DATE = 0x7FFF_FFFF
-#: The end of a word with a set-point.
+#: The end of a message with a set-point.
 _FOLLOW_BYTES = FOLLOW.to_bytes(4, "big")
-#: Bytes of a word without its date.
-WORD_SIZE = _WORD.size
+#: Bytes of a message without its date.
+MESSAGE_SIZE = _MESSAGE.size
 
 #: Brake, and end the program.
-STOP_WORD = _WORD.pack(*[0] * 12, STOP)
+STOP_MESSAGE = _MESSAGE.pack(*[0] * 12, STOP)
 #: No set-point yet; it only shows that this computer is alive.
-WAIT_WORD = _WORD.pack(*[0] * 12, WAIT)
+WAIT_MESSAGE = _MESSAGE.pack(*[0] * 12, WAIT)
 
 
 def setpoint(q: Sequence[float], qd: Sequence[float]) -> bytes:
@@ -38,25 +38,25 @@ def setpoint(q: Sequence[float], qd: Sequence[float]) -> bytes:
 
 def packed(first: Sequence[float], second: Sequence[float], mode: int) -> bytes:
     """Two times six numbers and what to do, as a program by `urlink.urscript.links` reads them, without the date."""
-    return _WORD.pack(*[round(each * SCALE) for each in (*first, *second)], mode)
+    return _MESSAGE.pack(*[round(each * SCALE) for each in (*first, *second)], mode)
 
 
-def dated(word: bytes, date: int, pauses: int = 0) -> bytes:
-    """A word as it is sent (`urlink.urscript.links`).
+def dated(message: bytes, date: int, pauses: int = 0) -> bytes:
+    """A message as it is sent (`urlink.urscript.links`).
 
     Args:
-        word: what to do is its end.
+        message: what to do is its end.
         date: cycles; comes after it.
         pauses: of the program, so far: set-points after a pause are distinguished from those before.
     """
-    if pauses and len(word) == WORD_SIZE and word.endswith(_FOLLOW_BYTES):
-        word = word.removesuffix(_FOLLOW_BYTES) + (WAIT + pauses).to_bytes(4, "big")
-    return word + min(date, _LAST_DATE).to_bytes(4, "big")
+    if pauses and len(message) == MESSAGE_SIZE and message.endswith(_FOLLOW_BYTES):
+        message = message.removesuffix(_FOLLOW_BYTES) + (WAIT + pauses).to_bytes(4, "big")
+    return message + min(date, _LAST_DATE).to_bytes(4, "big")
 
 
-def read_word(word: bytes) -> tuple[list[float], list[float], int]:
-    """The content of a word without its date: joint positions, rad, joint speeds, rad/s, and the command."""
-    *numbers, mode = _WORD.unpack(word)
+def read_message(message: bytes) -> tuple[list[float], list[float], int]:
+    """The content of a message without its date: joint positions, rad, joint speeds, rad/s, and the command."""
+    *numbers, mode = _MESSAGE.unpack(message)
     values = [each / SCALE for each in numbers]
     return values[:6], values[6:], mode
 

@@ -29,13 +29,13 @@ from ..urscript.buffering import (
     BRAKING,
     CUT,
     FINE,
+    MESSAGE,
     MOVING,
     OPEN,
     PACING,
     POINT,
     REPORTED,
     RESTING,
-    WORD,
     PointRegisters,
 )
 from ..urscript.links import SCALE, STOP, WAIT
@@ -44,17 +44,17 @@ from .controller_clock import ProgramClock
 from .following import AHEAD, Rest
 from .stream_steps import Aim, Bounds, Handed, JointMoment, Mark, Step, onto
 
-_WORD, _REPORT = struct.Struct(f">{WORD}i"), struct.Struct(f">{REPORTED}i")
-_STOP_WORD = _WORD.pack(STOP, *[0] * (WORD - 1))
+_MESSAGE, _REPORT = struct.Struct(f">{MESSAGE}i"), struct.Struct(f">{REPORTED}i")
+_STOP_MESSAGE = _MESSAGE.pack(STOP, *[0] * (MESSAGE - 1))
 #: s without a report after which a program counts as one that goes through no points, for others. Chosen: five reports.
-_UNHEARD = 0.1
+_UNANSWERED = 0.1
 #: Cycles without a state, from which on a report may be older than the state that comes next.
 _GAP = 2
 #: Difference of two paces that is not sent while points are waiting to be sent.
 _SAME_PACE = 1e-3
 #: Cycles, and s, that a cut takes to the program at first, and s at most: each that comes too late doubles the time.
 _AHEAD, _WAY, _LONGEST_WAY = 6, 0.01, 1.0
-#: Words within which a program has found out where the arm is, after a pause in which it was slow at first.
+#: Messages within which a program has found out where the arm is, after a pause in which it was slow at first.
 _RESUMING = 50
 
 
@@ -64,14 +64,14 @@ class _Sent:
 
     Attributes:
         number: of the point at its end.
-        word: number of the word that it came with.
+        message: number of the message that it came with.
         begins, ends: on the clock of the stream, s.
         until: s of all steps up to its end.
         aim: what it leads to; None for the beginning of a step that was cut.
     """
 
     number: int
-    word: int
+    message: int
     step: Step
     begins: float
     ends: float
@@ -85,7 +85,7 @@ class _Sent:
 
 @dataclasses.dataclass(frozen=True)
 class _Report:
-    words: int
+    messages: int
     epoch: int
     head: int
     base: int
@@ -110,9 +110,9 @@ class _Request:
 
 @dataclasses.dataclass(frozen=True)
 class _Cut:
-    """A cut that the program has not answered: its word and epoch, and what holds again if it is refused."""
+    """A cut that the program has not answered: its message and epoch, and what holds again if it is refused."""
 
-    word: int
+    message: int
     epoch: int
     head: int
     steps: tuple[_Sent, ...]
@@ -139,7 +139,7 @@ class StreamFeed:
         margin: s before which the program cannot be reached.
     """
 
-    farewell = _STOP_WORD
+    farewell = _STOP_MESSAGE
     is_over = False
     survives_its_program = False
 
@@ -164,13 +164,14 @@ class StreamFeed:
         self.mark: Mark | None = None
         self.pace: MemberPace | None = None
         self._clock = ProgramClock(cycle)
-        #: the pace of the program; those that it is to have, up to the newest; that which it was sent, by the last word
+        #: the pace of the program; those that it is to have, up to the newest; that which it was sent, by the last
+        #: message
         self._pace, self._paces = 1.0, deque([1.0] * (AHEAD + 1), AHEAD + 1)
-        self._told, self._has_told = 1.0, True
+        self._pace_sent, self._has_sent_pace = 1.0, True
         self._begin = Rest("the stream")
         self._is_lossy = False
         self._received = b""
-        self._words = self._heard = self._epoch = self._head = 0
+        self._messages = self._last_answered = self._epoch = self._head = 0
         #: s on the steps since the first state, as far as states show it, and at the last report
         self._passed = self._reported = 0.0
         #: s of which no state came, before the newest
@@ -188,7 +189,7 @@ class StreamFeed:
         self._requests: deque[_Request] = deque()
         self._is_cleared = False
         self._may_skip = False
-        #: after a pause: the words before it, and where the arm stood
+        #: after a pause: the messages before it, and where the arm stood
         self._found: tuple[int, JointMoment] | None = None
         self._answered: list[Future[None]] = []
         self._dry: list[Future[None]] = []
@@ -316,12 +317,12 @@ class StreamFeed:
         """Go on after a pause: with the points, or where the arm has braked to, if the program finds it elsewhere."""
         with self._section:
             self._clock.restart()
-            self._found = self._words, JointMoment.at_rest(state.q_target)
+            self._found = self._messages, JointMoment.at_rest(state.q_target)
 
     def conclude(self) -> None: ...
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
-        """The word that answers a state.
+        """The message that answers a state.
 
         Raises:
             LinkTimeout: the arm does not come to rest before the first point.
@@ -331,16 +332,16 @@ class StreamFeed:
             seconds = self._clock.passed(state, now)[1]
             self._pass(seconds)
             self._unseen = seconds if seconds > _GAP * self._cycle else 0.0
-            self._words += 1
+            self._messages += 1
             self._received += received
             while len(self._received) >= _REPORT.size:
-                words, epoch, head, base, passed, phase = _REPORT.unpack_from(self._received)
+                messages, epoch, head, base, passed, phase = _REPORT.unpack_from(self._received)
                 self._received = self._received[_REPORT.size :]
-                self._take(_Report(words, epoch, head, base, passed / SCALE, phase))
+                self._take(_Report(messages, epoch, head, base, passed / SCALE, phase))
             if self.pace is not None:
                 is_idle = not (self._steps or self._queue or self._cut)
-                is_heard = (self._words - self._heard) * self._cycle < _UNHEARD
-                is_led = self._report.phase == MOVING and is_heard
+                is_answered = (self._messages - self._last_answered) * self._cycle < _UNANSWERED
+                is_led = self._report.phase == MOVING and is_answered
                 rate = self._clock.rate
                 self._paces.append(self.pace.look(state.time, now, self.time, rate, is_led=is_led, is_idle=is_idle))
             if self.mark is None:
@@ -348,7 +349,7 @@ class StreamFeed:
                 if not self.begun.done() and self._begin.is_reached(state, now):
                     self._rest_at(0.0, JointMoment.at_rest(state.q_target))
                     self.begun.set_result(None)
-                return self._wait_word()
+                return self._wait_message()
             for handed in {aim.handed for aim in self._queue if aim.handed is not None}:
                 if handed.call is not None and handed.call.is_given_up:
                     self.forget(handed)
@@ -365,9 +366,9 @@ class StreamFeed:
             self._pace = self._paces[0]
         self._passed += self._pace * seconds
 
-    def _wait_word(self) -> bytes:
-        self._told, self._has_told = self._paces[-1], True
-        return _WORD.pack(WAIT, 0, round(SCALE * self._told), *[0] * (WORD - 3))
+    def _wait_message(self) -> bytes:
+        self._pace_sent, self._has_sent_pace = self._paces[-1], True
+        return _MESSAGE.pack(WAIT, 0, round(SCALE * self._pace_sent), *[0] * (MESSAGE - 3))
 
     def _rest_at(self, time: float, moment: JointMoment) -> None:
         self.mark = Mark(time, moment)
@@ -380,14 +381,14 @@ class StreamFeed:
         self._settle()
         if self._cut is None and not self._is_open and self._queue:
             self._resume()
-        if self._cut is not None and (self._cut.word == 0 or self._is_lossy):
-            # Again until it is answered, where words may be lost: so what sees a later word has seen a cut.
-            if self._cut.word == 0:
-                self._cut = dataclasses.replace(self._cut, word=self._words)
-            return self._cut_word
-        is_paced = self._has_told or abs(self._paces[-1] - self._told) < _SAME_PACE
+        if self._cut is not None and (self._cut.message == 0 or self._is_lossy):
+            # Again until it is answered, where messages may be lost: so what sees a later message has seen a cut.
+            if self._cut.message == 0:
+                self._cut = dataclasses.replace(self._cut, message=self._messages)
+            return self._cut_message
+        is_paced = self._has_sent_pace or abs(self._paces[-1] - self._pace_sent) < _SAME_PACE
         if self._is_open and self._queue and self._has_room and is_paced:
-            self._has_told = False
+            self._has_sent_pace = False
             aim = self._queue.popleft()
             assert aim.step is not None
             before = self._end_of_sent
@@ -395,11 +396,11 @@ class StreamFeed:
             # From where the step before ends, as the program does it.
             step = Step.to(before.step.end, aim.moment, aim.step.length, aim.degree)
             until = before.until + step.length
-            self._steps.append(_Sent(self._head, self._words, step, before.ends, aim.time, until, aim))
+            self._steps.append(_Sent(self._head, self._messages, step, before.ends, aim.time, until, aim))
             if aim.handed is not None and not any(each.handed is aim.handed for each in self._queue):
                 aim.handed.settle()
-            return self._word(POINT, self._head, aim.step.length, aim.degree, aim.moment)
-        return self._wait_word()
+            return self._message(POINT, self._head, aim.step.length, aim.degree, aim.moment)
+        return self._wait_message()
 
     @property
     def _end_of_sent(self) -> _Sent:
@@ -410,10 +411,10 @@ class StreamFeed:
     def _has_room(self) -> bool:
         return self._head - self._report.base < self._capacity - 1 and self.ahead < self._buffer
 
-    def _word(self, what: int, number: int, length: float, degree: int, moment: JointMoment) -> bytes:
+    def _message(self, what: int, number: int, length: float, degree: int, moment: JointMoment) -> bytes:
         numbers = [round(FINE * each) for each in moment.q.tolist()]
         numbers += [round(SCALE * each) for row in (moment.qd, moment.qdd) for each in row.tolist()]
-        return _WORD.pack(what, self._epoch, number, round(SCALE * length), degree, *numbers)
+        return _MESSAGE.pack(what, self._epoch, number, round(SCALE * length), degree, *numbers)
 
     # -- what the program reports ----------------------------------------------------------------------
 
@@ -421,14 +422,14 @@ class StreamFeed:
         time, found = self.time, None
         has_moved = self._report.phase == report.phase == MOVING
         here = self._here if has_moved else 0.0
-        if self._found is not None and report.words > self._found[0]:
+        if self._found is not None and report.messages > self._found[0]:
             if report.phase == RESTING:
                 found = self._found[1]
-            if found is not None or report.words > self._found[0] + _RESUMING:
+            if found is not None or report.messages > self._found[0] + _RESUMING:
                 self._found = None
-        self._report, self._reported, self._heard = report, self._passed, self._words
+        self._report, self._reported, self._last_answered = report, self._passed, self._messages
         cut = self._cut
-        if cut is not None and 0 < cut.word <= report.words:
+        if cut is not None and 0 < cut.message <= report.messages:
             self._cut = None
             if report.epoch == cut.epoch:
                 if cut.request is not None:
@@ -443,9 +444,9 @@ class StreamFeed:
         if self._cut is not None or self.mark is None:
             return
         is_closed = report.phase in (RESTING, BRAKING)
-        # While it moves, a point is refused if its word was too old; once it brakes, all that were on their way are.
+        # While it moves, a point is refused if its message was too old; once it brakes, all that were on their way are.
         refused = [
-            sent for sent in self._steps if sent.number > report.head and (is_closed or sent.word <= report.words)
+            sent for sent in self._steps if sent.number > report.head and (is_closed or sent.message <= report.messages)
         ]
         if refused:
             self._head = refused[0].number - 1
@@ -503,10 +504,10 @@ class StreamFeed:
         return None
 
     def _open(self, number: int, length: float, degree: int, moment: JointMoment, cut: _Cut) -> None:
-        """Open an epoch with a cut, which is sent with the next word."""
+        """Open an epoch with a cut, which is sent with the next message."""
         self._epoch += 1
         self._cut = dataclasses.replace(cut, epoch=self._epoch)
-        self._cut_word = self._word(CUT, number, length, degree, moment)
+        self._cut_message = self._message(CUT, number, length, degree, moment)
         self._head = number + 1
         self._is_open = True
 

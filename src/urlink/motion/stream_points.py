@@ -21,7 +21,7 @@ from .trajectory import Trajectory, TrajectoryPoint
 _NEAR = 0.05
 #: rad that a joint may turn from one pose to the next; more means a singularity.
 _LEAP = 1.5
-#: s between two points, at most: a word holds its microseconds.
+#: s between two points, at most: a message holds its microseconds.
 _LONGEST = 1000.0
 
 

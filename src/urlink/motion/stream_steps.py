@@ -180,7 +180,7 @@ class Bounds:
         self.limits = tuple(limits)
         self._arm = "the fastest arm" if model is None else f"a {model.name}"
         self._speeds = np.array(speeds)
-        # Positions that a word can hold, and that are meant, are no more than three turns (`buffering.FINE`).
+        # Positions that a message can hold, and that are meant, are no more than three turns (`buffering.FINE`).
         turns = np.tile([-6.0 * math.pi, 6.0 * math.pi], (6, 1))
         low, high = (turns if model is None else np.clip(model.position_limits, turns[:, :1], turns[:, 1:])).T
         self._low, self._high = low, high

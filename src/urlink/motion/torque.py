@@ -15,7 +15,7 @@ from ..urscript import yielding
 from ..vectors import JOINTS, six
 from .context import MotionContext
 from .linked import Link
-from .linked_block import KeptWord, LinkedBlock, word
+from .linked_block import KeptMessage, LinkedBlock, message
 
 _DIRECT_TORQUE = Since("5.23/10.11")
 #: Nm, for an arm that is not known.
@@ -55,7 +55,7 @@ class Torque(LinkedBlock):
             for joint, (limit, largest) in enumerate(zip(self._limits, most, strict=True)):
                 check_number(limit, f"limits[{joint}] ({JOINTS[joint]})", 0.0, largest)
         self._watchdog = check_number(watchdog, "watchdog", 0.01, 1.0)
-        self._told = KeptWord(
+        self._message = KeptMessage(
             partial(
                 yielding.torque,
                 firmware,
@@ -63,7 +63,7 @@ class Torque(LinkedBlock):
                 watchdog=self._watchdog,
             )
         )
-        super().__init__(context, "torque", self._told, open_link)
+        super().__init__(context, "torque", self._message, open_link)
 
     def send(self, torque: ArrayLike) -> None:
         """Apply these torques from the next cycle on; if no others follow, they fade over the watchdog time.
@@ -81,5 +81,5 @@ class Torque(LinkedBlock):
         for joint, (value, most) in enumerate(zip(values, self._limits, strict=True)):
             if abs(value) > most:
                 raise BadValue(f"torque[{joint}] ({JOINTS[joint]}) is {value:g} Nm; at most {most:g} Nm")
-        self._told.is_mute = True
-        self._say(word(values), self._watchdog)
+        self._message.is_mute = True
+        self._say(message(values), self._watchdog)

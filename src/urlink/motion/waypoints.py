@@ -54,7 +54,7 @@ class WaypointServer(Following):
         #: s on the trajectory that the arm has gone on in a pause; and then: when that was, s, and (6,) rad from there
         self._skipped = 0.0
         self._resumed: tuple[float, list[float]] | None = None
-        self._heard: float | None = None
+        self._received_at: float | None = None
         self._has_arrived = False
         #: s that have passed on the trajectory; None before it began
         self._t: float | None = None
@@ -71,7 +71,7 @@ class WaypointServer(Following):
         )
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
-        """The word that answers a state, and the requests that the program has sent since the last one.
+        """The message that answers a state, and the requests that the program has sent since the last one.
 
         Raises:
             BadValue: the arm is not at the beginning of the trajectory.
@@ -93,7 +93,7 @@ class WaypointServer(Following):
             self._compare(state, self._t)
         elif self._has_arrived:
             self.is_over = True
-        if not self._has_arrived and self._heard is not None and now - self._heard > _SILENCE:
+        if not self._has_arrived and self._received_at is not None and now - self._received_at > _SILENCE:
             raise ConnectionLost(f"the program on the robot has said nothing for {_SILENCE:g} s")
         return b"".join(answers)
 
@@ -103,8 +103,8 @@ class WaypointServer(Following):
 
     def _read(self, data: bytes, now: float) -> None:
         """Parse the lines of the program."""
-        if data or self._heard is None:
-            self._heard = now
+        if data or self._received_at is None:
+            self._received_at = now
         *lines, self._line = (self._line + data).split(b"\n")
         if len(self._line) > _LONGEST_LINE:
             raise ProgramStopped(f"the program on the robot does not speak in numbers: {self._line[:50]!r}")
@@ -147,7 +147,7 @@ class WaypointServer(Following):
     def resume(self, state: RealtimeState) -> None:
         """Go on after a pause, from where the arm stands: the program asks how far on that is."""
         super().resume(state)
-        self._heard = None
+        self._received_at = None
         if self._t is not None:
             before = self._t
             self._t = max(self._nearest(state.q_target.tolist(), before), before)

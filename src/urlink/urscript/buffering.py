@@ -1,10 +1,10 @@
 """The program that holds points of a stream in a buffer, moves through them by itself, and brakes where none is left.
 
-From 3.4 on. A word is twenty-four big-endian int32: what to do (`STOP`, `POINT`, `WAIT` or `CUT`), the epoch, a number,
-the microseconds of the step to the point, the degree of the curve that leads there, six positions in `FINE` parts of a
-rad, six speeds and six accelerations in millionths, and the date of `urlink.urscript.links`. Points are counted from 1;
-a step ends at the point of its number, and begins with the position, speed and acceleration in which the step before
-ends. A step of degree 1 is straight, one of degree 3 or 5 is the polynomial that its end prescribes.
+From 3.4 on. A message is twenty-four big-endian int32: what to do (`STOP`, `POINT`, `WAIT` or `CUT`), the epoch, a
+number, the microseconds of the step to the point, the degree of the curve that leads there, six positions in `FINE`
+parts of a rad, six speeds and six accelerations in millionths, and the date of `urlink.urscript.links`. Points are
+counted from 1; a step ends at the point of its number, and begins with the position, speed and acceleration in which
+the step before ends. A step of degree 1 is straight, one of degree 3 or 5 is the polynomial that its end prescribes.
 Accelerations leap where cubics meet, so one of degree 3 ends without; one of degree 4 is the beginning of a cubic, and
 its end keeps the acceleration.
 
@@ -24,12 +24,12 @@ acceleration alone leads a joint by a T² / 12, which is to stay below `STRAY`. 
 epoch is closed, and a `CUT` opens the next, within the braking or at rest. So it is where the arm is found at rest
 elsewhere, after a pause: it stays there.
 
-After each `CUT`, each change of its phase, and every fiftieth of a second it reports, six int32: words that were read,
-the last epoch taken, the number of the last point it holds, that of the point at which its step began, the microseconds
-since, and its phase.
+After each `CUT`, each change of its phase, and every fiftieth of a second it reports, six int32: messages that were
+read, the last epoch taken, the number of the last point it holds, that of the point at which its step began, the
+microseconds since, and its phase.
 
-Over `PointRegisters` a word is in input registers, whose numbers are those of the word; `words` is the number of the
-last that was seen, since a register holds the newest only: a point that was missed is one that was refused. A
+Over `PointRegisters` a message is in input registers, whose numbers are those of the message; `messages` is the number
+of the last that was seen, since a register holds the newest only: a point that was missed is one that was refused. A
 `CUT` is written until it is answered, and one of an epoch that is taken already is not taken again. The report is in
 output registers, anew in each cycle.
 """
@@ -56,8 +56,8 @@ from .links import (
 from .streaming import LAST_PLACE, found_elsewhere, servo_cycle
 from .text import each, indented, integer, lines, number, quoted, vector
 
-#: Numbers of a word without its date, and of a report.
-WORD, REPORTED = 23, 6
+#: Numbers of a message without its date, and of a report.
+MESSAGE, REPORTED = 23, 6
 #: What to do, beside `STOP` and `WAIT`: keep a point, or replace what comes after a place.
 POINT, CUT = 1, 3
 #: Phases: at rest and closed, on its way through points, braking, and at rest with an epoch open.
@@ -70,7 +70,7 @@ BRAKING_FACTOR = 1.5 * 2.0**0.5
 #: rad that an acceleration may lead a joint beyond the last point: where the jerk of the stream would let it be more,
 #: the joint brakes with more jerk.
 STRAY = 0.05
-#: 1/s, of the program, with which the pace changes at most. Chosen: four times as fast as it is told to
+#: 1/s, of the program, with which the pace changes at most. Chosen: four times as fast as it is sent
 #: (`urlink.motion.controller_clock.RAMP`) while nothing is scaled, because at a slider of 50 % it has to be.
 PACING = 25.0
 #: Seconds between two reports.
@@ -91,16 +91,16 @@ _REST = "[0.0, 0.0, 0.0, 0.0, 0.0, 0.0]"
 
 
 class PointRegisters(NamedTuple):
-    """Registers that hold a word, and those in which the program reports.
+    """Registers that hold a message, and those in which the program reports.
 
-    Fourteen integer registers hold the first five numbers of a word, the six positions, the date, the number of the
-    word and the token; twelve floating point registers the speeds and accelerations, in millionths too. Of the output
-    registers, the seventh holds the token: what is in the others is this program's.
+    Fourteen integer registers hold the first five numbers of a message, the six positions, the date, the number of the
+    message and the token; twelve floating point registers the speeds and accelerations, in millionths too. Of the
+    output registers, the seventh holds the token: what is in the others is this program's.
 
     Attributes:
         first_float, first_integer: number of the first input register of each kind.
         first_output: of the first output register.
-        token: what is in its register as long as this program's words are.
+        token: what is in its register as long as this program's messages are.
     """
 
     first_float: int
@@ -114,8 +114,8 @@ class PointRegisters(NamedTuple):
         return self.first_integer + 11
 
     @property
-    def word(self) -> int:
-        """The register that numbers the words."""
+    def message(self) -> int:
+        """The register that numbers the messages."""
         return self.first_integer + 12
 
     @property
@@ -139,10 +139,10 @@ def buffering(
     """Hold points, move through them, and brake where none is left.
 
     Args:
-        link: how the words come.
+        link: how the messages come.
         capacity: points that it holds.
         acceleration, jerk: (6,) rad/s² and rad/s³ with which the joints brake.
-        watchdog: seconds without a word after which it brakes and ends.
+        watchdog: seconds without a message after which it brakes and ends.
         lookahead_time, gain: of ``servoj``.
         deceleration: rad/s² of the ``stopj`` at its end, when the arm rests on its last set-point.
     """
@@ -150,13 +150,13 @@ def buffering(
     most_missed = missable(watchdog, firmware.rate)
     # Reading waits, and a scaled servoj takes several cycles, so a thread of its own moves the arm.
     if isinstance(link, ReverseSocket):
-        rates, follow = "word[12 + {at}]", _over_socket(firmware, link, most_missed)
+        rates, follow = "message[12 + {at}]", _over_socket(firmware, link, most_missed)
     else:
         rates, follow = "rates[{at}]", _over_registers(firmware, link, most_missed, watchdog)
     text = f"""
 {indented(_variables(capacity, acceleration, jerk))}
 {indented(_geometry(period, change))}
-{indented(_words(capacity, rates))}
+{indented(_messages(capacity, rates))}
         thread play():
           going = True
           while going:
@@ -213,6 +213,7 @@ def buffering(
 
 def _over_socket(firmware: Firmware, link: ReverseSocket, most_missed: int) -> str:
     """Connect, and hand over what comes until the link ends."""
+    cycles = max(round(_REPORTING * firmware.rate), 1)
     return f"""
         if socket_open({quoted(link.host)}, {integer(link.port, 1, 65535)}):
           {introduction(link.token)}
@@ -221,35 +222,35 @@ def _over_socket(firmware: Firmware, link: ReverseSocket, most_missed: int) -> s
           reported = {RESTING}
           unreported = 0
           while reading:
-            word = socket_read_binary_integer({WORD + 1})
-            if word[0] < {WORD + 1}:
+            message = socket_read_binary_integer({MESSAGE + 1})
+            if message[0] < {MESSAGE + 1}:
               if not starved:
                 textmsg({quoted(LINK_ENDED)})
               end
               reading = False
-            elif starved or word[1] == {STOP}:
+            elif starved or message[1] == {STOP}:
               reading = False
             else:
               enter_critical
-              behind = cycle - word[{WORD + 1}]
+              behind = cycle - message[{MESSAGE + 1}]
               if behind < quickest:
                 quickest = behind
               end
-              words = words + 1
+              messages = messages + 1
               if behind - quickest <= {most_missed}:
                 missed = 0
-                if word[1] == {POINT}:
+                if message[1] == {POINT}:
                   keep()
-                elif word[1] == {CUT}:
+                elif message[1] == {CUT}:
                   cut()
-                elif word[1] == {WAIT}:
-                  pace_told = word[3] / {SCALE}.0
+                elif message[1] == {WAIT}:
+                  pace_sent = message[3] / {SCALE}.0
                 end
               end
-              report = [words, taken, head, base, floor(passed * {SCALE}.0), phase]
+              report = [messages, taken, head, base, floor(passed * {SCALE}.0), phase]
               exit_critical
               unreported = unreported + 1
-              if word[1] == {CUT} or report[5] != reported or unreported >= {max(round(_REPORTING * firmware.rate), 1)}:
+              if message[1] == {CUT} or report[5] != reported or unreported >= {cycles}:
                 sent = 0
                 while sent < {REPORTED}:
                   socket_send_int(report[sent])
@@ -277,38 +278,38 @@ def _over_registers(firmware: Firmware, link: PointRegisters, most_missed: int, 
     """Take what is new in each cycle, and report."""
     whole = [f"read_input_integer_register({at})" for at in range(link.first_integer, link.date)]
     parts = [f"read_input_float_register({at})" for at in range(link.first_float, link.first_float + 12)]
-    report = [*("words", "taken", "head", "base", f"floor(passed * {SCALE}.0)", "phase"), str(link.token)]
+    report = [*("messages", "taken", "head", "base", f"floor(passed * {SCALE}.0)", "phase"), str(link.token)]
     reports = "\n".join(
         f"            write_output_integer_register({link.first_output + at}, {value})"
         for at, value in enumerate(report)
     )
     return f"""
-        word = [{", ".join(["0"] * 12)}]
+        message = [{", ".join(["0"] * 12)}]
         rates = [{", ".join(["0.0"] * 12)}]
         def listen():
           play_thread = run play()
           reading = True
           while reading:
             enter_critical
-            seen = read_input_integer_register({link.word})
-            if read_input_integer_register({link.proof}) == {link.token} and seen != words:
-              words = seen
-              word = [{WORD}, {", ".join(whole)}]
+            seen = read_input_integer_register({link.message})
+            if read_input_integer_register({link.proof}) == {link.token} and seen != messages:
+              messages = seen
+              message = [{MESSAGE}, {", ".join(whole)}]
               rates = [{", ".join(parts)}]
               behind = cycle - read_input_integer_register({link.date})
               if behind < quickest:
                 quickest = behind
               end
-              if word[1] == {STOP}:
+              if message[1] == {STOP}:
                 reading = False
               elif behind - quickest <= {most_missed}:
                 missed = 0
-                if word[1] == {POINT}:
+                if message[1] == {POINT}:
                   keep()
-                elif word[1] == {CUT} and word[2] != taken:
+                elif message[1] == {CUT} and message[2] != taken:
                   cut()
-                elif word[1] == {WAIT}:
-                  pace_told = word[3] / {SCALE}.0
+                elif message[1] == {WAIT}:
+                  pace_sent = message[3] / {SCALE}.0
                 end
               end
             end
@@ -325,7 +326,7 @@ def _over_registers(firmware: Firmware, link: PointRegisters, most_missed: int, 
           leaving = True
           join play_thread
         end
-{indented(over_registers(link.proof, link.word, link.token, "listen()", firmware, watchdog + _BRAKES))}
+{indented(over_registers(link.proof, link.message, link.token, "listen()", firmware, watchdog + _BRAKES))}
     """
 
 
@@ -352,8 +353,8 @@ def _variables(capacity: int, acceleration: Sequence[float], jerk: Sequence[floa
         length = 0.0
         passed = 0.0
         pace = 1.0
-        pace_told = 1.0
-        words = 0
+        pace_sent = 1.0
+        messages = 0
         missed = 0
         cycle = 0
         quickest = {_SLOWEST}
@@ -484,11 +485,11 @@ def _geometry(period: str, change: str) -> str:
             begin()
             phase = {MOVING}
             passed = 0.0
-            pace = pace_told
+            pace = pace_sent
           end
         end
         def keep_pace():
-          wanted = pace_told
+          wanted = pace_sent
           if phase == {BRAKING}:
             wanted = 1.0
           end
@@ -534,13 +535,13 @@ def _geometry(period: str, change: str) -> str:
     """
 
 
-def _words(capacity: int, rates: str) -> str:
-    """What is done with a word; each is called in a critical section.
+def _messages(capacity: int, rates: str) -> str:
+    """What is done with a message; each is called in a critical section.
 
     Args:
         rates: where its speeds and accelerations are.
     """
-    places = [f"word[{at}] / {number(FINE)}" for at in range(6, 12)]
+    places = [f"message[{at}] / {number(FINE)}" for at in range(6, 12)]
     places += [f"{rates.format(at=at)} / {number(SCALE)}" for at in range(12)]
     store = "\n".join(f"          {name}[slot] = {place}" for name, place in zip(_KEPT, places, strict=True))
     return f"""
@@ -553,12 +554,12 @@ def _words(capacity: int, rates: str) -> str:
         def store():
           slot = after(first, head - base)
 {store}
-          kept_length[slot] = word[4] / {SCALE}.0
-          kept_degree[slot] = word[5]
+          kept_length[slot] = message[4] / {SCALE}.0
+          kept_degree[slot] = message[5]
           head = head + 1
         end
         def keep():
-          if word[2] == taken and word[3] == head + 1 and head - base < {capacity}:
+          if message[2] == taken and message[3] == head + 1 and head - base < {capacity}:
             if phase == {MOVING} or phase == {OPEN}:
               store()
             end
@@ -567,9 +568,9 @@ def _words(capacity: int, rates: str) -> str:
         def cut():
           depart()
           if phase == {RESTING} or phase == {OPEN}:
-            if word[3] == base and word[4] == 0:
+            if message[3] == base and message[4] == 0:
               if not is_known:
-                at_q = [{each("word[{way}] / " + number(FINE), [str(6 + i) for i in range(6)])}]
+                at_q = [{each("message[{way}] / " + number(FINE), [str(6 + i) for i in range(6)])}]
                 shown = get_actual_joint_positions()
                 k = 0
                 while k < 6:
@@ -584,23 +585,23 @@ def _words(capacity: int, rates: str) -> str:
               base = base + 1
               first = after(first, 1)
               head = base
-              taken = word[2]
+              taken = message[2]
               phase = {OPEN}
             end
-          elif word[3] == base:
-            if word[4] / {SCALE}.0 > passed:
-              length = word[4] / {SCALE}.0
+          elif message[3] == base:
+            if message[4] / {SCALE}.0 > passed:
+              length = message[4] / {SCALE}.0
               if degree == 3:
                 degree = 4
               end
               head = base + 1
-              taken = word[2]
+              taken = message[2]
               phase = {MOVING}
             end
-          elif phase == {MOVING} and word[3] > base and word[3] <= head and word[3] - base < {capacity}:
-            head = word[3]
+          elif phase == {MOVING} and message[3] > base and message[3] <= head and message[3] - base < {capacity}:
+            head = message[3]
             store()
-            taken = word[2]
+            taken = message[2]
           end
         end
     """

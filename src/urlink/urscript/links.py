@@ -1,21 +1,21 @@
-"""Programs that are led from this computer, cycle by cycle: how their words reach them, and the loop that obeys them.
+"""Programs that are led from this computer, cycle by cycle: how messages reach them, and the loop that obeys them.
 
-A word is fourteen big-endian int32: six numbers in millionths (`SCALE`), six more, what to do: `STOP`, `FOLLOW` or
+A message is fourteen big-endian int32: six numbers in millionths (`SCALE`), six more, what to do: `STOP`, `FOLLOW` or
 `WAIT`, and a date. In `urlink.urscript.streaming` the numbers are positions of the joints, rad, and their speeds,
 rad/s. After the n-th pause of the program, `WAIT` + n stands for `FOLLOW`: a program that finds the arm elsewhere after
-a pause follows no word from before it.
+a pause follows no message from before it.
 
-The date is the cycle of the controller's clock in which the state was sent that the word answers, counted from the
+The date is the cycle of the controller's clock in which the state was sent that the message answers, counted from the
 first state of the motion. URScript cannot read that clock on every firmware, so the program counts its own cycles, and
-keeps the smallest difference between its count and a date: that of the word that came quickest. A set-point whose
+keeps the smallest difference between its count and a date: that of the message that came quickest. A set-point whose
 difference exceeds it by more than the watchdog's cycles counts as none. So set-points that waited in the socket while
 the controller hung are followed for one watchdog time at most. A round of the loop takes one cycle at least, so the
-program counts no faster than the controller's clock, and words do not grow old by counting.
+program counts no faster than the controller's clock, and messages do not grow old by counting.
 
 Over a `ReverseSocket` the program connects back to this computer, as those of public drivers do, and sends a token that
 only its text holds: another peer that finds the port must not be taken for the robot. The answer of
 ``socket_read_binary_integer`` begins with the count that was read, which is less than fourteen after two seconds
-without a word, or once the connection is lost. Over `InputRegisters` the program waits for the token instead.
+without a message, or once the connection is lost. Over `InputRegisters` the program waits for the token instead.
 
 Assignments in a thread or a nested function reach the variables of the program around them, as the programs of public
 drivers rely on; nothing here needs ``global`` or ``local``, which the oldest firmware may not have. Lists are
@@ -35,7 +35,7 @@ from .text import each, indented, integer, lines, number, quoted
 
 #: How many tokens there are: what a signed 32-bit integer holds.
 TOKENS = 1 << 31
-#: Factor between rad or rad/s and the integers of a word.
+#: Factor between rad or rad/s and the integers of a message.
 SCALE = 1_000_000
 #: The last number but one: brake and end, go to this set-point, or do nothing yet.
 STOP, FOLLOW, WAIT = 0, 1, 2
@@ -45,7 +45,7 @@ LINK_ENDED = "urlink: the link ended"
 STARVED = "urlink: nothing to go to"
 TOO_FAR = "urlink: the first point is too far away"
 
-#: Seconds for which a program waits for the first word in its registers.
+#: Seconds for which a program waits for the first message in its registers.
 _LINK_TIMEOUT = 5.0
 
 
@@ -66,12 +66,12 @@ class InputRegisters(NamedTuple):
     """Input registers that this computer writes by RTDE: nothing has to be reached from the robot.
 
     Set-points are in twelve floating point registers: positions, rad, and speeds, rad/s. Four integer registers hold
-    the date; the number of the word, by which a new one is known; what to do; and the token. That a program sees all
+    the date; the number of the message, by which a new one is known; what to do; and the token. That a program sees all
     inputs of one RTDE package in the same cycle is what public clients with such programs rely on.
 
     Attributes:
         first_float, first_integer: number of the first register of each kind.
-        token: what is in its register as long as this program's words are: registers keep what others wrote.
+        token: what is in its register as long as this program's messages are: registers keep what others wrote.
     """
 
     first_float: int
@@ -84,8 +84,8 @@ class InputRegisters(NamedTuple):
         return self.first_integer
 
     @property
-    def word(self) -> int:
-        """The register that numbers the words."""
+    def message(self) -> int:
+        """The register that numbers the messages."""
         return self.first_integer + 1
 
     @property
@@ -99,11 +99,11 @@ class InputRegisters(NamedTuple):
         return self.first_integer + 3
 
 
-def word_loop(
+def message_loop(
     firmware: Firmware,
     link: ReverseSocket | InputRegisters,
     start: str,
-    told: str,
+    received: str,
     late: str,
     end: str,
     *,
@@ -111,19 +111,19 @@ def word_loop(
     most_missed: int,
     guard: str = "",
 ) -> list[str]:
-    """A program that does something in each cycle, by the words that come over a link.
+    """A program that does something in each cycle, by the messages that come over a link.
 
     Args:
         link: how they come.
         start: what it does first; it sets ``missed`` to 0.
-        told: for a new word that is not too old, whose numbers are ``goal`` and ``speed``; it sets ``missed`` to 0, and
-            takes a cycle.
-        late: for the cycle ``missed`` without a word; it takes a cycle.
-        end: what it does last, also when no word has come for longer.
-        watchdog: seconds without a word after which the program ends.
+        received: for a new message that is not too old, whose numbers are ``goal`` and ``speed``; it sets ``missed`` to
+            0, and takes a cycle.
+        late: for the cycle ``missed`` without a message; it takes a cycle.
+        end: what it does last, also when no message has come for longer.
+        watchdog: seconds without a message after which the program ends.
         most_missed: rounds without one in these seconds, after which it says `STARVED` and ends; and rounds by which a
-            word may be older than the one that came quickest.
-        guard: for each round; where it sets ``held`` to True, words from before the next pause count as none.
+            message may be older than the one that came quickest.
+        guard: for each round; where it sets ``held`` to True, messages from before the next pause count as none.
     """
     if isinstance(link, ReverseSocket):
         # Reading waits, so a thread of its own moves the arm.
@@ -133,7 +133,7 @@ def word_loop(
             "def",
             _SEEN,
             _take_registers(link),
-            over_registers(link.proof, link.word, link.token, "servo()", firmware, watchdog),
+            over_registers(link.proof, link.message, link.token, "servo()", firmware, watchdog),
         )
     holding = f"""
 {guard}
@@ -170,7 +170,7 @@ def word_loop(
             elif wanted == {WAIT}:
               sync()
             elif is_new:
-{indented(told, 14)}
+{indented(received, 14)}
             elif missed < {most_missed}:
               missed = missed + 1
 {indented(late, 14)}
@@ -189,11 +189,11 @@ def word_loop(
 
 #: More than the difference between a count of cycles and a date can be at first.
 _SLOWEST = 1_000_000_000
-#: Numbers of a word.
-_WORD = 14
+#: Numbers of a message.
+_MESSAGE = 14
 #: Seconds for which a read waits for one.
 _READ = 2.0
-#: The variables by which the thread that reads the socket hands words to the one that moves the arm.
+#: The variables by which the thread that reads the socket hands messages to the one that moves the arm.
 _SHARED = f"""
     target = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
     target_speed = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
@@ -217,7 +217,7 @@ def _over_socket(link: ReverseSocket, firmware: Firmware, watchdog: float) -> st
     """Connect, and hand over what comes until the link ends.
 
     A read that has waited for `_READ` s is tried again until the watchdog's time is over. One that returns sooner
-    without a word finds the connection closed: so it is in the simulator. How soon a real controller returns then is
+    without a message finds the connection closed: so it is in the simulator. How soon a real controller returns then is
     not known; if it takes as long, the program ends by its watchdog.
     """
     most_silent, waited = int(watchdog / _READ) + 1, round(firmware.rate * _READ / 2)
@@ -229,8 +229,8 @@ def _over_socket(link: ReverseSocket, firmware: Firmware, watchdog: float) -> st
           silent = 0
           while reading:
             since = cycle
-            word = socket_read_binary_integer({_WORD})
-            if word[0] < {_WORD}:
+            message = socket_read_binary_integer({_MESSAGE})
+            if message[0] < {_MESSAGE}:
               silent = silent + 1
               if starved or silent >= {most_silent} or cycle - since < {waited}:
                 if not starved:
@@ -240,21 +240,21 @@ def _over_socket(link: ReverseSocket, firmware: Firmware, watchdog: float) -> st
               end
             elif starved:
               reading = False
-            elif word[13] == {STOP}:
+            elif message[13] == {STOP}:
               reading = False
             else:
               silent = 0
-              date_read = word[14]
+              date_read = message[14]
 {indented(_keep_quickest("date_read"), 14)}
-              if not (word[13] == {WAIT}):
-                goal_read = [{each("word[{n}] / " + number(SCALE))}]
-                speed_read = [{each("word[{way}] / " + number(SCALE), [str(7 + i) for i in range(6)])}]
+              if not (message[13] == {WAIT}):
+                goal_read = [{each("message[{n}] / " + number(SCALE))}]
+                speed_read = [{each("message[{way}] / " + number(SCALE), [str(7 + i) for i in range(6)])}]
                 enter_critical
                 target = goal_read
                 target_speed = speed_read
                 date_told = date_read
                 fresh = True
-                mode = word[13]
+                mode = message[13]
                 exit_critical
               end
             end
@@ -268,15 +268,15 @@ def _over_socket(link: ReverseSocket, firmware: Firmware, watchdog: float) -> st
     """
 
 
-#: The number of the last word; they are counted from 1, so the one that comes with the token is new.
+#: The number of the last message; they are counted from 1, so the one that comes with the token is new.
 _SEEN = "seen = 0"
 
 
 def _take_registers(link: InputRegisters) -> str:
-    """The newest word, and whether it is a new one."""
+    """The newest message, and whether it is a new one."""
     return f"""
         wanted = read_input_integer_register({link.mode})
-        number = read_input_integer_register({link.word})
+        number = read_input_integer_register({link.message})
         is_new = number != seen
         seen = number
         date = read_input_integer_register({link.date})
@@ -288,7 +288,7 @@ def _take_registers(link: InputRegisters) -> str:
     """
 
 
-def over_registers(at: int, word: int, token: int, follow: str, firmware: Firmware, watchdog: float) -> str:
+def over_registers(at: int, message: int, token: int, follow: str, firmware: Firmware, watchdog: float) -> str:
     """Wait for the token, for a bounded time, and follow what the registers say.
 
     The controller's own watchdog over the registers ends the program where this one cannot: it is given a second more,
@@ -296,11 +296,11 @@ def over_registers(at: int, word: int, token: int, follow: str, firmware: Firmwa
 
     Args:
         at: the register that holds the token.
-        word: the one that numbers the words.
+        message: the one that numbers the messages.
         follow: the call that follows them.
     """
     proof = f"read_input_integer_register({at})"
-    variable = quoted(f"input_int_register_{word}")
+    variable = quoted(f"input_int_register_{message}")
     return f"""
         cycles = 0
         while cycles < {round(_LINK_TIMEOUT * firmware.rate)} and {proof} != {integer(token, 1, TOKENS - 1)}:
@@ -317,7 +317,7 @@ def over_registers(at: int, word: int, token: int, follow: str, firmware: Firmwa
 
 
 def _keep_quickest(date: str) -> str:
-    """Keep the difference of the word that came quickest; words without a set-point count too."""
+    """Keep the difference of the message that came quickest; messages without a set-point count too."""
     return f"""
         behind = cycle - {date}
         if behind < quickest:

@@ -3,10 +3,10 @@
 Their text is in files beside this one, for who wants to read what runs on the robot: `springs.script` with
 `springs_of_joints.script` or `springs_of_tool.script`, whose torques are those of ``direct_torque``, and
 `admittance.script` for arms that have a force sensor only; in each, `aim.script` follows the targets, and `tool.script`
-finds the tool. They are put into a loop by words (`links.word_loop`). A word holds the target and its number, by which
-a new one is known, 0 before the first; with `GAINS` in the place of what to do, the stiffness of each axis in thousands
-and its damping ratio; with `POSTURE`, joint positions and the number of their target. Lists are computed with as a
-whole: whatever has ``direct_torque`` does, and so do others from 5.10 on.
+finds the tool. They are put into a loop by messages (`links.message_loop`). A message holds the target and its number,
+by which a new one is known, 0 before the first; with `GAINS` in the place of what to do, the stiffness of each axis in
+thousands and its damping ratio; with `POSTURE`, joint positions and the number of their target. Lists are computed with
+as a whole: whatever has ``direct_torque`` does, and so do others from 5.10 on.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pathlib import Path
 from string import Template
 
 from ..firmware import Firmware
-from .links import InputRegisters, ReverseSocket, missable, word_loop
+from .links import InputRegisters, ReverseSocket, message_loop, missable
 from .text import indented, number, vector
 
 #: What to do, beside `STOP`, `FOLLOW` and `WAIT`: take gains, or a posture.
@@ -47,7 +47,7 @@ _FADING = 0.2
 _DECELERATION = "stopj(4.0)"
 #: The speed slider does not scale torques; so it scales the way to the target.
 _SLIDER = 'get_rtde_value("target_speed_fraction")'
-#: The branch for words that have a posture.
+#: The branch for messages that have a posture.
 _TAKE_POSTURE = f"""
     elif wanted == {POSTURE}:
       take_posture(goal, speed[0])
@@ -102,7 +102,7 @@ class Springs:
         error: (6,) that each spring can be stretched: rad of the joints; with `tool`, m and rad.
         lowest, highest: (6,) rad.
         friction_compensation: the controller makes up for friction.
-        watchdog: s without a word after which it ends.
+        watchdog: s without a message after which it ends.
         tool: for springs of the tool; None for those of the joints.
     """
 
@@ -120,7 +120,7 @@ class Springs:
 
 
 def impedance(firmware: Firmware, link: ReverseSocket | InputRegisters, springs: Springs) -> list[str]:
-    """Draw the arm to the aim that the words lead; at the end the springs are let go of, and the arm stands."""
+    """Draw the arm to the aim that the messages lead; at the end the springs are let go of, and the arm stands."""
     cycle, tool = 1.0 / firmware.rate, springs.tool
     if tool is None:
         law = _text("springs_of_joints", error=vector(springs.error), loose=number(LOOSE))
@@ -140,8 +140,8 @@ def impedance(firmware: Firmware, link: ReverseSocket | InputRegisters, springs:
         aim=_aim(firmware, springs.stiffness, springs.damping, fastest, _SLIDER, law),
     )
     call = f"direct_torque(torques(), friction_comp={'True' if springs.friction_compensation else 'False'})"
-    told = _TAKE_POSTURE if tool is not None else ""
-    return _led(firmware, link, program, call, told, _DECELERATION, springs.watchdog)
+    received = _TAKE_POSTURE if tool is not None else ""
+    return _led(firmware, link, program, call, received, _DECELERATION, springs.watchdog)
 
 
 def admittance(
@@ -185,19 +185,19 @@ def _led(
     link: ReverseSocket | InputRegisters,
     program: str,
     call: str,
-    told: str,
+    received: str,
     brake: str,
     watchdog: float,
 ) -> list[str]:
-    """A program that does `call` in each cycle, while words lead its aim; then its springs fade, and it brakes.
+    """A program that does `call` in each cycle, while messages lead its aim; then its springs fade, and it brakes.
 
     Args:
-        told: the branch for words of another kind.
+        received: the branch for messages of another kind.
     """
     take = f"""
         if wanted == {GAINS}:
           take_gains(goal, speed)
-{indented(told)}
+{indented(received)}
         else:
           take_target(goal, speed[0])
         end
@@ -214,7 +214,7 @@ def _led(
     """
     most_missed = missable(watchdog, firmware.rate)
     start = "stay()\nfind_dampers()\nmissed = 0"
-    loop = word_loop(firmware, link, start, take, call, end, watchdog=watchdog, most_missed=most_missed)
+    loop = message_loop(firmware, link, start, take, call, end, watchdog=watchdog, most_missed=most_missed)
     return [*program.splitlines(), *loop]
 
 

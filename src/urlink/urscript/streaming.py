@@ -1,6 +1,6 @@
-"""Programs that obey a stream of words: set-points, one for each cycle of the controller, or speeds to jog at.
+"""Programs that obey a stream of messages: set-points, one for each cycle of the controller, or speeds to jog at.
 
-The words of both are the same, with speeds in the place of positions; where none comes, the arm brakes.
+The messages of both are the same, with speeds in the place of positions; where none comes, the arm brakes.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from linkcore.arguments import check_number
 
 from ..firmware import Firmware
-from .links import InputRegisters, ReverseSocket, missable, word_loop
+from .links import InputRegisters, ReverseSocket, message_loop, missable
 from .programs import takes_duration
 from .text import each, indented, lines, number
 
@@ -103,7 +103,7 @@ def streaming(
         missed = 0
         begun = False
     """
-    told = f"""
+    received = f"""
         step = [{each("speed[{i}] * " + cycle)}]
         aim = goal
 {indented(begin)}
@@ -122,7 +122,9 @@ def streaming(
         {servo}
     """
     end = f"stopj({number(deceleration)})"
-    loop = word_loop(firmware, link, start, told, late, end, watchdog=watchdog, most_missed=most_missed, guard=guard)
+    loop = message_loop(
+        firmware, link, start, received, late, end, watchdog=watchdog, most_missed=most_missed, guard=guard
+    )
     return [*lines(bounds), *loop]
 
 
@@ -200,16 +202,16 @@ def jogging(
     acceleration: float,
     watchdog: float,
 ) -> list[str]:
-    """Move at the speeds of the newest word, and brake where none has come for a while.
+    """Move at the speeds of the newest message, and brake where none has come for a while.
 
     ``speedj`` and ``speedl`` are called anew in each cycle, with the time of one cycle, as public drivers do. So the
     arm goes over from one speed to the next with `acceleration`.
 
     Args:
-        link: how the words come.
+        link: how the messages come.
         is_tool: they are speeds of the tool in the base frame, m/s and rad/s, rather than of the joints, rad/s.
         acceleration: m/s² or rad/s².
-        watchdog: seconds without a word after which it brakes.
+        watchdog: seconds without a message after which it brakes.
     """
     function, brake = ("speedl", "stopl") if is_tool else ("speedj", "stopj")
     hardness = number(acceleration, "acceleration")
@@ -221,6 +223,6 @@ def jogging(
         go_on = f"{function}(speeds, {hardness})\nsync()"
         most_missed = max(most_missed // 2, 2)
     start = "speeds = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]\nmissed = 0"
-    told = f"speeds = goal\nmissed = 0\n{go_on}"
+    received = f"speeds = goal\nmissed = 0\n{go_on}"
     end = f"{brake}({hardness})"
-    return word_loop(firmware, link, start, told, go_on, end, watchdog=watchdog, most_missed=most_missed)
+    return message_loop(firmware, link, start, received, go_on, end, watchdog=watchdog, most_missed=most_missed)

@@ -187,12 +187,12 @@ def interpolating(
           if held:
             socket_send_string({HELD})
             socket_send_byte(10)
-            word = socket_read_ascii_float(1)
-            if word[0] < 1:
+            message = socket_read_ascii_float(1)
+            if message[0] < 1:
               textmsg({quoted(LINK_ENDED)})
               leave = True
             else:
-              skipped = word[1] - 1.0
+              skipped = message[1] - 1.0
               held = False
             end
           elif cycles < {max(math.ceil(heartbeat * firmware.rate), 1)}:
@@ -201,11 +201,11 @@ def interpolating(
             cycles = 0
             socket_send_string({BEAT})
             socket_send_byte(10)
-            word = socket_read_ascii_float(1)
-            if word[0] < 1:
+            message = socket_read_ascii_float(1)
+            if message[0] < 1:
               textmsg({quoted(LINK_ENDED)})
               leave = True
-            elif not (word[1] == 1):
+            elif not (message[1] == 1):
               leave = True
             end
           end

@@ -1,8 +1,8 @@
 """The programs of an arm that yields: force mode, freedrive, direct torque, and a movement that ends at a contact.
 
-The first three are loops by words (`links.word_loop`): they go on as long as words come, and end their mode and
-brake where none has come for the watchdog's time, where the link ends, or where they are told to. Should the program be
-stopped by something else, the controller ends the mode with it.
+The first three are loops by messages (`links.message_loop`): they go on as long as messages come, and end their mode
+and brake where none has come for the watchdog's time, where the link ends, or by the message that says so. Should the
+program be stopped by something else, the controller ends the mode with it.
 
 Since when a controller has each function is documented in the URScript manual and by public drivers
 (docs/protocols/urscript.md).
@@ -15,7 +15,7 @@ import re
 from collections.abc import Sequence
 
 from ..firmware import Firmware
-from .links import InputRegisters, ReverseSocket, missable, word_loop
+from .links import InputRegisters, ReverseSocket, message_loop, missable
 from .text import each, lines, number, pose, quoted, vector
 
 #: The messages of a movement to a contact at its end; the first is followed by the joint positions.
@@ -38,16 +38,16 @@ def force_mode(
     gain: float | None,
     watchdog: float,
 ) -> list[str]:
-    """Force mode with the wrench that the words hold, which may change.
+    """Force mode with the wrench that the messages hold, which may change.
 
     Args:
-        link: how the words come.
+        link: how the messages come.
         frame: (6,) pose in the base frame.
         selection: (6,) the compliant axes.
         limits: (6,) as `force_mode` of URScript takes them.
         kind: 1, 2 or 3.
         damping, gain: None leaves them as the controller has them.
-        watchdog: s without a word after which it ends.
+        watchdog: s without a message after which it ends.
     """
     settings = [
         *([] if damping is None else [f"force_mode_set_damping({number(damping)})"]),
@@ -56,7 +56,7 @@ def force_mode(
     axes = ", ".join("1" if is_free else "0" for is_free in selection)
     start = ["wrench = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]", *settings]
     is_other = " or ".join(f"goal[{i}] != wrench[{i}]" for i in range(6))
-    told = f"""
+    received = f"""
         if (not begun) or {is_other}:
           wrench = goal
           force_mode({pose(frame, "frame")}, [{axes}], wrench, {kind:d}, {vector(limits, what="limits")})
@@ -66,7 +66,7 @@ def force_mode(
         sync()
     """
     end = f"end_force_mode()\n{_DECELERATION}"
-    return _mode_loop(firmware, link, "\n".join(start), told, "sync()", end, watchdog=watchdog)
+    return _mode_loop(firmware, link, "\n".join(start), received, "sync()", end, watchdog=watchdog)
 
 
 def freedrive(
@@ -77,19 +77,19 @@ def freedrive(
     *,
     watchdog: float,
 ) -> list[str]:
-    """Freedrive as long as words come.
+    """Freedrive as long as messages come.
 
     Args:
-        link: how the words come.
+        link: how the messages come.
         axes: (6,) of the frame that are free; None for all, which every firmware can.
         frame: (6,) pose in the base frame.
-        watchdog: s without a word after which it ends.
+        watchdog: s without a message after which it ends.
     """
     arguments = ""
     if axes is not None:
         chosen = ", ".join("1" if is_free else "0" for is_free in axes)
         arguments = f"freeAxes=[{chosen}], feature={pose(frame, 'frame')}"
-    told = f"""
+    received = f"""
         if not begun:
           freedrive_mode({arguments})
         end
@@ -98,21 +98,21 @@ def freedrive(
         sync()
     """
     end = f"end_freedrive_mode()\n{_DECELERATION}"
-    return _mode_loop(firmware, link, "", told, "sync()", end, watchdog=watchdog)
+    return _mode_loop(firmware, link, "", received, "sync()", end, watchdog=watchdog)
 
 
 def torque(
     firmware: Firmware, link: ReverseSocket | InputRegisters, *, friction_compensation: bool, watchdog: float
 ) -> list[str]:
-    """Direct torque, a word for each cycle. Where one is late, the last torque fades over the watchdog's time.
+    """Direct torque, a message for each cycle. Where one is late, the last torque fades over the watchdog's time.
 
     Args:
-        link: how the words come.
+        link: how the messages come.
         friction_compensation: the controller makes up for friction.
-        watchdog: s without a word after which it ends.
+        watchdog: s without a message after which it ends.
     """
     call = f"direct_torque({{}}, friction_comp={'True' if friction_compensation else 'False'})"
-    told = f"""
+    received = f"""
         torque = goal
         begun = True
         missed = 0
@@ -120,30 +120,30 @@ def torque(
     """
     missed = call.format(f"[{each('torque[{i}] * share')}]")
     start = "torque = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]"
-    return _mode_loop(firmware, link, start, told, missed, _DECELERATION, watchdog=watchdog)
+    return _mode_loop(firmware, link, start, received, missed, _DECELERATION, watchdog=watchdog)
 
 
 def _mode_loop(
     firmware: Firmware,
     link: ReverseSocket | InputRegisters,
     start: str,
-    told: str,
+    received: str,
     late: str,
     end: str,
     *,
     watchdog: float,
 ) -> list[str]:
-    """A `word_loop` whose mode begins with the first word.
+    """A `message_loop` whose mode begins with the first message.
 
     Args:
         link, start, end, watchdog: as there.
-        told: as there; it sets ``begun`` to True.
+        received: as there; it sets ``begun`` to True.
         late: as there; a part ``share`` of the watchdog's time is left.
     """
     start += "\nmissed = 0\nbegun = False"
     most_missed = missable(watchdog, firmware.rate)
     late = f"share = 1.0 - missed / {number(most_missed)}\n{late}"
-    return word_loop(firmware, link, start, told, late, end, watchdog=watchdog, most_missed=most_missed)
+    return message_loop(firmware, link, start, received, late, end, watchdog=watchdog, most_missed=most_missed)
 
 
 def until_contact(

@@ -42,7 +42,7 @@ class Driver:
         if event == "lost":
             return interlock.lose("primary", "pulled") is not None
         told = {"clear": CLEAR, "stop": STOP, "emergency": EMERGENCY, "off": OFF}[event]
-        return interlock.hear("primary", told, self.now) is not None
+        return interlock.report("primary", told, self.now) is not None
 
     @property
     def verdict(self) -> str:
@@ -138,47 +138,47 @@ def test_every_source_has_to_be_clear() -> None:
     interlock = Interlock()
     interlock.expect("primary")
     interlock.expect("realtime")
-    interlock.hear("primary", CLEAR, 1.0)
+    interlock.report("primary", CLEAR, 1.0)
     assert isinstance(interlock.refusal(1.0), NotRunning)
-    interlock.hear("realtime", CLEAR, 1.0)
+    interlock.report("realtime", CLEAR, 1.0)
     assert interlock.refusal(1.0) is None
-    assert isinstance(interlock.hear("realtime", STOP, 1.1), SafetyStop)
-    interlock.hear("realtime", CLEAR, 1.2)
+    assert isinstance(interlock.report("realtime", STOP, 1.1), SafetyStop)
+    interlock.report("realtime", CLEAR, 1.2)
     assert interlock.refusal(1.2) is None
     assert isinstance(interlock.lose("realtime", "pulled"), NotRunning)
-    interlock.hear("primary", CLEAR, 1.4)
+    interlock.report("primary", CLEAR, 1.4)
     assert "realtime" in str(interlock.refusal(1.4))
     interlock.forget("realtime")
     assert interlock.refusal(1.4) is None
     # Since it is open again, what closes it ends what has been begun meanwhile.
-    assert isinstance(interlock.hear("primary", STOP, 1.5), SafetyStop)
+    assert isinstance(interlock.report("primary", STOP, 1.5), SafetyStop)
 
 
 def test_what_has_said_nothing_is_no_running_robot() -> None:
     interlock = Interlock()
-    assert "nothing has been heard of the robot yet" in str(interlock.refusal(0.0))
-    interlock.hear("primary", Status(safety_mode=SafetyMode.NORMAL), 1.0)
+    assert "nothing has been received from the robot yet" in str(interlock.refusal(0.0))
+    interlock.report("primary", Status(safety_mode=SafetyMode.NORMAL), 1.0)
     interlock.expect("realtime")
-    assert "nothing has been heard on the realtime interface yet" in str(interlock.refusal(1.0))
-    interlock.hear("realtime", Status(safety_mode=SafetyMode.NORMAL), 1.0)
+    assert "nothing has been received on the realtime interface yet" in str(interlock.refusal(1.0))
+    interlock.report("realtime", Status(safety_mode=SafetyMode.NORMAL), 1.0)
     assert "has not said its mode" in str(interlock.refusal(1.0))
-    interlock.hear("realtime", Status(RobotMode.RUNNING), 1.0)
+    interlock.report("realtime", Status(RobotMode.RUNNING), 1.0)
     assert interlock.refusal(1.0) is None
 
 
 def test_which_sources_have_spoken() -> None:
     interlock = Interlock()
     interlock.expect("primary")
-    assert [interlock.has_word(name) for name in ("primary", "realtime")] == [False, False]
-    interlock.hear("primary", CLEAR, 1.0)
+    assert [interlock.has_reported(name) for name in ("primary", "realtime")] == [False, False]
+    interlock.report("primary", CLEAR, 1.0)
     interlock.lose("realtime", "refused")
-    assert [interlock.has_word(name) for name in ("primary", "realtime")] == [True, True]
+    assert [interlock.has_reported(name) for name in ("primary", "realtime")] == [True, True]
 
 
 def test_what_is_old_is_not_believed_but_ends_nothing() -> None:
     """Perhaps this program was held up: only who reads can tell that the robot is silent."""
     interlock = Interlock("always")
-    interlock.hear("primary", CLEAR, 1.0)
+    interlock.report("primary", CLEAR, 1.0)
     interlock.enable(1.0)
     assert interlock.refusal(2.0) is None
     late = 2.1
@@ -186,63 +186,63 @@ def test_what_is_old_is_not_believed_but_ends_nothing() -> None:
     with pytest.raises(NotRunning):
         interlock.enable(late)
     # What has come meanwhile is read, and nobody has to enable it anew.
-    assert interlock.hear("primary", CLEAR, late) is None
+    assert interlock.report("primary", CLEAR, late) is None
     assert interlock.refusal(late) is None
 
 
 def test_silence_that_the_reader_tells_of_ends_motions() -> None:
     interlock = Interlock("always", stale_after=0.5)
     assert interlock.fall_silent("primary", 0.5) is None  # which is not listened to
-    interlock.hear("primary", CLEAR, 1.0)
+    interlock.report("primary", CLEAR, 1.0)
     interlock.enable(1.0)
     ended = interlock.fall_silent("primary", 0.5)
     assert isinstance(ended, NotRunning)
     assert "said nothing on the primary interface for 0.5 s" in str(ended)
     assert interlock.fall_silent("primary", 1.5) is None  # once
     assert "for 0.5 s" in str(interlock.refusal(1.2))
-    interlock.hear("primary", CLEAR, 2.6)
+    interlock.report("primary", CLEAR, 2.6)
     assert isinstance(interlock.refusal(2.6), NotEnabled)
 
 
 def test_what_is_left_out_is_as_it_was() -> None:
     """A state without the part that tells of safety must not lift a stop."""
     interlock = Interlock()
-    interlock.hear("primary", STOP, 1.0)
-    interlock.hear("primary", Status(RobotMode.RUNNING), 1.1)
+    interlock.report("primary", STOP, 1.0)
+    interlock.report("primary", Status(RobotMode.RUNNING), 1.1)
     assert interlock.cause == "protective stop"
-    interlock.hear("primary", Status(safety_mode=SafetyMode.NORMAL), 1.2)
+    interlock.report("primary", Status(safety_mode=SafetyMode.NORMAL), 1.2)
     assert interlock.refusal(1.2) is None
-    interlock.hear("primary", Status(is_protective_stopped=True), 1.3)
-    interlock.hear("primary", CLEAR, 1.4)
+    interlock.report("primary", Status(is_protective_stopped=True), 1.3)
+    interlock.report("primary", CLEAR, 1.4)
     assert interlock.cause == "protective stop"
-    interlock.hear("primary", Status(is_protective_stopped=False), 1.5)
+    interlock.report("primary", Status(is_protective_stopped=False), 1.5)
     assert interlock.cause is None
 
 
 def test_a_part_alone_opens_nothing() -> None:
     interlock = Interlock()
-    interlock.hear("realtime", CLEAR, 1.0)
-    interlock.hear("primary", CLEAR, 1.0)
+    interlock.report("realtime", CLEAR, 1.0)
+    interlock.report("primary", CLEAR, 1.0)
     interlock.lose("primary", "pulled")
     assert interlock.amend("primary", Status(safety_mode=SafetyMode.NORMAL), 1.1) is None
     assert "pulled" in str(interlock.refusal(1.1))
-    interlock.hear("primary", CLEAR, 1.2)
+    interlock.report("primary", CLEAR, 1.2)
     assert isinstance(interlock.amend("primary", Status(safety_mode=SafetyMode.FAULT), 1.3), SafetyStop)
     assert interlock.amend("secondary", CLEAR, 1.3) is None
 
 
 def test_but_not_over_a_lost_connection() -> None:
     interlock = Interlock()
-    interlock.hear("primary", STOP, 1.0)
+    interlock.report("primary", STOP, 1.0)
     interlock.lose("primary", "pulled")
-    interlock.hear("primary", Status(RobotMode.RUNNING), 2.0)
+    interlock.report("primary", Status(RobotMode.RUNNING), 2.0)
     assert interlock.cause is None
 
 
 @pytest.mark.parametrize("mode", SafetyMode)
 def test_safety_modes(mode: SafetyMode) -> None:
     interlock = Interlock()
-    interlock.hear("primary", Status(RobotMode.RUNNING, mode), 1.0)
+    interlock.report("primary", Status(RobotMode.RUNNING, mode), 1.0)
     refusal = interlock.refusal(1.0)
     if mode in (SafetyMode.NORMAL, SafetyMode.REDUCED):
         assert refusal is None
@@ -254,14 +254,14 @@ def test_safety_modes(mode: SafetyMode) -> None:
 
 def test_a_safety_mode_without_a_name_stops() -> None:
     interlock = Interlock()
-    interlock.hear("primary", Status(RobotMode.RUNNING, SafetyMode(99)), 1.0)
+    interlock.report("primary", Status(RobotMode.RUNNING, SafetyMode(99)), 1.0)
     assert interlock.cause == "safety mode unknown 99"
 
 
 @pytest.mark.parametrize("mode", RobotMode)
 def test_robot_modes(mode: RobotMode) -> None:
     interlock = Interlock()
-    interlock.hear("primary", Status(mode, SafetyMode.NORMAL), 1.0)
+    interlock.report("primary", Status(mode, SafetyMode.NORMAL), 1.0)
     if mode is RobotMode.RUNNING:
         assert interlock.refusal(1.0) is None
     else:
@@ -282,7 +282,7 @@ _CB2 = {
 def test_robot_modes_of_cb2(mode: RobotModeCB2) -> None:
     """Their numbers are others: 0 runs, and 7, which runs on later ones, has no power."""
     interlock = Interlock()
-    interlock.hear("primary", Status(mode), 1.0)
+    interlock.report("primary", Status(mode), 1.0)
     assert interlock.cause == _CB2.get(mode)
     if mode in _CB2:
         assert (interlock.refusal(1.0) is None) == (_CB2[mode] is None)
@@ -310,9 +310,9 @@ def test_flags_and_boards(status: Status, cause: str | None) -> None:
 
 def test_commands_need_no_more_than_a_running_robot() -> None:
     interlock = Interlock("always")
-    interlock.hear("primary", STOP, 1.0)
+    interlock.report("primary", STOP, 1.0)
     assert interlock.absence(1.0) is None
-    interlock.hear("primary", EMERGENCY, 1.0)
+    interlock.report("primary", EMERGENCY, 1.0)
     assert isinstance(interlock.absence(1.0), NotRunning)
 
 
@@ -320,7 +320,7 @@ def test_commands_need_no_more_than_a_running_robot() -> None:
 @pytest.mark.parametrize("after", POLICIES)
 def test_a_change_of_policy_asks_anew(before: Policy, after: Policy) -> None:
     interlock = Interlock(before)
-    interlock.hear("primary", CLEAR, 1.0)
+    interlock.report("primary", CLEAR, 1.0)
     interlock.enable(1.0)
     interlock.policy = before  # no change
     assert interlock.refusal(1.0) is None
@@ -342,19 +342,19 @@ def test_no_such_policy() -> None:
 def test_every_source_has_to_say_something_anew() -> None:
     interlock = Interlock()
     running = Status(RobotMode.RUNNING, SafetyMode.NORMAL)
-    interlock.hear("primary", running, 100.0)
-    interlock.hear("realtime", running, 100.05)
-    assert [interlock.has_heard_since(since) for since in (99.9, 100.0, 100.05)] == [True, False, False]
-    interlock.hear("primary", running, 100.1)
-    assert interlock.has_heard_since(100.0)
+    interlock.report("primary", running, 100.0)
+    interlock.report("realtime", running, 100.05)
+    assert [interlock.has_reported_since(since) for since in (99.9, 100.0, 100.05)] == [True, False, False]
+    interlock.report("primary", running, 100.1)
+    assert interlock.has_reported_since(100.0)
 
 
 def test_the_newest_word_comes_first() -> None:
     interlock = Interlock()
     slow, fast = Status(RobotMode.RUNNING, SafetyMode.NORMAL), Status(RobotMode.RUNNING, SafetyMode.PROTECTIVE_STOP)
-    interlock.hear("primary", slow, 100.0)
-    interlock.hear("realtime", fast, 100.05)
+    interlock.report("primary", slow, 100.0)
+    interlock.report("realtime", fast, 100.05)
     assert interlock.statuses == [fast, slow]
-    interlock.hear("primary", fast, 100.1)
+    interlock.report("primary", fast, 100.1)
     interlock.lose("realtime", "pulled")
     assert interlock.statuses == [fast]

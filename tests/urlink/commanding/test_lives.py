@@ -211,7 +211,7 @@ def test_a_secondary_program_has_to_end_in_time(desk: Programming) -> None:
     run = desk.script(SEC)
     run.begins()
     desk.state(5.1, runs=True)
-    assert "has not ended within 5 s, and no error was told; the robot mode is RUNNING, a program runs" in run.end
+    assert "has not ended within 5 s, no error was reported; the robot mode is RUNNING, a program runs" in run.end
     assert "later" not in run.end
 
 
@@ -485,10 +485,10 @@ def test_what_was_sent_over_a_connection_that_is_lost(desk: Programming) -> None
     event = ConnectionEvent(
         ConnectionState.LOST, "line", ConnectionLost("pulled"), Stamp(desk.clock.now, desk.clock.now)
     )
-    desk.programs.hear_event(event)
+    desk.programs.on_event(event)
     assert script.phase is motion.phase is Phase.SENT  # sent after it was lost, over the next one
     desk.clock.now += 0.1
-    desk.programs.hear_event(event._replace(received=Stamp(desk.clock.now, desk.clock.now)))
+    desk.programs.on_event(event._replace(received=Stamp(desk.clock.now, desk.clock.now)))
     lost = "the connection was lost while {} ran; {}: pulled"
     assert script.end == "ConnectionLost: " + lost.format(script.name, "it moves nothing if it begins later")
     later = "if it begins later, it may still move the arm"
@@ -496,7 +496,7 @@ def test_what_was_sent_over_a_connection_that_is_lost(desk: Programming) -> None
     another = desk.script()
     another.begins()
     desk.clock.now += 0.1
-    desk.programs.hear_event(event._replace(received=Stamp(desk.clock.now, desk.clock.now), error=None))
+    desk.programs.on_event(event._replace(received=Stamp(desk.clock.now, desk.clock.now), error=None))
     assert another.end.endswith("ran; it may still run")
 
 
@@ -506,7 +506,7 @@ def test_a_connection_that_was_given_up_is_listened_to_anew(
 ) -> None:
     desk.motion()
     before = len(desk.primary.subscribers)
-    desk.programs.hear_event(ConnectionEvent(state, "line", None, Stamp(0.0, 0.0)))
+    desk.programs.on_event(ConnectionEvent(state, "line", None, Stamp(0.0, 0.0)))
     desk.motion()
     assert len(desk.primary.subscribers) == before + (2 if is_left else 0)
 

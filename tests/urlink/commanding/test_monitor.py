@@ -71,7 +71,7 @@ def test_an_interface_that_says_nothing_lets_nothing_through(desk: Monitored) ->
     desk.primary.tell(slow())
     assert desk.monitor.refusal() is None
     desk.listen()
-    assert "nothing has been heard on the realtime interface yet" in str(desk.monitor.refusal())
+    assert "nothing has been received on the realtime interface yet" in str(desk.monitor.refusal())
     assert desk.closings == []  # until it has been waited for, what runs goes on
 
 
@@ -269,11 +269,11 @@ def test_how_long_news_is_waited_for() -> None:
 
     desk.monitor.wait_for = wait_for  # type: ignore[method-assign]
     desk.monitor.listen(closely=True)
-    (has_word, seconds), (also, _) = asked
+    (has_reported, seconds), (also, _) = asked
     assert seconds == 2.0
-    assert not has_word(desk.interlock)
+    assert not has_reported(desk.interlock)
     desk.primary.tell(slow())
-    assert has_word(desk.interlock)
+    assert has_reported(desk.interlock)
     assert not also(desk.interlock)
     desk.realtime.tell(fast())
     for moves in (True, False):

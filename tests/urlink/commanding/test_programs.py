@@ -391,7 +391,7 @@ def test_a_refusal_while_the_connection_is_lost(
     robot: ScriptedController, is_refused: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What never left is nobody's loss: the error is that of the refusal, whatever happens at the same moment."""
-    monkeypatch.setattr("urlink.commanding.monitor._NEXT_WORD", 0.0)
+    monkeypatch.setattr("urlink.commanding.monitor._NEXT_REPORT", 0.0)
     robot.clear()
     if is_refused:
         robot.state(safety=SafetyMode.PROTECTIVE_STOP)

@@ -317,7 +317,7 @@ def test_an_old_word_is_not_believed_while_this_program_is_held_up() -> None:
 
 
 def test_nothing_heard_at_all(robot: ScriptedController, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(monitor, "_FIRST_WORD", 0.05)
+    monkeypatch.setattr(monitor, "_FIRST_REPORT", 0.05)
     with pytest.raises(NotRunning, match="yet; nothing was sent"):
         robot.channel.command("set_tool_voltage(0)")
     assert robot.safety.mode is None

@@ -15,7 +15,7 @@ from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.kinematics import Arm
 from urlink.models import model
 from urlink.motion.paced import PacedSetpoints, PacedSource
-from urlink.motion.setpoints import WAIT_WORD, WORD_SIZE, Servoing, dated, read_word
+from urlink.motion.setpoints import MESSAGE_SIZE, WAIT_MESSAGE, Servoing, dated, read_message
 from urlink.motion.speed_limit import largest_speeds
 from urlink.simulator.registers import RegisterBanks
 from urlink.simulator.robot.generator import MotionGenerator
@@ -106,10 +106,10 @@ class Bench:
     def __getattr__(self, name: str) -> Any:
         raise AttributeError(f"the program asks for {name}, which it has no need of")
 
-    def say(self, words: bytes) -> None:
-        """Words of this cycle reach its socket."""
-        for at in range(0, len(words), WORD_SIZE):
-            self.sockets.waiting += dated(words[at : at + WORD_SIZE], self.cycle)
+    def say(self, messages: bytes) -> None:
+        """Messages of this cycle reach its socket."""
+        for at in range(0, len(messages), MESSAGE_SIZE):
+            self.sockets.waiting += dated(messages[at : at + MESSAGE_SIZE], self.cycle)
 
     def run(self, cycles: int = 1, each: Callable[[], object] = lambda: None) -> None:
         """So many cycles, each after `each`; stops when the program is over."""
@@ -181,8 +181,8 @@ class Led:
         """So many cycles, of which the first few pass without a state."""
         for i in range(cycles):
             if i >= missed:
-                word = self.paced.answer(self.state(), 1000.0 + self.time)
-                self.bench.say(word)
-                if word and word != WAIT_WORD:
-                    self.sent.append(read_word(word)[0])
+                message = self.paced.answer(self.state(), 1000.0 + self.time)
+                self.bench.say(message)
+                if message and message != WAIT_MESSAGE:
+                    self.sent.append(read_message(message)[0])
             self.bench.run()

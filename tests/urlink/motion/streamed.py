@@ -38,8 +38,8 @@ class Streamed:
     Args:
         firmware: of the controller.
         buffer: s that the program holds.
-        way: cycles that words and reports take, each.
-        watchdog: s without a word.
+        way: cycles that messages and reports take, each.
+        watchdog: s without a message.
     """
 
     BEGIN = 50.0
@@ -91,8 +91,8 @@ class Streamed:
                 received = b""
                 while len(self._back) > self.way:
                     received += self._back.popleft()
-                word = self.feed.step(received, self.state(), 1000.0 + self.bench.cycle * self.period)
-                self._there.append(dated(word, self.bench.cycle))
+                message = self.feed.step(received, self.state(), 1000.0 + self.bench.cycle * self.period)
+                self._there.append(dated(message, self.bench.cycle))
             while len(self._there) > self.way or (is_frozen and self._there):
                 self.bench.sockets.waiting += self._there.popleft()
             self.bench.run()

@@ -105,7 +105,7 @@ def test_it_rests_on_what_it_is_led_into_and_ends_there_without_a_leap(stiffness
 
 
 @pytest.mark.slow
-def test_it_ends_without_words() -> None:
+def test_it_ends_without_messages() -> None:
     soft = Yielding()
     soft.lead(place(soft.pose, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0), 0.2)
     soft.silent(0.4)

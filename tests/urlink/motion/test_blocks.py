@@ -39,13 +39,13 @@ def entered(robot: Rehearsal, block: B) -> Iterator[B]:
 
 
 def told(robot: Rehearsal, until_it_is: list[float] | None = None) -> list[float]:
-    """What the program is told with the next states; of words that were on their way before, the first that fits."""
+    """What the program is told with the next states; of messages that were on their way before, the first that fits."""
     while True:
         robot.tick()
-        word = robot.word()
-        assert word is not None
-        if word[1] == FOLLOW and until_it_is in (None, word[0]):
-            return word[0]
+        message = robot.message()
+        assert message is not None
+        if message[1] == FOLLOW and until_it_is in (None, message[0]):
+            return message[0]
 
 
 def link_of(robot: Rehearsal) -> LinkName:
@@ -112,8 +112,8 @@ def test_torques_are_those_of_the_loop_and_nothing_else(
         assert f"friction_comp={is_compensated}" in robot.uploaded
         assert "missed < 50" in robot.uploaded
         robot.tick()
-        assert (word := robot.word()) is not None
-        assert word[1] == WAIT
+        assert (message := robot.message()) is not None
+        assert message[1] == WAIT
         for joint, limit in enumerate(most):
             values = [0.0] * 6
             for sign in (1.0, -1.0):
@@ -122,13 +122,13 @@ def test_torques_are_those_of_the_loop_and_nothing_else(
                     torque.send(values)
             values[joint] = -limit
             torque.send(values)
-            while (word := robot.word()) is None or word[1] == WAIT:
-                assert word is not None
-            assert word == (values, FOLLOW)
+            while (message := robot.message()) is None or message[1] == WAIT:
+                assert message is not None
+            assert message == (values, FOLLOW)
         # A state is answered by the loop alone.
         robot.show()
         torque.send([1.0] * 6)
-        assert robot.word() == ([1.0] * 6, FOLLOW)
+        assert robot.message() == ([1.0] * 6, FOLLOW)
 
 
 def test_torques_within_limits_of_ones_own(rehearsal: Callable[..., Rehearsal]) -> None:
@@ -162,8 +162,8 @@ def test_each_is_good_for_one_block(rehearsal: Callable[..., Rehearsal], name: s
     assert (block.name, robot.motion.current) == (name, None)
     with entered(robot, block):
         assert robot.motion.current is block
-    while (word := robot.word()) is not None:
-        last = word
+    while (message := robot.message()) is not None:
+        last = message
     assert last == ([0.0] * 6, STOP)
     sent = len(robot.sent)
     with pytest.raises(LocalError, match=f"the {name} has been used before"):

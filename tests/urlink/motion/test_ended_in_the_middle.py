@@ -35,7 +35,7 @@ pytestmark = pytest.mark.simulated_time
 
 #: firmware -> arm: each generation, and of the e-Series the ends of what is known.
 GENERATIONS = {"1.8": "ur5", "3.15": "ur5", "5.11": "ur5e", "5.25": "ur5e", "10.12": "ur5e"}
-#: s of the robot's time that words may stay away, and in which an arm that is told to stop has come to rest. Left
+#: s of the robot's time that messages may stay away, and in which an arm that is told to stop has come to rest. Left
 #: alone, each motion would take longer than that.
 WATCHDOG, SOON = 1.5, 1.0
 #: rad/s above which an arm is under way.
@@ -368,7 +368,7 @@ def test_each_mode_is_ended_each_way(firmware: str, name: str, end: str) -> None
             began = controller.time
             robot.motion.stop(wait=True)
         until(lambda: desk.is_over, TIMEOUT)
-        if (end, mode.link) != ("cut", "rtde"):  # the program on the robot waits for words
+        if (end, mode.link) != ("cut", "rtde"):  # the program on the robot waits for messages
             assert controller.time < began + SOON
         assert desk.is_rigid()
         if expected is ConnectionLost:

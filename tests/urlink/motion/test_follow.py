@@ -39,8 +39,8 @@ def begun(robot: Rehearsal, **options: object) -> Motion:
     """A motion whose program has begun and connected, and that has been told the first set-point."""
     motion = robot.motion.follow(PATH, **options)  # type: ignore[arg-type]
     robot.connect()
-    while not (word := robot.obey()) or word[1] != FOLLOW:
-        assert word is not None
+    while not (message := robot.obey()) or message[1] != FOLLOW:
+        assert message is not None
     until(lambda: motion.phase is not Phase.SENT)
     return motion
 
@@ -50,7 +50,7 @@ def half_way(robot: Rehearsal, motion: Motion) -> None:
         assert robot.obey() is not None
 
 
-def test_no_word_follows_a_task_that_was_cancelled_but_the_stop(rehearsal: Callable[..., Rehearsal]) -> None:
+def test_no_message_follows_a_task_that_was_cancelled_but_the_stop(rehearsal: Callable[..., Rehearsal]) -> None:
     """A state comes before the thread that stops the arm for it."""
     robot = rehearsal(link="rtde")
     call, stops = PendingCall(), SimpleQueue[Callable[[], object]]()
@@ -74,23 +74,23 @@ def test_streams_each_set_point_for_its_own_cycle(rehearsal: Callable[..., Rehea
     robot = rehearsal(firmware, arm)
     motion = robot.motion.follow(PATH)
     robot.connect()
-    words = []
+    messages = []
     while not motion.done:
-        word = robot.obey()
-        if word is None or word[1] == STOP:
+        message = robot.obey()
+        if message is None or message[1] == STOP:
             break
-        words.append((robot.time, *word))
+        messages.append((robot.time, *message))
     robot.finish()
     motion.wait(TIMEOUT)
     assert motion.phase is Phase.DONE
     assert motion.progress == 1.0
-    t0 = words[0][0]
-    for time, q, what in words:
+    t0 = messages[0][0]
+    for time, q, what in messages:
         assert what == FOLLOW
         expected = PATH.at(time + 2 * robot.cycle - t0)[0]
         assert np.allclose(q, expected, rtol=0, atol=1e-6)
-    assert words[-1][1] == pytest.approx(PATH.q[-1], abs=1e-6)
-    assert robot.word() is None
+    assert messages[-1][1] == pytest.approx(PATH.q[-1], abs=1e-6)
+    assert robot.message() is None
     assert len(robot.sent) == 1
 
 
@@ -101,7 +101,7 @@ def test_waits_until_the_arm_stands(led: Rehearsal) -> None:
     assert [led.obey() for _ in range(3)] == [([0.0] * 6, WAIT)] * 3
     led.qd = [0.0] * 6
     led.tick()
-    until(lambda: led.word()[1] == FOLLOW)  # type: ignore[index]
+    until(lambda: led.message()[1] == FOLLOW)  # type: ignore[index]
     motion.cancel()
 
 
@@ -121,8 +121,8 @@ def test_what_is_between_the_arm_and_the_first_point_is_faded_out(led: Rehearsal
     motion = led.motion.follow(PATH)
     led.connect()
     path = []
-    while not motion.done and (word := led.obey()) is not None and word[1] == FOLLOW:
-        path.append(word[0][5])
+    while not motion.done and (message := led.obey()) is not None and message[1] == FOLLOW:
+        path.append(message[0][5])
     assert path[0] == pytest.approx(0.03, abs=2e-3)
     assert path[-1] == pytest.approx(0.0, abs=1e-6)
     steps = np.abs(np.diff(path)) / led.cycle
@@ -142,7 +142,7 @@ def test_feedback_may_be_slow_and_may_raise(led: Rehearsal) -> None:
 
     motion = begun(led, feedback=feedback)
     led.until(lambda: told)
-    while not motion.done and (word := led.obey()) is not None and word[1] == FOLLOW:
+    while not motion.done and (message := led.obey()) is not None and message[1] == FOLLOW:
         pass
     led.finish()
     motion.wait(TIMEOUT)
@@ -214,11 +214,11 @@ def test_where_a_moving_arm_is_does_not_count_yet(led: Rehearsal) -> None:
     led.show()
     motion = led.motion.follow(PATH)
     led.connect()
-    word = led.obey()
-    assert word is not None
-    assert word[1] == WAIT
+    message = led.obey()
+    assert message is not None
+    assert message[1] == WAIT
     led.q, led.qd = turned(0), [0.0] * 6
-    while (word := led.obey()) is None or word[1] != FOLLOW:
+    while (message := led.obey()) is None or message[1] != FOLLOW:
         assert not motion.done
     motion.cancel()
 
@@ -250,8 +250,8 @@ def test_cancelled_half_way(led: Rehearsal) -> None:
     half_way(led, motion)
     motion.cancel()
     motion.cancel()
-    assert led.word() == ([0.0] * 6, STOP)
-    assert led.word() is None
+    assert led.message() == ([0.0] * 6, STOP)
+    assert led.message() is None
     for _ in range(5):
         led.tick()
     with pytest.raises(Cancelled):
@@ -278,8 +278,8 @@ def test_a_stop_half_way(robot: Rehearsal, low_bandwidth: bool) -> None:
     robot.state(safety=SafetyMode.ROBOT_EMERGENCY_STOP)
     with pytest.raises(SafetyStop, match="emergency stop"):
         motion.wait(TIMEOUT)
-    while (word := robot.word()) is not None:
-        assert word[1] != STOP
+    while (message := robot.message()) is not None:
+        assert message[1] != STOP
     assert len(robot.sent) == 1
     with pytest.raises(SafetyStop):
         robot.motion.stop()
@@ -307,10 +307,10 @@ def test_the_link_is_cut_and_nobody_says_why(robot: Rehearsal, monkeypatch: pyte
         motion.wait(0)
 
 
-@pytest.mark.parametrize("word", ["urlink: the link ended", "urlink: nothing to go to"])
-def test_the_program_says_that_the_link_is_gone(led: Rehearsal, word: str) -> None:
+@pytest.mark.parametrize("message", ["urlink: the link ended", "urlink: nothing to go to"])
+def test_the_program_says_that_the_link_is_gone(led: Rehearsal, message: str) -> None:
     motion = begun(led)
-    led.text(word)
+    led.text(message)
     with pytest.raises(ConnectionLost, match="brakes by itself"):
         motion.wait(TIMEOUT)
 
@@ -335,7 +335,7 @@ def test_no_states_come(led: Rehearsal) -> None:
     led.fast.put(ConnectionLost("pulled"))
     with pytest.raises(NotRunning, match=r"pulled; its program on the robot brakes by itself"):
         motion.wait(TIMEOUT)
-    assert led.word() is None
+    assert led.message() is None
 
 
 def test_off_its_path(led: Rehearsal) -> None:
@@ -343,8 +343,8 @@ def test_off_its_path(led: Rehearsal) -> None:
     led.tick(away=0.07)
     with pytest.raises(ToleranceExceeded, match=r"wrist 3 \(joint 5\) is 0\.0[67]\d+ rad .* tolerance is 0\.05 rad"):
         motion.wait(TIMEOUT)
-    while (word := led.word()) is not None:
-        last = word
+    while (message := led.message()) is not None:
+        last = message
     assert last[1] == STOP
 
 
@@ -352,10 +352,10 @@ def test_does_not_arrive(led: Rehearsal) -> None:
     motion = begun(led, goal_time=0.1)
     while not motion.done:
         led.tick(away=0.02)
-        if (word := led.word()) is None:
+        if (message := led.message()) is None:
             break
-        if word[1] == FOLLOW:
-            led.q = word[0]
+        if message[1] == FOLLOW:
+            led.q = message[0]
     with pytest.raises(ToleranceExceeded, match=r"0\.1 s after the end of its path; the tolerance is 0\.01"):
         motion.wait(TIMEOUT)
 
@@ -413,8 +413,8 @@ def test_a_port_is_kept_where_the_next_motion_is_refused(rehearsal: Callable[...
         fixed.motion.follow(PATH)
     fixed.safety.enable()
     fixed.connect()
-    while not (word := fixed.obey()) or word[1] != FOLLOW:
-        assert word is not None
+    while not (message := fixed.obey()) or message[1] != FOLLOW:
+        assert message is not None
     until(lambda: waiting.phase is Phase.RUNNING)  # told on another connection than the set-points
     waiting.cancel()
 
@@ -435,8 +435,8 @@ def test_a_stranger_on_the_robot_does_not_get_the_set_points(robot: Rehearsal) -
     with socket.create_connection(("127.0.0.1", robot.port), TIMEOUT) as stranger:
         stranger.sendall(b"0\n\n\n")
         robot.connect()
-        while not (word := robot.obey()) or word[1] != FOLLOW:
-            assert word is not None
+        while not (message := robot.obey()) or message[1] != FOLLOW:
+            assert message is not None
         until(lambda: motion.phase is Phase.RUNNING)
         stranger.settimeout(TIMEOUT)
         with contextlib.suppress(ConnectionError):

@@ -22,7 +22,7 @@ from urlink.models import Model, model
 from urlink.motion.controller_clock import ControllerClock, ProgramClock
 from urlink.motion.follower import Follower
 from urlink.motion.following import Tolerances, stands
-from urlink.motion.setpoints import WORD_SIZE, Servoing, setpoint
+from urlink.motion.setpoints import MESSAGE_SIZE, Servoing, setpoint
 from urlink.motion.speed_limit import EARLY, largest_speeds
 from urlink.motion.trajectory import Trajectory
 from urlink.urscript.links import ReverseSocket, missable
@@ -58,7 +58,7 @@ def state(time: float, q: list[float], qd: float = 0.0) -> RealtimeState:
     )
 
 
-def word(data: bytes) -> tuple[list[float], int]:
+def message(data: bytes) -> tuple[list[float], int]:
     """Positions, and what to do."""
     numbers = struct.unpack(">13i", data)
     return [each / 1e6 for each in numbers[:6]], numbers[12]
@@ -86,8 +86,8 @@ class Feeding:
         self.time += cycles * self.cycle
         self.now += cycles * self.cycle if own is None else own
         data = self.follower.step(b"", state(self.time if told is None else told, self.q), self.now)
-        if data and word(data)[1] == FOLLOW:
-            self.q = word(data)[0]
+        if data and message(data)[1] == FOLLOW:
+            self.q = message(data)[0]
             self.sent.append(self.q)
             self.speeds.append(speeds(data)[5])
         return data
@@ -309,8 +309,8 @@ def test_two_states_of_one_cycle_are_answered_once() -> None:
 def test_waits_for_the_arm_to_stand() -> None:
     led = follower()
     moving = state(1.0, turned(0), 0.5)
-    assert word(led.step(b"", moving, 10.0))[1] == WAIT
-    assert word(led.step(b"", moving, 11.5))[1] == WAIT
+    assert message(led.step(b"", moving, 10.0))[1] == WAIT
+    assert message(led.step(b"", moving, 11.5))[1] == WAIT
     with pytest.raises(LinkTimeout, match=r"did not come to rest within 1\.5 s, so the trajectory did not begin"):
         led.step(b"", moving, 11.51)
     assert (led.times(1.0), led.progress, led.is_over) == (None, 0.0, False)
@@ -433,14 +433,18 @@ class Program:
         self._ways = [speed / servoing.firmware.rate for speed in servoing.speeds]
         self._has_begun = False
 
-    def cycle(self, words: bytes) -> list[float]:
-        """One cycle in which these words have come; what ``servoj`` is told."""
-        last_word = words[-WORD_SIZE:]
-        if self.is_over or (not last_word and not self._has_begun) or (last_word and word(last_word)[1] == WAIT):
+    def cycle(self, messages: bytes) -> list[float]:
+        """One cycle in which these messages have come; what ``servoj`` is told."""
+        last_message = messages[-MESSAGE_SIZE:]
+        if (
+            self.is_over
+            or (not last_message and not self._has_begun)
+            or (last_message and message(last_message)[1] == WAIT)
+        ):
             return self.q
-        if last_word:
-            goal = word(last_word)[0]
-            self._step = [self._cycle * each for each in speeds(last_word)]
+        if last_message:
+            goal = message(last_message)[0]
+            self._step = [self._cycle * each for each in speeds(last_message)]
             self._aim = goal
             self.q = self._bounded() if self._has_begun else goal
             self._has_begun, self._missed = True, 0
@@ -472,9 +476,9 @@ def test_the_model_of_the_program(firmware: Firmware) -> None:
         for _ in range(missed):
             expected.append(modelled.cycle(b""))
             bench.run()
-        words = feeding.state(missed + 1)
-        bench.say(words)
-        expected.append(modelled.cycle(words))
+        messages = feeding.state(missed + 1)
+        bench.say(messages)
+        expected.append(modelled.cycle(messages))
         bench.run()
     assert np.allclose(targets, expected[: len(targets)], rtol=0, atol=1e-9)
     assert len(targets) > 24 + missable(0.1, firmware.rate)
@@ -554,8 +558,8 @@ def test_the_experiment_of_the_original_driver(firmware: Firmware) -> None:
     lag = 0.5 * 0.03 + 2 / 300
     while not led.is_over:
         setpoint, now = bench.motion.setpoint, bench.cycle * bench.period
-        words = led.step(b"", state(50.0 + now, list(setpoint.q), setpoint.qd[5]), 1000.0 + now)
-        bench.say(words)
+        messages = led.step(b"", state(50.0 + now, list(setpoint.q), setpoint.qd[5]), 1000.0 + now)
+        bench.say(messages)
         times = led.times(50.0 + now)
         assert times is not None
         t = times[1]
@@ -571,7 +575,7 @@ def test_the_experiment_of_the_original_driver(firmware: Firmware) -> None:
 
 @pytest.mark.parametrize(("held", "answered"), [(19, (18,)), (19, (0, 5, 10, 18)), (40, tuple(range(40)))])
 def test_both_ends_are_held_up_again_and_again(held: int, answered: tuple[int, ...]) -> None:
-    """Then many cycles pass without a word, and several words come in one. On CB2 nobody smooths what that makes."""
+    """Then many cycles pass without a message, and several come in one. On CB2 nobody smooths what that makes."""
     firmware = FIRMWARES[0]
     path = Trajectory.from_arrays([0, 1, 2, 3], [turned(0), turned(0.8), turned(0.3), turned(0.5)])
     how = servoing(firmware, watchdog=2.0)
@@ -644,15 +648,15 @@ def test_whatever_the_states_say_the_arm_is_never_led_too_fast(
         before, now = now, max(now, 1000.0 + cycles * cycle + held + late)
         budget = min(budget + now - before, most)
         try:
-            words = led.step(b"", state(50.0 + cycles * cycle + off, program.q), now)
+            messages = led.step(b"", state(50.0 + cycles * cycle + off, program.q), now)
         except LinkError:
             return  # a clear end: the program brakes
-        if words and word(words)[1] == FOLLOW:
-            aim = word(words)[0][5]
+        if messages and message(messages)[1] == FOLLOW:
+            aim = message(messages)[0][5]
             budget -= abs(aim - last) / math.pi
             assert budget >= -1e-5
             last = aim
-        path.append(program.cycle(words)[5])
+        path.append(program.cycle(messages)[5])
         assert abs(path[-1] - path[-2]) <= math.pi * cycle + 1e-9
         if program.is_over:
             return  # nothing came for too long: it braked by itself

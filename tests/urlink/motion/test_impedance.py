@@ -265,7 +265,7 @@ def test_the_way_to_a_target_goes_by_the_slider() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("gap", [0.2, 0.4])
-def test_words_may_stay_away_for_as_long_as_the_watchdog_lets_them(gap: float) -> None:
+def test_messages_may_stay_away_for_as_long_as_the_watchdog_lets_them(gap: float) -> None:
     soft = Soft()
     soft.lead(turned(soft.q, 0.2), 0.05)
     soft.silent(gap)
@@ -351,7 +351,7 @@ def slid(intervals: Sequence[tuple[float, bool]]) -> tuple[float, float]:
     """Led sideways over a table, at 0.1 m/s: the largest force of the last half, and its mean.
 
     Args:
-        intervals: s between two targets, and whether no word comes meanwhile.
+        intervals: s between two targets, and whether no message comes meanwhile.
     """
     soft = Soft(q=(0.5, *READY[1:]))
     pressed(soft, 0.01, friction=0.3)

@@ -22,7 +22,7 @@ from urlink.interfaces.enums import SafetyMode
 from urlink.kinematics import Arm
 from urlink.models import model
 from urlink.motion import Jog
-from urlink.motion.setpoints import STOP_WORD, WAIT_WORD, read_word, setpoint
+from urlink.motion.setpoints import STOP_MESSAGE, WAIT_MESSAGE, read_message, setpoint
 from urlink.poses import rotvec_to_matrix
 from urlink.urscript.links import LINK_ENDED, STARVED, ReverseSocket
 from urlink.urscript.streaming import jogging
@@ -45,11 +45,11 @@ def answers(robot: Rehearsal) -> Iterator[list[float]]:
     """The speeds that it is told, state by state, from the first on."""
     while True:
         robot.tick()
-        word = robot.word()
-        assert word is not None
-        assert word[1] in (FOLLOW, WAIT)
-        if word[1] == FOLLOW:
-            yield word[0]
+        message = robot.message()
+        assert message is not None
+        assert message[1] in (FOLLOW, WAIT)
+        if message[1] == FOLLOW:
+            yield message[0]
 
 
 class TestWhatIsSaid:
@@ -73,9 +73,9 @@ class TestWhatIsSaid:
             assert next(each for each in told if each[1] != pytest.approx(0.3)) == _REST
             assert robot.time - stopped < 0.05  # before the speed would have lapsed
         assert jog.phase is Phase.CANCELLED
-        while (word := robot.word()) is not None and word[1] != STOP:
+        while (message := robot.message()) is not None and message[1] != STOP:
             pass
-        assert word is not None
+        assert message is not None
         with pytest.raises(Cancelled):
             jog.move(_REST)
 
@@ -111,7 +111,7 @@ class TestWhatIsSaid:
             assert call in robot.uploaded
             # Until it is told a speed, it is told that somebody is there.
             robot.tick()
-            assert robot.word() == (_REST, WAIT)
+            assert robot.message() == (_REST, WAIT)
             if frame == "joints":
                 jog.move(most)
                 jog.move([-each for each in most])
@@ -129,7 +129,7 @@ class TestWhatIsSaid:
             jog.move([0.1] * 6)
             told, state = jog._context.clock(), jog._context.state()
             for now, speeds in ((told, [0.1] * 6), (told + 0.25, [0.1] * 6), (np.nextafter(told + 0.25, 999), _REST)):
-                assert read_word(jog._dialogue.step(b"", state, now))[0] == pytest.approx(speeds)
+                assert read_message(jog._dialogue.step(b"", state, now))[0] == pytest.approx(speeds)
 
     @pytest.mark.simulated_time
     def test_what_is_refused(self, robot: Rehearsal) -> None:
@@ -168,9 +168,9 @@ class TestHeldSpeeds:
         robot.time = began + 0.3
         assert next(told) == pytest.approx([0.3, 0, 0, 0, 0, 0])
         assert 0.4 < motion.progress < 0.6
-        while (word := robot.obey()) is not None and word[1] != STOP:
+        while (message := robot.obey()) is not None and message[1] != STOP:
             assert robot.time - began < 0.8
-        assert word is not None
+        assert message is not None
         robot.finish()
         motion.wait(TIMEOUT)
 
@@ -185,9 +185,9 @@ class TestHeldSpeeds:
         assert next(each for each in told if each[0] == 0.0) == pytest.approx([0, 0.2, 0, 0, 0, 0])
         assert len(robot.sent) == sent
         robot.time += 0.5
-        while (word := robot.obey()) is not None and word[1] != STOP:
+        while (message := robot.obey()) is not None and message[1] != STOP:
             pass
-        assert word is not None  # its last word: what comes after it needs another program
+        assert message is not None  # its last message: what comes after it needs another program
         assert robot.motion.speed_joints([0, 0.2, 0, 0, 0, 0], duration=5.0) is not motion
 
     @pytest.mark.parametrize(
@@ -224,7 +224,7 @@ class TestHeldSpeeds:
 def bench(firmware: Firmware, is_tool: bool = False) -> Bench:
     program = jogging(firmware, ReverseSocket("10.0.0.1", 50001, 7), is_tool=is_tool, acceleration=2.0, watchdog=0.1)
     made = Bench(program, firmware)
-    made.run(3, lambda: made.say(WAIT_WORD))
+    made.run(3, lambda: made.say(WAIT_MESSAGE))
     assert made.path[-1] == list(HOME)
     return made
 
@@ -242,7 +242,7 @@ class TestTheProgram:
             assert jogged.motion.setpoint.qd[5] == pytest.approx(speed, abs=1e-9)
         speeds = np.diff(np.array(jogged.path)[:, 5]) / jogged.period
         assert np.abs(np.diff(speeds)).max() / jogged.period <= 2.0 + 1e-6
-        jogged.say(STOP_WORD)
+        jogged.say(STOP_MESSAGE)
         jogged.run(firmware.rate // 5)
         assert jogged.has_finished
         assert jogged.said == []

@@ -33,7 +33,7 @@ class Talk:
         self.farewell = farewell
         self.survives_its_program = survives_its_program
         self.is_over = False
-        self.answer = b"word"
+        self.answer = b"message"
         self.concluded = 0
         #: what it was told with each state: what came, and when
         self.steps: list[tuple[bytes, float]] = []
@@ -115,7 +115,7 @@ class Talk:
         self.robot.until(lambda: self._looks >= looks + 2 or self.life.is_over)
 
     def begin(self) -> Talk:
-        """It is sent, it begins, and it has been told the first word."""
+        """It is sent, it begins, and it has been told the first message."""
         self.program.begin()
         self.robot.begin()
         if self.comes_up:
@@ -144,7 +144,7 @@ def test_is_told_something_once_it_has_begun(talk: Talk) -> None:
     talk.heard = b"token"
     talk.robot.begin()
     talk.robot.until(lambda: talk.linked)
-    assert talk.said[0] == b"word"
+    assert talk.said[0] == b"message"
     assert talk.steps[0] == (b"token", 1000.0)
     talk.answer = b""
     talk.look()
@@ -187,8 +187,8 @@ def test_has_a_second_to_end_once_it_was_told_to(talk: Talk, is_told: bool) -> N
     assert talk.closed == [True]
 
 
-def test_the_farewell_is_the_last_word(talk: Talk) -> None:
-    """Of two threads one may have composed a word while the other ends the program."""
+def test_the_farewell_is_the_last_message(talk: Talk) -> None:
+    """Of two threads one may have composed a message while the other ends the program."""
     talk.begin()
     talk.program.finish()
     talk.program.say(b"composed before")

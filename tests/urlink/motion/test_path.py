@@ -319,9 +319,9 @@ def test_progress_by_segment(robot: Rehearsal) -> None:
     assert motion.progress == pytest.approx(1.25 * long / whole)
     robot.q = list(HOME)
     robot.show()
-    # Somebody else's words.
+    # Somebody else's messages.
     for text in ("urlink: segment 7", "urlink: segment 3", "urlink: segment", "urlink: segment 2 or so"):
-        motion._hear(text)
+        motion._on_text(text)
         assert motion.segment == 1
     robot.text("urlink: segment 2")
     until(lambda: motion.segment == 2)

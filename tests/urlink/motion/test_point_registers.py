@@ -1,4 +1,4 @@
-"""Streams of points over registers: what is written, what is reported, and words that are lost."""
+"""Streams of points over registers: what is written, what is reported, and messages that are lost."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from urlink.motion.setpoints import dated
 from urlink.motion.stream_feed import StreamFeed
 from urlink.motion.trajectory import Trajectory
 from urlink.urscript import links
-from urlink.urscript.buffering import WORD
+from urlink.urscript.buffering import MESSAGE
 
 
 class Registered(Streamed):
     """A stream over registers.
 
     Args:
-        lost: part of the words that another one overwrites before the program looks.
+        lost: part of the messages that another one overwrites before the program looks.
     """
 
     def __init__(self, firmware: Firmware, lost: float = 0.0, **options: Any) -> None:
@@ -40,8 +40,8 @@ class Registered(Streamed):
     def run(self, cycles: int = 1, *, is_frozen: bool = False) -> None:
         for _ in range(cycles):
             if not is_frozen:
-                word = self.feed.step(self.link.received(), self.state(), 1000.0 + self.bench.cycle * self.period)
-                self.link.send(dated(word, self.bench.cycle))
+                message = self.feed.step(self.link.received(), self.state(), 1000.0 + self.bench.cycle * self.period)
+                self.link.send(dated(message, self.bench.cycle))
             self.bench.run()
 
     def _write(self, package: dict[str, float]) -> None:
@@ -69,7 +69,7 @@ def test_set_points_are_on_the_curve_of_the_points(firmware: Firmware) -> None:
 
 
 @pytest.mark.slow
-def test_words_that_are_lost_are_said_again() -> None:
+def test_messages_that_are_lost_are_said_again() -> None:
     stream = Registered(E_SERIES, lost=0.3, buffer=0.5)
     stream.append(waves(0.05, 3.0, spacing=0.02))
     stream.until(lambda: stream.feed.time > 1.0)
@@ -107,7 +107,7 @@ def test_what_is_written_and_what_is_heard() -> None:
     link = PointRegisterLink(Inputs(packages.append), lambda: there[0], lambda: now[0])
     assert not link.poll(has_begun=False)
     assert link.poll(has_begun=True)
-    numbers = list(range(1, WORD + 1))
+    numbers = list(range(1, MESSAGE + 1))
     link.send(StreamFeed.farewell + (7).to_bytes(4, "big"))
     link.send(b"".join(each.to_bytes(4, "big") for each in (*numbers, 500)))
     token = link.endpoint.token

@@ -9,7 +9,7 @@ from tests.fakes.line import START_PLACE
 from tests.fakes.rehearsal import HOME, turned
 from tests.urlink.motion.bench import Bench
 from urlink.firmware import Firmware
-from urlink.motion.setpoints import STOP_WORD, WAIT_WORD, setpoint
+from urlink.motion.setpoints import STOP_MESSAGE, WAIT_MESSAGE, setpoint
 from urlink.motion.trajectory import Trajectory
 from urlink.urscript import links, programs, waypoints
 from urlink.urscript.streaming import streaming as streaming_program
@@ -44,7 +44,7 @@ def streaming(firmware: Firmware, **options: float) -> Bench:
         streaming_program(firmware, links.ReverseSocket("10.0.0.1", 50001, TOKEN), speeds=SPEEDS, **options),
         firmware,
     )
-    bench.run(3, lambda: bench.say(WAIT_WORD))
+    bench.run(3, lambda: bench.say(WAIT_MESSAGE))
     assert bytes(bench.sockets.sent) == TOKEN.to_bytes(4, "big")
     return bench
 
@@ -59,7 +59,7 @@ def test_follows_what_is_streamed(firmware: Firmware) -> None:
     # Whatever the arm trails by, it is never further away than it gets in 60 ms.
     fastest = np.abs(WAVE.at(np.linspace(0, 1.5, 1000))[1]).max()
     assert np.abs(np.array(bench.path[3:]) - wanted).max() < 0.06 * fastest
-    bench.say(setpoint(HOME, STILL) + STOP_WORD)
+    bench.say(setpoint(HOME, STILL) + STOP_MESSAGE)
     bench.run(200)
     assert bench.has_finished
     assert bench.motion.is_standing

@@ -14,7 +14,7 @@ from tests.fakes.rehearsal import HOME, turned
 from tests.urlink.motion.bench import Bench
 from urlink.firmware import Firmware
 from urlink.motion.register_link import NAMES, RegisterLink, RegisterPort
-from urlink.motion.setpoints import STOP_WORD, WAIT_WORD, dated, setpoint
+from urlink.motion.setpoints import STOP_MESSAGE, WAIT_MESSAGE, dated, setpoint
 from urlink.motion.trajectory import Trajectory
 from urlink.simulator.registers import Bank
 from urlink.urscript import links
@@ -60,11 +60,11 @@ class Led(Bench):
     def connect(self) -> Led:
         self.run(3)
         assert self.link.poll(has_begun=True)
-        self.say(WAIT_WORD, cycles=3)
+        self.say(WAIT_MESSAGE, cycles=3)
         return self
 
-    def say(self, word: bytes, cycles: int = 1) -> None:
-        self.link.send(dated(word, self.cycle))
+    def say(self, message: bytes, cycles: int = 1) -> None:
+        self.link.send(dated(message, self.cycle))
         self.run(cycles)
 
 
@@ -75,7 +75,7 @@ def test_what_is_written() -> None:
     assert not link.poll(has_begun=False)
     assert link.poll(has_begun=True)
     link.send(dated(setpoint([0.1, -0.2, 0.3, -0.4, 0.5, -0.6], [1.1, -1.2, 1.3, -1.4, 1.5, -1.6]), 500))
-    link.send(dated(STOP_WORD, 501))
+    link.send(dated(STOP_MESSAGE, 501))
     assert [tuple(package) for package in packages] == [NAMES, NAMES]
     token = link.endpoint.token
     assert list(packages[0].values()) == pytest.approx(
@@ -86,19 +86,19 @@ def test_what_is_written() -> None:
     link.close(farewell=True)
     assert [link.is_up, link.poll(has_begun=True)] == [False, False]
     with pytest.raises(ConnectionLost):
-        link.send(WAIT_WORD)
+        link.send(WAIT_MESSAGE)
     assert isinstance(link.absence("nothing came"), ConnectFailed)
 
 
-def test_numbers_and_dates_of_words_fit_a_register_for_ever() -> None:
+def test_numbers_and_dates_of_messages_fit_a_register_for_ever() -> None:
     """Nor are they ever 0, which is what a register holds that nobody has written."""
     packages: list[dict[str, float]] = []
     link = RegisterLink(Inputs(packages.append))
     link._count = 0x7FFF_FFFD  # as after 50 days at 500 Hz
     for _ in range(4):
-        link.send(dated(WAIT_WORD, link._count))
+        link.send(dated(WAIT_MESSAGE, link._count))
     assert [package["input_int_register_45"] for package in packages] == [0x7FFF_FFFE, 0x7FFF_FFFF, 1, 2]
-    link.send(dated(WAIT_WORD, 0x8000_0000))
+    link.send(dated(WAIT_MESSAGE, 0x8000_0000))
     assert packages[-1]["input_int_register_44"] == 0x7FFF_FFFF
 
 
@@ -161,7 +161,7 @@ def test_follows_what_is_written(firmware: Firmware) -> None:
     wanted = PATH.at(times)[0]
     fastest = np.abs(PATH.at(np.linspace(0, 1, 1000))[1]).max()
     assert np.abs(np.array(bench.path[-len(times) :]) - wanted).max() < 0.06 * fastest
-    bench.say(STOP_WORD, cycles=200)
+    bench.say(STOP_MESSAGE, cycles=200)
     assert bench.has_finished
     assert bench.motion.is_standing
     assert bench.said == []
@@ -172,7 +172,7 @@ def test_follows_what_is_written(firmware: Firmware) -> None:
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
-def test_the_first_word_may_be_a_set_point(firmware: Firmware) -> None:
+def test_the_first_message_may_be_a_set_point(firmware: Firmware) -> None:
     """It comes in the same package as the token."""
     bench = Led(firmware)
     targets: list[list[float]] = []
@@ -185,7 +185,7 @@ def test_the_first_word_may_be_a_set_point(firmware: Firmware) -> None:
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
-def test_moves_by_nobody_elses_words(firmware: Firmware) -> None:
+def test_moves_by_nobody_elses_messages(firmware: Firmware) -> None:
     """Registers keep what was written last: without the token it is not for this program."""
     bench = Led(firmware)
     bench.run(5 * firmware.rate - 5)
@@ -211,7 +211,7 @@ def test_brakes_where_nothing_new_is_written(firmware: Firmware) -> None:
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
-def test_a_word_that_is_missing_makes_no_dent(firmware: Firmware) -> None:
+def test_a_message_that_is_missing_makes_no_dent(firmware: Firmware) -> None:
     smooth, gappy = Led(firmware).connect(), Led(firmware).connect()
     for bench in (smooth, gappy):
         for i in range(100):

@@ -232,7 +232,7 @@ class Interrupted(ReversePort):
 
 
 def test_threads_that_open_at_once_have_a_link_each() -> None:
-    """Two programs that shared one would be led by each other's words."""
+    """Two programs that shared one would be led by each other's messages."""
     where = Interrupted("127.0.0.1")
     links = [where.open(), *where.others]
     assert len(set(links)) == 2

@@ -24,7 +24,7 @@ from urlink.models import model
 from urlink.motion.follower import Follower
 from urlink.motion.following import Tolerances
 from urlink.motion.servo_delay import measure
-from urlink.motion.setpoints import read_word, setpoint
+from urlink.motion.setpoints import read_message, setpoint
 from urlink.motion.trajectory import Trajectory
 from urlink.motion.waypoint_schedule import Schedule
 from urlink.poses import compose, invert
@@ -321,17 +321,17 @@ class TestServo:
             assert servo.schedule(turned(0.0), at=robot.time) is None
             end, q = robot.time + 0.45, [0.0] * 6
             while robot.time < end or robot.q != pytest.approx(q):
-                word = robot.obey()
-                assert word is not None
-                q = word[0]
+                message = robot.obey()
+                assert message is not None
+                q = message[0]
             assert compose(invert(robot.pose), up) == pytest.approx([0.0] * 6, abs=1e-4)
             assert servo.stats.count == 2
-            for refused, error, message in (
+            for refused, error, text in (
                 (Linear(up, speed=0.1), BadValue, "without blend and speed"),
                 (Linear([3, 0, 0, 0, 0, 0]), Unreachable, "cannot bring its tool"),
                 ([0] * 5, BadValue, "shape"),
             ):
-                with pytest.raises(error, match=message):
+                with pytest.raises(error, match=text):
                     servo.schedule(refused, at=robot.time + 1)
             with pytest.raises(LocalError, match="schedule the next one too"):
                 servo.send(HOME)
@@ -355,7 +355,7 @@ class TestServo:
             while q != pytest.approx(turned(0.02), abs=1e-6):
                 time += robot.cycle
                 state = SimpleNamespace(time=time, q_target=np.array(HOME), qd_target=still, **PLAYING)
-                q = read_word(servo._dialogue.step(b"", cast(RealtimeState, state), time))[0]
+                q = read_message(servo._dialogue.step(b"", cast(RealtimeState, state), time))[0]
             # The last few thousandths of a second are less than a millionth of a radian.
             assert at - time == pytest.approx(2 * robot.cycle if delay is None else delay, abs=0.003)
 

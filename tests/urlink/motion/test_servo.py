@@ -56,7 +56,7 @@ def opened(robot: Rehearsal, **options: Any) -> Iterator[Servo]:
     if not servo.done:
         ended = threading.Thread(target=servo.__exit__)
         ended.start()
-        while (word := robot.word()) is not None and word[1] != STOP:
+        while (message := robot.message()) is not None and message[1] != STOP:
             pass
         robot.finish()
         ended.join()
@@ -64,10 +64,10 @@ def opened(robot: Rehearsal, **options: Any) -> Iterator[Servo]:
 
 def next_set_point(robot: Rehearsal) -> list[float]:
     while True:
-        word = robot.word()
-        assert word is not None
-        if word[1] == FOLLOW:
-            return word[0]
+        message = robot.message()
+        assert message is not None
+        if message[1] == FOLLOW:
+            return message[0]
 
 
 @pytest.mark.parametrize(("firmware", "arm"), [("1.8", "UR5"), ("3.4", "UR5"), ("5.11", "UR5e")])
@@ -79,7 +79,7 @@ def test_sends_what_it_is_given(rehearsal: Callable[..., Rehearsal], firmware: s
             servo.send(turned(0.001 * i))
             assert next_set_point(robot) == pytest.approx(turned(0.001 * i), abs=1e-6)
     assert servo.phase is Phase.DONE
-    assert robot.word() is None
+    assert robot.message() is None
     assert len(robot.sent) == 1
     with pytest.raises(Closed, match="was left"):
         servo.send(HOME)
@@ -265,10 +265,10 @@ def test_targets_for_a_filter(led: Rehearsal) -> None:
         servo.send(turned(0.5))
         way: list[float] = []
         while not way or abs(led.q[5] - 0.5) > 1e-6:
-            word = led.obey()
-            assert word is not None
-            if word[1] == FOLLOW:
-                way.append(word[0][5])
+            message = led.obey()
+            assert message is not None
+            if message[1] == FOLLOW:
+                way.append(message[0][5])
         # 0.5 rad at 10 rad/s² and 200 rad/s³ take 0.5 s.
         assert len(way) * led.cycle == pytest.approx(0.5, abs=0.02)
         assert np.diff(way).max() <= 2.0 * led.cycle + 1e-6

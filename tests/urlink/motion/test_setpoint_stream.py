@@ -1,4 +1,4 @@
-"""What is sent in each cycle of the controller, and what is believed of the robot while nothing is: word by word."""
+"""What is sent in each cycle of the controller, and what is believed of the robot while nothing is, by each message."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from urlink.firmware import Firmware
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.models import model
 from urlink.motion.paced import PacedSetpoints
-from urlink.motion.setpoints import STOP_WORD, WAIT_WORD, Servoing, SetpointStream, read_word
+from urlink.motion.setpoints import STOP_MESSAGE, WAIT_MESSAGE, Servoing, SetpointStream, read_message
 from urlink.motion.speed_limit import EARLY, largest_speeds
 from urlink.urscript.links import STOP, WAIT
 
@@ -33,9 +33,9 @@ def at(angle: float) -> list[float]:
     return [0.0] * 5 + [angle]
 
 
-def test_a_word_without_a_set_point_has_no_numbers() -> None:
-    assert read_word(STOP_WORD) == (REST, REST, STOP)
-    assert read_word(WAIT_WORD) == (REST, REST, WAIT)
+def test_a_message_without_a_set_point_has_no_numbers() -> None:
+    assert read_message(STOP_MESSAGE) == (REST, REST, STOP)
+    assert read_message(WAIT_MESSAGE) == (REST, REST, WAIT)
 
 
 # -- the stream ------------------------------------------------------------------------------------------
@@ -50,8 +50,8 @@ def stream() -> SetpointStream:
 
 def test_a_program_without_set_points_stays_and_then_goes_on_ever_slower(stream: SetpointStream) -> None:
     assert stream.coasted_to(20) == (at(0.3), REST)
-    word = stream.send(at(0.301), at(0.5), 10.0)
-    assert read_word(word)[:2] == (at(0.301), at(0.5))
+    message = stream.send(at(0.301), at(0.5), 10.0)
+    assert read_message(message)[:2] == (at(0.301), at(0.5))
     # Of 10 cycles the first is run at 98 % of that speed, the last at 80 %.
     q, qd = stream.coasted_to(10)
     assert q == pytest.approx(at(0.301 + 0.5 * 8.9 * CYCLE))
@@ -133,7 +133,7 @@ class Fed:
 
     def led(self, passed: float, *, now: float | None = None) -> tuple[float, float]:
         """Where wrist 3 is led, and how fast the program goes on."""
-        q, qd, _ = read_word(self.state(passed, now=now))
+        q, qd, _ = read_message(self.state(passed, now=now))
         assert q[:5] == qd[:5] == [0.0] * 5
         return q[5], qd[5]
 
@@ -149,9 +149,9 @@ def fed() -> Fed:
 
 def test_begins_where_the_arm_rests_once_there_is_a_target() -> None:
     fed = Fed()
-    assert fed.state(0.0, speed=0.5) == WAIT_WORD
+    assert fed.state(0.0, speed=0.5) == WAIT_MESSAGE
     fed.source.has_targets = False
-    assert fed.state(CYCLE) == WAIT_WORD
+    assert fed.state(CYCLE) == WAIT_MESSAGE
     assert fed.source.called == []
     fed.source.has_targets = True
     assert fed.led(2 * CYCLE) == (0.0, 0.0)

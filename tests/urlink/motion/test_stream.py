@@ -22,7 +22,7 @@ from urlink.vectors import FloatArray
 
 FIRMWARES = [Firmware.parse(each) for each in ("3.4", "5.11", "10.12")]
 E_SERIES = Firmware(5, 11)
-#: Half a micrometre at the end of a long arm: rounding of words.
+#: Half a micrometre at the end of a long arm: rounding of messages.
 ROUNDING = 5e-7
 STILL = [0.0] * 6
 #: rad, from the wave to another one.
@@ -204,7 +204,7 @@ class TestDry:
         stream = Streamed(E_SERIES, buffer=0.5)
         stream.append(waves(0.05, 3.0))
         stream.until(lambda: stream.feed.time > 0.5)
-        for _ in range(11):  # one more than the words from one report to the next
+        for _ in range(11):  # one more than the messages from one report to the next
             before, cycles = stream.feed.time, stream.bench.cycle
             stream.run(50, is_frozen=True)
             stream.run()
@@ -378,7 +378,7 @@ class TestRefused:
 
 
 class TestItsEnd:
-    def test_without_a_word_it_brakes_and_ends(self) -> None:
+    def test_without_a_message_it_brakes_and_ends(self) -> None:
         stream = Streamed(E_SERIES, buffer=0.3, watchdog=0.1)
         stream.append(waves(0.05, 3.0))
         stream.until(lambda: stream.feed.time > 0.5)

@@ -201,7 +201,7 @@ def test_a_register_that_another_client_holds(connect: Callable[..., Robot]) -> 
 
 @pytest.mark.slow
 def test_outputs_that_do_not_come_any_more_end_it(connect: Callable[..., Robot]) -> None:
-    """What the program says is not known then; it brakes when it gets no words."""
+    """What the program says is not known then; it brakes when it gets no messages."""
     robot = connect()
     with robot.motion.stream(buffer=2.0, link="rtde") as stream:
         stream.append(points(4, 200), wait=False)

@@ -324,7 +324,7 @@ def slid(intervals: Sequence[tuple[float, bool]]) -> tuple[float, float]:
     """Led sideways over a table at 0.1 m/s: the largest force of the last half, and its mean.
 
     Args:
-        intervals: s between two targets, and whether no word comes meanwhile.
+        intervals: s between two targets, and whether no message comes meanwhile.
     """
     soft = SoftTool(q=(0.5, *READY[1:]), stiffness=(1500.0,) * 3 + (50.0,) * 3)
     x, y, z = soft.pose[:3]

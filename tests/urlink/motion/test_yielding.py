@@ -21,7 +21,7 @@ from urlink.simulator import Controller, Plane, Still
 pytestmark = pytest.mark.simulated_time
 
 TIMEOUT = 120.0
-#: Seconds that words may stay away: the machine that runs this may be busy with other things.
+#: Seconds that messages may stay away: the machine that runs this may be busy with other things.
 WATCHDOG = 2.0
 
 Made = tuple[Controller, Robot]

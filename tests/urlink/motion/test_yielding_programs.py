@@ -8,8 +8,8 @@ import pytest
 
 from urlink.firmware import Firmware
 from urlink.interfaces.realtime.packets import RealtimeState
-from urlink.motion.linked_block import KeptWord
-from urlink.motion.setpoints import STOP_WORD, WAIT_WORD, read_word
+from urlink.motion.linked_block import KeptMessage
+from urlink.motion.setpoints import STOP_MESSAGE, WAIT_MESSAGE, read_message
 from urlink.simulator import Controller, Plane, Still
 from urlink.urscript import links, yielding
 from urlink.urscript.links import FOLLOW, STOP, InputRegisters
@@ -37,7 +37,7 @@ class Bench:
 
     @property
     def date(self) -> int:
-        """Of a word of this cycle."""
+        """Of a message of this cycle."""
         return round(self.controller.time * self.firmware.rate)
 
     @property
@@ -48,13 +48,13 @@ class Bench:
         self.controller.take(program("tried", body, None).text)
 
     def tell(self, values: Sequence[float], seconds: float, mode: int = FOLLOW, *, date: int | None = None) -> None:
-        """A new word in each cycle, with the date of that cycle or an older one."""
+        """A new message in each cycle, with the date of that cycle or an older one."""
         inputs = self.controller.registers.inputs
         inputs.integers[LINK.proof] = LINK.token
         for _ in range(max(round(seconds * self.firmware.rate), 1)):
             self._count += 1
             inputs.integers[LINK.date] = self.date if date is None else date
-            inputs.integers[LINK.word], inputs.integers[LINK.mode] = self._count, mode
+            inputs.integers[LINK.message], inputs.integers[LINK.mode] = self._count, mode
             for i, value in enumerate(values):
                 inputs.floats[LINK.first_float + i] = value
             # What is written past RTDE does not feed the controller's own watchdog, which is another test's affair.
@@ -118,7 +118,7 @@ def test_it_presses_as_told_and_its_end_ends_the_mode(firmware: str, way: str) -
 
 
 @pytest.mark.parametrize("firmware", ["3.15", "5.11"])
-def test_freedrive_lasts_as_long_as_words_come(firmware: str) -> None:
+def test_freedrive_lasts_as_long_as_messages_come(firmware: str) -> None:
     bench = Bench(firmware)
     axes = [True, False, True, False, False, False] if bench.firmware >= (5, 10) else None
     bench.take(yielding.freedrive(bench.firmware, LINK, axes, [0.0] * 6, watchdog=0.2))
@@ -135,7 +135,7 @@ def test_freedrive_lasts_as_long_as_words_come(firmware: str) -> None:
 
 @pytest.mark.parametrize("firmware", FIRMWARES)
 @pytest.mark.parametrize("kind", ["force_mode", "freedrive"])
-def test_words_that_are_old_when_they_are_read_do_not_feed_its_watchdog(firmware: str, kind: str) -> None:
+def test_messages_that_are_old_when_they_are_read_do_not_feed_its_watchdog(firmware: str, kind: str) -> None:
     """Such as those that waited while the controller hung: the mode ends as if none had come."""
     if kind == "force_mode":
         bench = pressing(firmware)
@@ -218,13 +218,13 @@ def test_over_a_socket_they_compile_too(firmware: str) -> None:
         assert body.index(f"  {end}") < body.index("  stopj(4.0)")
 
 
-def test_a_word_is_said_with_every_state_until_the_users_own_loop_does() -> None:
-    told = KeptWord(lambda link: [])
+def test_a_message_is_said_with_every_state_until_the_users_own_loop_does() -> None:
+    told = KeptMessage(lambda link: [])
     state = RealtimeState(Firmware(5, 11))
-    assert told.step(b"", state, 0.0) == WAIT_WORD
+    assert told.step(b"", state, 0.0) == WAIT_MESSAGE
     told.values = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
     for _ in range(2):
-        assert read_word(told.step(b"", state, 0.0))[0] == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+        assert read_message(told.step(b"", state, 0.0))[0] == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
     told.is_mute = True
     assert told.step(b"", state, 0.0) == b""
-    assert told.farewell == STOP_WORD
+    assert told.farewell == STOP_MESSAGE

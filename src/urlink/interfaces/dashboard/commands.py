@@ -219,12 +219,7 @@ _TABLE = (
         slow=180.0,
     ),
     DashboardCommand(
-        "generate support file",
-        (3, 13),
-        (5, 8),
-        r"Completed successfully: *(\S.*)",
-        argument="directory",
-        slow=600.0,
+        "generate support file", (3, 13), (5, 8), r"Completed successfully: *(\S.*)", argument="directory", slow=600.0
     ),
     DashboardCommand("saveLog", (3, 13), (5, 8), "Log saved to disk", slow=30.0),
 )

@@ -105,11 +105,7 @@ class PackageDecoder:
     def _robot_message(self, frame: bytes, stamp: Stamp | None) -> State:
         if len(frame) < MESSAGE_HEAD:
             raise PacketError(
-                "packet too short",
-                packet="RobotMessage",
-                expected=MESSAGE_HEAD,
-                actual=len(frame),
-                offset=len(frame),
+                "packet too short", packet="RobotMessage", expected=MESSAGE_HEAD, actual=len(frame), offset=len(frame)
             )
         kind = frame[MESSAGE_HEAD - 1]
         cls: Any = MESSAGES.get(kind, UnknownMessage)

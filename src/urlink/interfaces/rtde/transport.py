@@ -46,7 +46,7 @@ class RtdeDialogue:
         """What is to be sent now; nothing where an answer is waited for."""
         return self.protocol.requests()
 
-    def hear(self, data: bytes, stamp: Stamp) -> None:
+    def receive(self, data: bytes, stamp: Stamp) -> None:
         """Bytes have come.
 
         Raises:
@@ -117,7 +117,7 @@ class RtdeTransport:
             if requests := dialogue.requests():
                 self._transport.send(requests, max(until - time.monotonic(), 0.0))
             try:
-                dialogue.hear(*self._transport.receive(max(until - time.monotonic(), 0.001)))
+                dialogue.receive(*self._transport.receive(max(until - time.monotonic(), 0.001)))
             except LinkTimeout:
                 raise dialogue.unanswered(self.name, timeout) from None
             if time.monotonic() > until and not dialogue.is_answered:

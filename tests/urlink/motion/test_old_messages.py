@@ -1,4 +1,4 @@
-"""Words that waited while the controller hung: how long they lead the arm; and what ends by the controller's clock."""
+"""Messages that waited while the controller hung: how long they lead the arm; what ends by the controller's clock."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from linkcore.simulated import Computer, Simulation, simulated_time
 from tests.fakes.rehearsal import turned
 from tests.urlink.motion.bench import Bench
 from urlink.firmware import Firmware
-from urlink.motion.setpoints import WAIT_WORD, dated, setpoint
+from urlink.motion.setpoints import WAIT_MESSAGE, dated, setpoint
 from urlink.robot import Robot
 from urlink.simulator import Controller, Still
 from urlink.urscript.links import LINK_ENDED, STARVED, ReverseSocket
@@ -27,23 +27,23 @@ STILL = [0.0] * 6
 LINK = ReverseSocket("10.0.0.1", 50001, 7)
 #: One of CB2, CB3 and e-Series, and PolyScope X.
 FIRMWARES = ["1.8", "3.15", "5.11", "10.12"]
-#: s of the robot without a word, after which it brakes; rad/s of the base.
+#: s of the robot without a message, after which it brakes; rad/s of the base.
 WATCHDOG, SPEED = 0.1, 0.5
 CELL = "192.168.0.100"
 
 
 @pytest.mark.parametrize("firmware", [*map(Firmware.parse, FIRMWARES)], ids=str)
 @pytest.mark.parametrize("late", [0.0, 0.09])
-def test_words_that_are_late_evenly_or_by_jitter_are_obeyed(firmware: Firmware, late: float) -> None:
+def test_messages_that_are_late_evenly_or_by_jitter_are_obeyed(firmware: Firmware, late: float) -> None:
     """Some states reach this computer late by nearly the watchdog's time, some at once."""
     bench = Bench(streaming(firmware, LINK, speeds=[3.0] * 6, watchdog=WATCHDOG), firmware)
-    bench.run(5, lambda: bench.say(WAIT_WORD))
+    bench.run(5, lambda: bench.say(WAIT_MESSAGE))
     begin, most = bench.cycle, round(late * firmware.rate)
 
     def feed() -> None:
         i = bench.cycle - begin
-        word = setpoint(turned(SPEED * i * bench.period), [*STILL[:5], SPEED])
-        bench.sockets.waiting += dated(word, max(bench.cycle - i % (most + 1), 0))
+        message = setpoint(turned(SPEED * i * bench.period), [*STILL[:5], SPEED])
+        bench.sockets.waiting += dated(message, max(bench.cycle - i % (most + 1), 0))
 
     bench.run(firmware.rate, feed)
     assert not bench.execution.is_over
@@ -53,12 +53,12 @@ def test_words_that_are_late_evenly_or_by_jitter_are_obeyed(firmware: Firmware, 
 @pytest.mark.parametrize("firmware", [*map(Firmware.parse, FIRMWARES)], ids=str)
 def test_old_set_points_are_followed_for_one_watchdog_time(firmware: Firmware) -> None:
     bench = Bench(streaming(firmware, LINK, speeds=[3.0] * 6, watchdog=WATCHDOG), firmware)
-    bench.run(5, lambda: bench.say(WAIT_WORD))
+    bench.run(5, lambda: bench.say(WAIT_MESSAGE))
     last = bench.cycle  # of the last state before the controller hung
 
     def feed() -> None:
-        word = setpoint(turned(SPEED * (bench.cycle - last) * bench.period), [*STILL[:5], SPEED])
-        bench.sockets.waiting += dated(word, last)
+        message = setpoint(turned(SPEED * (bench.cycle - last) * bench.period), [*STILL[:5], SPEED])
+        bench.sockets.waiting += dated(message, last)
 
     told: list[float] = []
     bench.watch_servoj(lambda q: told.append(q[5]))
@@ -74,7 +74,7 @@ def test_old_speeds_are_obeyed_for_one_watchdog_time(version: str) -> None:
     firmware = Firmware.parse(version)
     body = jogging(firmware, LINK, is_tool=False, acceleration=5.0, watchdog=WATCHDOG)
     bench = Bench(body, firmware)
-    bench.run(5, lambda: bench.say(WAIT_WORD))
+    bench.run(5, lambda: bench.say(WAIT_MESSAGE))
     last, before = bench.cycle, bench.q_actual[5]
 
     def feed() -> None:
@@ -90,7 +90,7 @@ def test_old_speeds_are_obeyed_for_one_watchdog_time(version: str) -> None:
 def followed(firmware: Firmware, watchdog: float) -> Bench:
     """A program that has had a set-point in each cycle of a fifth of a second."""
     bench = Bench(streaming(firmware, LINK, speeds=[3.0] * 6, watchdog=watchdog), firmware)
-    bench.run(5, lambda: bench.say(WAIT_WORD))
+    bench.run(5, lambda: bench.say(WAIT_MESSAGE))
     bench.run(firmware.rate // 5, lambda: bench.say(setpoint(turned(0.0), STILL)))
     return bench
 
@@ -124,7 +124,7 @@ def test_a_closed_connection_ends_a_program_at_once(firmware: Firmware, watchdog
 def test_a_program_that_is_told_nothing_at_first_ends_too(watchdog: float) -> None:
     firmware = Firmware(5, 11)
     bench = Bench(streaming(firmware, LINK, speeds=[3.0] * 6, watchdog=watchdog), firmware)
-    bench.run(5, lambda: bench.say(WAIT_WORD))
+    bench.run(5, lambda: bench.say(WAIT_MESSAGE))
     bench.run(round(max(watchdog, 2.0) + 2.0) * firmware.rate)
     assert bench.said == [LINK_ENDED]
     assert bench.execution.is_over
@@ -153,7 +153,7 @@ class Yielding(Bench):
 
 @pytest.mark.parametrize("version", ["3.15", "5.11", "10.12"])
 @pytest.mark.parametrize("kind", ["force_mode", "freedrive"])
-def test_a_mode_with_old_words_ends_as_one_without(version: str, kind: str) -> None:
+def test_a_mode_with_old_messages_ends_as_one_without(version: str, kind: str) -> None:
     firmware = Firmware.parse(version)
     if kind == "force_mode":
         frame, axes, limits = STILL, [False, False, True, False, False, False], [0.1] * 6
@@ -162,14 +162,14 @@ def test_a_mode_with_old_words_ends_as_one_without(version: str, kind: str) -> N
     else:
         body = freedrive(firmware, LINK, None, STILL, watchdog=WATCHDOG)
     bench = Yielding(body, firmware)
-    word = setpoint([0.0, 0.0, -10.0, 0.0, 0.0, 0.0], STILL)
-    bench.run(5, lambda: bench.say(WAIT_WORD))
-    bench.run(firmware.rate, lambda: bench.say(word))
+    message = setpoint([0.0, 0.0, -10.0, 0.0, 0.0, 0.0], STILL)
+    bench.run(5, lambda: bench.say(WAIT_MESSAGE))
+    bench.run(firmware.rate, lambda: bench.say(message))
     assert list(bench.modes) == [kind]
     last = bench.cycle  # of the last state before the controller hung
 
     def feed() -> None:
-        bench.sockets.waiting += dated(word, last)
+        bench.sockets.waiting += dated(message, last)
 
     # For the watchdog's time they might be late by jitter; after as long again the mode ends.
     bench.run(round(1.8 * WATCHDOG * firmware.rate), feed)
