@@ -1,4 +1,4 @@
-"""What the monitor listens to, what it makes of each word, whom it tells, and what it leaves behind."""
+"""What the monitor listens to, what it makes of each report, whom it tells, and what it leaves behind."""
 
 from __future__ import annotations
 
@@ -184,7 +184,7 @@ def test_what_the_primary_interface_says_in_parts(desk: Monitored) -> None:
     desk.primary.tell(SafetyModeMessage(FIRMWARE, safety_mode=SafetyMode.VIOLATION))
     assert "violation" in str(desk.monitor.refusal())
     desk.primary.tell(RobotState(MasterboardData(FIRMWARE, safety_mode=SafetyMode.NORMAL)))
-    assert "violation" in str(desk.monitor.refusal())  # without its mode it is no word of the robot
+    assert "violation" in str(desk.monitor.refusal())  # without its mode it reports nothing of the robot
     desk.primary.tell(slow())
     assert desk.monitor.refusal() is None
     for fields in ({"is_emergency_stopped": True}, {"is_protective_stopped": True}):
@@ -192,7 +192,7 @@ def test_what_the_primary_interface_says_in_parts(desk: Monitored) -> None:
         assert isinstance(desk.monitor.refusal(), SafetyStop)
 
 
-def test_a_word_is_as_old_as_its_bytes(desk: Monitored) -> None:
+def test_a_report_is_as_old_as_its_bytes(desk: Monitored) -> None:
     """However late it is read: a program that was held up has old states waiting."""
     desk.clear()
 
@@ -259,7 +259,7 @@ def test_who_waits_is_told_of_all_that_changes() -> None:
 
 
 def test_how_long_news_is_waited_for() -> None:
-    """Two seconds for a first word. Where something is in the way a quarter, for the next word of every source."""
+    """Two seconds for a first report. Where something is in the way a quarter, for the next report of every source."""
     desk = Desk(may_wait=True)
     asked: list[tuple[Callable[[Interlock], object], float]] = []
 

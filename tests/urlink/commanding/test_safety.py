@@ -56,7 +56,7 @@ def test_the_first_question_listens(robot: ScriptedController, ask: Callable[[Sc
     assert ask(robot) == "protective stop"
 
 
-def test_two_threads_wait_for_the_first_word(robot: ScriptedController) -> None:
+def test_two_threads_wait_for_the_first_report(robot: ScriptedController) -> None:
     failures: list[LinkError] = []
 
     def command() -> None:
@@ -77,7 +77,7 @@ def test_two_threads_wait_for_the_first_word(robot: ScriptedController) -> None:
     assert robot.sent == ["set_tool_voltage(0)\n"] * 2
 
 
-def test_who_asks_while_another_thread_waits_for_the_first_word_waits_too(robot: ScriptedController) -> None:
+def test_who_asks_while_another_thread_waits_for_the_first_report_waits_too(robot: ScriptedController) -> None:
     modes: list[SafetyMode | None] = []
     threads = [threading.Thread(target=lambda: modes.append(robot.safety.mode)) for _ in range(2)]
     threads[0].start()
@@ -287,7 +287,7 @@ def test_a_silence_before_anything_was_sent_leaves_the_connection(caplog: pytest
     assert "raised" not in caplog.text
 
 
-def test_an_old_word_is_not_believed_while_this_program_is_held_up() -> None:
+def test_an_old_report_is_not_believed_while_this_program_is_held_up() -> None:
     """A callback that is called inline keeps the reader, which cannot tell whether the robot is silent."""
     with ScriptedController(stale_after=1.0) as robot:
         robot.clear()
@@ -554,7 +554,7 @@ def test_an_inline_callback_commands(robot: ScriptedController) -> None:
 
 
 def test_an_inline_callback_that_is_the_first_to_command(robot: ScriptedController) -> None:
-    """It cannot wait for the first word; what the stream has heard already has to do."""
+    """It cannot wait for the first report; what the stream has heard already has to do."""
     raised: list[LinkError] = []
 
     def command(state: object) -> None:
