@@ -85,7 +85,7 @@ def connect(
         AccessDenied: the robot has a master already.
         WrongVariables: it lacks what was declared; all of it is listed.
         ConnectFailed, ConnectionLost, LinkTimeout: nobody is there, or no longer, or silent.
-        WrongPeer, PacketError: what is there is no RHD server.
+        WrongPeer, PacketError: what answers is not an RHD server.
     """
     place = parse_address(address)
     if variables is not None and not (isinstance(variables, type) and issubclass(variables, Variables)):

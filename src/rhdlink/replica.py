@@ -94,7 +94,7 @@ class Replica:
 
         Raises:
             NotThere: the robot has no such write variable.
-            BadValue: it is no such number, or as many.
+            BadValue: not such a number, or not as many.
         """
         with self.lock:
             table, identity = self.find_to_set(name)
@@ -103,7 +103,7 @@ class Replica:
                 if length > 1 and np.ndim(value) != 1:
                     raise BadValue(f"expected {length} words, got {value!r}")
                 table.set(identity, value)
-            except ValueError as error:  # BadValue, or numpy's own for what is no array at all
+            except ValueError as error:  # BadValue, or numpy's own for what cannot be an array
                 raise BadValue(f"{name}: {error}") from None
 
     # -- all of them ---------------------------------------------------------------------------

@@ -90,7 +90,7 @@ def connect(options: ConnectOptions) -> Robot:
 
     Raises:
         BadAddress: nobody can read the address.
-        BadRecording: the recording does not exist, or is none.
+        BadRecording: the recording does not exist, or is not one.
         BadValue: a time that is not positive, no such policy or port, or a simulated arm that does not run the
             firmware.
         UnknownModel: no such arm to simulate.
@@ -125,8 +125,8 @@ def simulated(place: SimulatorAddress) -> tuple[Controller, RobotAddress]:
     """A simulated controller that serves, and where it is.
 
     Raises:
-        UnknownModel, BadValue: no such arm, it does not run the firmware, the file of an arm is none or of another, or
-            there is no file of a scene.
+        UnknownModel, BadValue: no such arm, it does not run the firmware, the file is not of such an arm, or there is
+            no file of a scene.
         LocalError: no adapter for the scene is installed, or it cannot open it.
     """
     from .simulator import Controller, Demonstration
@@ -310,7 +310,7 @@ class Robot(AnswersForeignNames):
         """The simulator behind ``sim://``: its faults, its inputs, its arm.
 
         Raises:
-            LocalError: the robot is none that `connect` simulates.
+            LocalError: `connect` does not simulate this robot.
         """
         if self._controller is None:
             raise LocalError(f"{self.address} is no simulator of this program; connect to sim:// for one")
@@ -394,7 +394,7 @@ class Robot(AnswersForeignNames):
             on_text: called with each line of `textmsg`, in the robot's thread for callbacks.
 
         Raises:
-            BadValue: a time that is none.
+            BadValue: not a time.
             LocalError: the firmware has no interpreter mode.
             SafetyStop, NotRunning: the arm may not be moved now: nothing was sent.
             LinkTimeout: it has not begun in time; nothing of it is left behind.

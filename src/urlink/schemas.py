@@ -35,7 +35,7 @@ def schema(packet: type[State] | Recipe, version: str | Firmware | None = None) 
             the protocol, "1.0" or "2.0", instead, and a recipe by nothing.
 
     Raises:
-        BadVersion: `version` is none, or nothing is known about it.
+        BadVersion: `version` is not a version, or nothing is known about it.
         PacketError: that version does not send the packet.
         BadValue: `packet` is nothing that has a layout.
 

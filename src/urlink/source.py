@@ -157,7 +157,7 @@ def recorded(place: RecordingAddress) -> Source:
     """A recording, which is played as it is read.
 
     Raises:
-        BadRecording: it does not exist, or is none.
+        BadRecording: it does not exist, or is not a recording.
     """
     # Imported here: a connection to a controller costs less without them.
     from linkcore.recording.file import RecordingFile

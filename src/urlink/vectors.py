@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from linkcore.errors import BadValue
 
 FloatArray = NDArray[np.float64]
-#: A row of numbers as users give it: joints, a pose. Text is none, which `numpy.typing.ArrayLike` would take.
+#: A row of numbers as users give it: joints, a pose. Text is not one, which `numpy.typing.ArrayLike` would take.
 Numbers = Sequence[float] | NDArray[np.floating[Any]] | NDArray[np.integer[Any]]
 
 #: The joints by name, from base to wrist 3.

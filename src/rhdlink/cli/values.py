@@ -24,7 +24,7 @@ from .view import RateCounter, View, ViewPanel
 
 
 def _check_names(names: Iterable[str], robot: Variables | Collection[str], where: str) -> None:
-    """Raise `NotThere` for names that are no variables."""
+    """Raise `NotThere` for names that are not variables."""
     missing = [name for name in names if name not in robot]
     if missing:
         raise NotThere(f"{where} has no variable {', '.join(map(repr, missing))}; `rhdlink vars` lists all")

@@ -2,7 +2,7 @@
 
 A line ends at its end, at ``%``, at a line feed, or in a string that is not closed. Spaces, tabs and carriage returns
 separate tokens and mean nothing else. A number is what C's strtod takes; it has no sign. A name is a letter followed by
-letters and digits: an underscore is no part of one. A string stands between quotation marks or backslashes.
+letters and digits: an underscore is not part of one. A string stands between quotation marks or backslashes.
 """
 
 from __future__ import annotations

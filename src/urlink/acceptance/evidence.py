@@ -126,7 +126,7 @@ class Evidence:
         wires: every connection, in both directions.
 
     Raises:
-        BadRecording: the file is none, or damaged.
+        BadRecording: not a logbook, or a damaged one.
     """
 
     def __init__(self, path: Path) -> None:

@@ -95,7 +95,7 @@ def read(text: str, where: str) -> tuple[Mapping[str, Requirement], Mapping[str,
     """The requirements of a whole file, and its table `site`, empty where it has none.
 
     Raises:
-        BadValue: it is none, or one of them lacks something.
+        BadValue: not a table of requirements, or one of them lacks something.
     """
     tables = _tables(text, where)
     site = tables.pop(_SITE, {})
@@ -119,7 +119,7 @@ def from_file(path: Path) -> tuple[Mapping[str, Requirement], Mapping[str, Any]]
     """The requirements as a file of one's own changes them, and its table `site`, empty where it has none.
 
     Raises:
-        BadValue: the file cannot be read, is none, or names a requirement that there is not.
+        BadValue: the file cannot be read, holds no limits, or names a requirement that there is not.
     """
     try:
         text = path.read_text(encoding="utf-8")

@@ -33,7 +33,7 @@ class ToolSerial:
 
     All methods that use the line raise
 
-    - `BadValue` for an argument that is none; nothing has been sent then;
+    - `BadValue` for an unusable argument; nothing has been sent then;
     - `ConnectFailed` where no URCap serves it, `ConnectionLost` where it went away, `LinkTimeout` where nothing came;
     - `Closed` after the robot was closed.
 

@@ -309,7 +309,7 @@ class Servo(LinkedBlock):
         """(6,) rad/s since the last set-point: the program goes on at these if the next one is late.
 
         No faster than over the last `LONGEST_PERIOD`, and in no other direction: after this computer was held up, an
-        old set-point may be followed at once by a current one, and their difference is no speed.
+        old set-point may be followed at once by a current one, and their difference is not a speed.
         """
         recent = self._recent
         if self._begins:

@@ -235,7 +235,7 @@ def _bits(name: str, value: Any, all: int) -> tuple[int, int]:
     """Mask and bits of digital outputs.
 
     Raises:
-        BadValue: a bit that is not there, or a value that is none.
+        BadValue: a bit that is not there, or not a value of the input.
     """
     if not isinstance(value, Mapping):
         bits = checked(name, "UINT8", value)

@@ -44,7 +44,7 @@ def integer(value: Any, least: int, most: int, what: str = "value") -> str:
     """A whole number, not below `least` and not above `most`.
 
     Raises:
-        BadValue: it is none, or out of range.
+        BadValue: not a whole number, or out of range.
     """
     try:
         if isinstance(value, bool):
@@ -64,7 +64,7 @@ def number(value: Any, what: str = "value", least: float = -_LARGEST, most: floa
     ('0.5', '2.0', '0.0', '0.3333333333')
 
     Raises:
-        BadValue: it is none, or out of range.
+        BadValue: not a number, or out of range.
     """
     digits = f"{check_number(value, what, least, most, unit):.{_DIGITS}f}".rstrip("0")
     digits += "0" if digits.endswith(".") else ""
@@ -136,7 +136,7 @@ def identifier(name: object, what: str = "name") -> str:
     """A name: letters, digits and underscores, not beginning with a digit.
 
     Raises:
-        BadValue: it is none, or a word that means something else.
+        BadValue: not a name, or a word that means something else.
     """
     if not isinstance(name, str) or not _IDENTIFIER.match(name) or name in KEYWORDS:
         raise BadValue(f"{what} is {name!r}; expected letters, digits and underscores, and no word of the language")

@@ -31,7 +31,7 @@ class Bodies:
         arm: says where the links are.
         urdf: a file whose links have the vendor's names, and visuals; None for shapes made of the kinematics.
         colour: of cylinders, boxes and, if translucent, of meshes.
-        opacity: 1 is none to see through.
+        opacity: 1 is opaque.
 
     Raises:
         LocalError: the file, or a mesh in it, cannot be read, or nothing in it can be drawn.

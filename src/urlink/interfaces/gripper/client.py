@@ -41,7 +41,7 @@ class GripperFault(RemoteError):
     """The gripper is not there, not activated, or has a fault, and did not carry out a command.
 
     Attributes:
-        fault: number of the fault; 0 where it is none of the gripper's own.
+        fault: number of the fault; 0 where it is not the gripper's own.
     """
 
     __module__ = "urlink"  # where users import it from, and what a traceback shows
@@ -111,7 +111,7 @@ class Gripper:
 
     All methods that talk to the gripper raise
 
-    - `BadValue` for an argument that is none; nothing has been sent then;
+    - `BadValue` for an unusable argument; nothing has been sent then;
     - `GripperFault` where it has a fault, is not activated, or is not connected to the controller;
     - `ConnectFailed` where no URCap serves it, `ConnectionLost`, `LinkTimeout`, `WrongPeer` and `PacketError` where
       the peer does not answer, or not as a gripper does;

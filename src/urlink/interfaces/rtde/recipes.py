@@ -73,7 +73,7 @@ class Recipe:
         table: what is known of the variables, `OUTPUTS` or `INPUTS`.
 
     Raises:
-        BadValue: not as many types as names, a type that is none (`NOT_FOUND` and `IN_USE` among them), or a number
+        BadValue: not as many types as names, an unknown type (`NOT_FOUND` and `IN_USE` among them), or a number
             that is not 1 to 255.
 
     Attributes:

@@ -79,7 +79,7 @@ class LineAssembler:
 
 
 def obey(state: ControllerState, runner: ProgramRunner, line: str) -> bool:
-    """Execute a line that is a command to the controller and not URScript; False if it is none.
+    """Execute a line that is a command to the controller and not URScript; False if it is not.
 
     Such lines are known from a forum and from public drivers; the UR Client Library ends programs with `stop program`,
     which ends whatever runs, whoever started it (docs/protocols/urscript.md, Sending a program). What a real controller

@@ -111,7 +111,7 @@ class StatementQueue(Generic[S]):
         return StatementReply("ack", self._numbers)
 
     def obey(self, word: str) -> StatementReply | None:
-        """Execute a command that is not a statement; None if `word` is none."""
+        """Execute a command that is not a statement; None if `word` is not one."""
         if word == "skipbuffer":
             self._forget_waiting()
         elif word == "abort":
