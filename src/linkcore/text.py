@@ -1,10 +1,10 @@
-"""Text from elsewhere, made safe to show: bytes from the wire steer no terminal, forge no log line, are not HTML."""
+"""Text from elsewhere, made safe to show: bytes from the wire steer no terminal, forge no log line, are not HTML.
+
+What few programs use is imported where it is used: importing the library stays cheap.
+"""
 
 from __future__ import annotations
 
-import difflib
-import html
-import json
 import math
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -32,6 +32,8 @@ def similar(name: str, names: Iterable[str]) -> str:
     >>> similar("moniter", ["monitor", "echo"])
     "; did you mean 'monitor'?"
     """
+    import difflib
+
     known = list(names)
     found = [each for each in known if each.lower() == name.lower()] or difflib.get_close_matches(name, known, 1)
     return f"; did you mean {found[0]!r}?" if found else ""
@@ -43,6 +45,8 @@ def strict_json(value: Any) -> str:
     >>> strict_json({"q": [1.5, float("nan")], "text": "\x1b\x7f"})
     '{"q": [1.5, null], "text": "\\u001b\\u007f"}'
     """
+    import json
+
     # DEL is ASCII to `json`, but a control character to a terminal.
     return json.dumps(_finite(value), allow_nan=False).replace("\x7f", "\\u007f")
 
@@ -68,6 +72,8 @@ def html_table(
         rows: the cells.
         notes: a list below it.
     """
+
+    import html
 
     def cells(kind: str, texts: Sequence[object]) -> str:
         return "".join(f"<{kind}>{html.escape(str(text))}</{kind}>" for text in texts)
