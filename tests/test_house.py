@@ -377,7 +377,7 @@ def test_clocks_are_called_and_not_kept() -> None:
 #: What there may be at most: modules, lines of code, and classes of one name. They go down, but for what is new: the
 #: test of controllers took 20 modules and 3,000 lines, the identification of arms 9 and 800, the view in a browser 7
 #: and 550, impedance 3 and 480, streams over registers 1 and 130, stage 3 of the test of controllers 2 and 230,
-#: threads that make way between lines 1 and 130, a scene of bodies 1 and 90, whose class is called as that of mobile
+#: threads that yield between lines 1 and 130, a scene of bodies 1 and 90, whose class is called as that of mobile
 #: robots.
 MOST = {"modules": 431, "lines of code": 56_800, "classes of one name": 14}
 

@@ -42,7 +42,7 @@ BEGUN, ENDED = 20.0, 30.0
 WAIT, WAIT_IN_BLOCK = 20.0, 0.5
 #: s of simulated time for everything.
 LIMIT = 400.0
-#: Between whose lines threads make way: of the library, but for what a process keeps from one world for the next.
+#: Between whose lines threads yield: of the library, but for what a process keeps from one world for the next.
 PREEMPTED = (
     "linkcore.aio",
     "linkcore.event_loop",

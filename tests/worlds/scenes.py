@@ -70,7 +70,7 @@ SCENES: Mapping[str, World] = {
         ),
         events=(Event("hold_client", 0.3, 1.3, 0, 1.0),),
     ),
-    # One of them makes way after it has looked, and before it sets.
+    # One of them yields after it has looked, and before it sets.
     "two-connections-claim-the-same": _world(
         Client((_ask("registers", size=0.4, at=0.1), _ask("registers", size=0.4, thread=1, at=0.1)), 0.0),
         lines=0.3,

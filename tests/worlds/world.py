@@ -223,7 +223,7 @@ class World:
     """Everything that a run depends on, beside the order of its threads, which `seed` decides.
 
     Attributes:
-        lines: seconds after the clients have begun for which threads also make way between two lines of the library.
+        lines: seconds after the clients have begun for which threads also yield between two lines of the library.
     """
 
     seed: int

@@ -1,7 +1,7 @@
 """Changes of threads between two lines of a program, which pass no lock, queue, socket or clock.
 
 CPython looks at whether another thread is to run where a function begins, after calls, and where a loop goes back. Here
-a thread makes way before a line, of functions that the seed draws: in few of them, but there often, so that a thread
+a thread yields before a line, of functions that the seed draws: in few of them, but there often, so that a thread
 that looks at something and then sets it is interrupted in between by another one that does the same. Now and then it
 does not run for some milliseconds, as on a busy computer, which is long enough for the other one to be answered by a
 robot.
@@ -24,7 +24,7 @@ from types import CodeType, FrameType, ModuleType
 
 from .scheduler import Scheduler, Tracer
 
-#: Bounds of the share of functions in which threads make way; the seed draws it.
+#: Bounds of the share of functions in which threads yield; the seed draws it.
 _SHARE = (0.02, 0.5)
 #: Bounds of the mean number of lines between two such moments in one function; drawn for each.
 _LINES = (1.0, 50.0)
@@ -45,7 +45,7 @@ _TRACED = (ast.Assign, ast.AugAssign, ast.AnnAssign, ast.Expr, ast.Return, ast.R
 
 
 class Preemption:
-    """Has threads make way between lines.
+    """Has threads yield between lines.
 
     Args:
         scheduler: whose tasks they are.
@@ -61,7 +61,7 @@ class Preemption:
         low, high = _SHARE
         self._share = low * (high / low) ** scheduler.random.random()
         self._left = _ALL_HOLDS
-        # By the id of a code, which is kept: its function of frames, or None where no thread makes way.
+        # By the id of a code, which is kept: its function of frames, or None where no thread yields.
         self._known: dict[int, tuple[CodeType, Tracer | None]] = {}
         self._by_name: dict[str, Tracer | None] = {}
 
@@ -105,12 +105,12 @@ class Preemption:
             left[0] -= 1
             if left[0] <= 0:
                 left[0] = 1 + int(chance.expovariate(1.0 / mean))
-                self._make_way(frame, chance)
+                self._yield(frame, chance)
             return trace
 
         return trace
 
-    def _make_way(self, frame: FrameType, chance: random.Random) -> None:
+    def _yield(self, frame: FrameType, chance: random.Random) -> None:
         scheduler = self._scheduler
         hold, low, high = chance.random(), *map(math.log, _HOLD)
         seconds = math.exp(low + (high - low) * chance.random())
@@ -120,7 +120,7 @@ class Preemption:
             self._left -= seconds
             scheduler.wait(scheduler.now + seconds)
         else:
-            scheduler.make_way()
+            scheduler.yield_()
 
     def _is_whole(self, frame: FrameType) -> bool:
         module = frame.f_globals.get("__name__", "")

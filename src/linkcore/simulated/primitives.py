@@ -33,7 +33,7 @@ class _Waited:
     def __init__(self) -> None:
         self._waiters: deque[Task] = deque()
 
-    def _make_way(self) -> None:
+    def _yield(self) -> None:
         """One of them may go on, and another task may run."""
         scheduler = current()
         if scheduler is not None:
@@ -84,7 +84,7 @@ class Lock(_Held):
         if not self._is_locked:
             raise RuntimeError("release unlocked lock")
         self._is_locked = False
-        self._make_way()
+        self._yield()
 
     def locked(self) -> bool:
         return self._is_locked
@@ -122,7 +122,7 @@ class RLock(_Held):
 
     def _free(self) -> None:
         self._owner = 0
-        self._make_way()
+        self._yield()
 
     def _take(self) -> bool:
         if self._owner:
@@ -186,7 +186,7 @@ class SimpleQueue(_Waited):
 
     def put(self, item: Any, block: bool = True, timeout: float | None = None) -> None:
         self._items.append(item)
-        self._make_way()
+        self._yield()
 
     put_nowait = put
 

@@ -28,7 +28,7 @@ Tracer = Callable[[FrameType, str, Any], Any]
 
 #: Seconds that each step costs. Without it a program that looks at the clock until it is late enough would not end.
 STEP = 1e-7
-#: Bounds of the mean number of steps after which a running task has to make way for another one; the seed draws the
+#: Bounds of the mean number of steps after which a running task has to yield for another one; the seed draws the
 #: mean once, so that some runs change threads at nearly every step and others hardly ever.
 SWITCHES = (2.0, 500.0)
 #: Real seconds that a thread has to end in when the simulation ends, and how often it may catch `Ended`.
@@ -201,9 +201,9 @@ class Scheduler:
         if self._left <= 0:
             self._left = self._draw()
             if not self.is_ending:
-                self.make_way()
+                self.yield_()
 
-    def make_way(self) -> None:
+    def yield_(self) -> None:
         """Let the others run, if there are any that can."""
         task = self.running
         assert task is not None
@@ -269,7 +269,7 @@ class Scheduler:
         process.held += [task for task in self._ready if task.process is process]
         self._ready[:] = [task for task in self._ready if task.process is not process]
         if not self._is_choosing and self.running is not None and self.running.process is process:
-            self.make_way()
+            self.yield_()
 
     def resume(self, process: Process) -> None:
         """Its tasks run again."""

@@ -161,11 +161,11 @@ class Simulation:
         return call
 
     def preempt(self, *packages: str) -> None:
-        """Have threads make way from now on between two lines of these packages or modules, too; without one, no more.
+        """Have threads yield from now on between two lines of these packages or modules, too; without one, no more.
 
         So data races are tried that pass no lock, queue, socket or clock: `sim.preempt("my_cell", "urlink")`. With all
         of the library a program takes 5 to 15 times as long meanwhile; `at` begins and ends it at a time of the
-        simulation. The seed decides in which functions threads make way, so more seeds try more. Left alone is what
+        simulation. The seed decides in which functions threads yield, so more seeds try more. Left alone is what
         modules call that keep a `threading.Lock` from when they were imported, since that is a real one. A debugger, or
         coverage by `sys.settrace`, sees nothing of the block meanwhile.
         """
@@ -270,7 +270,7 @@ def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
         elif seconds < 0:
             raise ValueError("sleep length must be non-negative")
         elif seconds == 0:
-            scheduler.make_way()
+            scheduler.yield_()
         else:
             scheduler.wait(scheduler.deadline(seconds))
 

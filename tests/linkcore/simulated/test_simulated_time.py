@@ -153,20 +153,20 @@ def lazy_between_lines(sim: Simulation) -> int:
 
 
 @pytest.mark.slow
-def test_a_race_between_two_lines_is_found_where_threads_make_way_there() -> None:
+def test_a_race_between_two_lines_is_found_where_threads_yield_there() -> None:
     seeds = range(200)
     assert {outcome(seed, lazy)[0] for seed in seeds} == {1}
     assert {outcome(seed, lazy_between_lines)[0] for seed in seeds} == {1, 2}
 
 
 @pytest.mark.slow
-def test_what_was_called_before_does_not_move_the_lines_at_which_threads_make_way() -> None:
+def test_what_was_called_before_does_not_move_the_lines_at_which_threads_yield() -> None:
     first = [outcome(seed, lazy_between_lines) for seed in range(20)]
     assert [outcome(seed, lazy_between_lines) for seed in reversed(range(20))] == first[::-1]
 
 
 @pytest.mark.real_time
-def test_the_first_run_of_a_process_makes_way_at_the_same_lines_as_the_next() -> None:
+def test_the_first_run_of_a_process_yields_at_the_same_lines_as_the_next() -> None:
     """It imports, and fills caches; in the next one neither happens."""
     program = (
         "import urlink\n"
@@ -439,7 +439,7 @@ def calls(sim: Simulation) -> list[int]:
 
 
 def given_up(sim: Simulation) -> list[str]:
-    """Tasks that are cancelled while they wait; threads make way between the lines of it."""
+    """Tasks that are cancelled while they wait; threads yield between the lines of it."""
     sim.preempt(__name__)
 
     async def waits(number: int) -> str:
