@@ -191,7 +191,7 @@ class CommandChannel:
                 else:
                     time.sleep(_PAUSE)
         finally:
-            # Part of it has left, and time is up, or the waiting for room was interrupted or has lost its connection.
+            # Part of it has left, and time is up, the rest is refused, or the waiting for room was interrupted.
             if self._unfinished is outgoing:
                 with self._section:
                     self._give_up()
@@ -214,20 +214,15 @@ class CommandChannel:
     def _send_some(self, text: _Text, decide: Callable[[], object]) -> None:
         """Send what the kernel takes. With the section."""
         connection = self._connection
-        try:
-            number = connection.counters.connections
-            if text.is_begun and (self._unfinished is not text or number != text.number):
-                raise ConnectionLost(f"{connection.name} was connected anew while a text was sent")
-            text.number = number
-            # Not between the decision and the sending: what is claimed would never leave.
-            check_wanted()
-            decide()
-            self._sent_at = self._clock()
-            text.rest = text.rest[regardless(lambda: connection.send_some(text.rest)) :]
-        except BaseException:
-            if self._unfinished is text:
-                self._give_up()
-            raise
+        number = connection.counters.connections
+        if text.is_begun and (self._unfinished is not text or number != text.number):
+            raise ConnectionLost(f"{connection.name} was connected anew while a text was sent")
+        text.number = number
+        # Not between the decision and the sending: what is claimed would never leave.
+        check_wanted()
+        decide()
+        self._sent_at = self._clock()
+        text.rest = text.rest[regardless(lambda: connection.send_some(text.rest)) :]
         self._unfinished = text if text.is_begun and text.rest else None
 
     def _give_up(self) -> None:
