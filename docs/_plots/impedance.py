@@ -48,7 +48,7 @@ def run(part: float, act: Callable[[Controller, float], float]) -> tuple[list[fl
         values = [begin[0] + target, *begin[1:], number, 0.0, 0.0, 0.0, 0.0, 0.0]
         for at, value in enumerate(values):
             inputs.floats[LINK.first_float + at] = value
-        inputs.integers[LINK.date], inputs.integers[LINK.word] = round(controller.time * 500), cycle + 1
+        inputs.integers[LINK.date], inputs.integers[LINK.message] = round(controller.time * 500), cycle + 1
         inputs.integers[LINK.mode], inputs.integers[LINK.proof] = FOLLOW, LINK.token
         controller._state.watchdogs.clear()  # the controller's own, which RTDE feeds
         controller.step()
