@@ -37,13 +37,22 @@ GROUPS = {
         (
             "tests/urlink/commanding",
             "tests/urlink/motion",
+            "tests/urlink/rtde",
+            "tests/urlink/test_cycles.py",
+            "tests/urlink/test_gravity_and_payload.py",
             "tests/urlink/test_robot.py",
             "tests/urlink/test_public_names.py",
         ),
     ),
     "motion": Group(
         ("urlink/motion/**/*.py",),
-        ("tests/urlink/motion", "tests/urlink/urscript", "tests/urlink/test_public_names.py"),
+        (
+            "tests/urlink/motion",
+            "tests/urlink/urscript",
+            "tests/urlink/test_cycles.py",
+            "tests/urlink/test_group.py",
+            "tests/urlink/test_public_names.py",
+        ),
     ),
     "rhd-wire": Group(("rhdlink/wire/*.py",), ("tests/rhdlink",)),
     "rhd-host": Group(("rhdlink/host/*.py",), ("tests/rhdlink",)),
