@@ -86,7 +86,7 @@ class ScriptedController:
         self.io = IO(self.settings, self.primary, self.realtime)
 
     def close(self) -> None:
-        self.programs.close()
+        self.programs.close(0.0)
         self.monitor.close()
         self.callbacks.close(1.0)
         self.primary.close()

@@ -23,8 +23,6 @@ from .settings import Echo, Settings
 
 T = TypeVar("T")
 
-#: Digital signals that a state has, at most.
-_BITS = 18
 #: Seconds to wait for a first state.
 _FIRST_STATE = 2.0
 #: Part of its range by which an analogue output may be off: the reported value may be a measured one.
@@ -267,7 +265,7 @@ class IO(AnswersForeignNames):
             return html_table("IO", (), (), [f"not known: {error}"])
 
         def on(bits: int) -> str:
-            return ", ".join(str(bit) for bit in range(_BITS) if bits >> bit & 1) or "none"
+            return ", ".join(str(bit) for bit in range(bits.bit_length()) if bits >> bit & 1) or "none"
 
         rows = [
             ("digital inputs that are on, by their bits", on(board.digital_input_bits)),

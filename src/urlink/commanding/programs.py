@@ -288,7 +288,7 @@ class Programs:
         """The program that was sent last, unless it is over."""
         return next((run for run in reversed(self._pending()) if not run.wrapped.is_secondary), None)
 
-    def close(self, timeout: float = 0.0) -> None:
+    def close(self, timeout: float) -> None:
         """Cancel the motion that runs, begin nothing more, and follow programs no longer. Idempotent.
 
         One that was given up during a stop goes on where the stop is over, or was none: a safety mode that is in no

@@ -533,7 +533,7 @@ def test_closing_stops_the_motion_that_runs_and_no_program_of_the_users_own(desk
     before = len(desk.primary.subscribers)
     beside, run = desk.script(SEC), desk.motion() if is_motion else desk.script()
     run.begins()
-    desk.programs.close()
+    desk.programs.close(0.0)
     assert desk.stops == is_motion
     closed = f"ConnectionLost: the robot was closed here while {run.name} ran; it may still run"
     assert run.end == (f"Cancelled: {run.name} was cancelled, since the robot was closed" if is_motion else closed)
@@ -546,4 +546,4 @@ def test_closing_stops_the_motion_that_runs_and_no_program_of_the_users_own(desk
     except Closed as error:
         errors.append(error)
     assert [repr(error) for error in errors] == [repr(life.error)]
-    desk.programs.close()
+    desk.programs.close(0.0)

@@ -542,7 +542,7 @@ def test_send_line(robot: ScriptedController) -> None:
 
 def test_closing_ends_what_is_followed(robot: ScriptedController) -> None:
     program = run(robot)
-    robot.programs.close()
+    robot.programs.close(0.0)
     with pytest.raises(ConnectionLost, match=r"closed here while .* ran; it moves nothing if it begins later"):
         program.wait(5)
     with pytest.raises(Closed):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -400,6 +401,15 @@ def test_waiting_for_no_number_of_seconds(robot: ScriptedController, timeout: An
             wait(timeout)
     with pytest.raises(BadValue, match="callback="):
         robot.safety.on_stop(timeout)
+
+
+def test_a_stop_that_holds_is_returned_at_once(robot: ScriptedController) -> None:
+    robot.clear()
+    robot.state(safety=SafetyMode.PROTECTIVE_STOP, fast=False)
+    until(lambda: robot.safety.cause is not None)
+    began = time.monotonic()
+    assert isinstance(robot.safety.wait_for_stop(60.0), SafetyStop)
+    assert time.monotonic() - began < 1.0
 
 
 def test_whether_a_stop_holds_may_be_asked_without_waiting(robot: ScriptedController) -> None:

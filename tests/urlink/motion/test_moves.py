@@ -424,8 +424,8 @@ def test_time_is_the_progress_of_a_speed(robot: Rehearsal) -> None:
 
 def test_closed(robot: Rehearsal) -> None:
     motion = robot.motion.move_joints(HOME)
-    robot.programs.close()
-    robot.programs.close()
+    robot.programs.close(0.0)
+    robot.programs.close(0.0)
     assert motion.phase is Phase.CANCELLED
     assert "stopj" in robot.sent[-1]
     with pytest.raises(Closed):
