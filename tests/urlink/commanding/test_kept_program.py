@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import pytest
 
 import urlink
 from linkcore.handle import Handle
+from tests.fakes.line import Programming, Run, Subscriber, fast
 from tests.waiting import until
+from urlink.interfaces.enums import SafetyMode
 from urlink.simulator import Controller, Still
+from urlink.urscript.wrapping import StartPlace
 
 pytestmark = pytest.mark.simulated_time
 
@@ -138,3 +142,111 @@ def test_closing_during_a_stop_waits_for_three_states(
     began = time.monotonic()
     robot._control.made._programs.close(timeout)  # type: ignore[union-attr]
     assert time.monotonic() - began <= longest
+
+
+# -- state by state, without a controller ----------------------------------------------------------------
+
+
+def stopped(desk: Programming) -> Run:
+    """A motion that a stop has ended; the stop is over, and the next state may be the second without it."""
+    run = desk.motion()
+    run.begins()
+    desk.state(0.1, runs=True)
+    desk.realtime.tell(fast(SafetyMode.PROTECTIVE_STOP))
+    assert run.end.startswith("SafetyStop")
+    desk.realtime.tell(fast())
+    desk.state(0.1, paused=True)
+    assert desk.stops == 0
+    return run
+
+
+def test_it_is_stopped_by_the_second_state_without_a_stop() -> None:
+    desk = Programming()
+    stopped(desk)
+    desk.state(0.1, paused=True)
+    assert desk.stops == 1
+
+
+def test_a_stop_that_is_ignored_is_sent_again_after_a_quarter_of_a_second() -> None:
+    """In local control an e-Series ignores what it is sent."""
+    desk = Programming()
+    run = desk.motion()
+    run.begins()
+    desk.state(0.1, runs=True)
+    run.cancel()
+    assert desk.stops == 1
+    desk.state(0.24, runs=True)
+    desk.state(0.02, runs=True)
+    assert desk.stops == 1
+    desk.state(0.02, runs=True)
+    assert desk.stops == 2
+
+
+def test_once_it_is_gone_another_program_is_left_alone() -> None:
+    """As of a person, on a controller that reports no programs by name."""
+    desk = Programming(firmware="1.8")
+    desk.motion(asks=False).says("started")
+    desk.state(0.1, runs=True)
+    desk.realtime.tell(fast(SafetyMode.PROTECTIVE_STOP))
+    desk.realtime.tell(fast())
+    for runs in (False, False, True, True, True):
+        desk.state(0.1, runs=runs)
+    assert desk.stops == 0
+
+
+def test_a_program_that_was_sent_before_the_stop_and_begins_after_it_is_left_alone() -> None:
+    """It asks for no permission, so a stop does not keep it from beginning."""
+    desk = Programming(firmware="1.8", start_place=StartPlace(None, ()))
+    desk.motion(asks=False).says("started")
+    script = desk.script()
+    desk.realtime.tell(fast(SafetyMode.PROTECTIVE_STOP))
+    desk.realtime.tell(fast())
+    for _ in range(4):
+        desk.state(0.1, runs=True)
+    assert desk.stops == 0
+    assert not script.done
+
+
+def test_where_the_controller_takes_nothing_the_reader_does_not_wait() -> None:
+    desk = Programming()
+    stopped(desk)
+    desk.primary.room = 0
+    desk.state(0.1, paused=True)
+    assert desk.waits == []
+    desk.primary.room = None
+    desk.state(0.1, paused=True)
+    assert desk.stops == 1
+
+
+def test_one_that_is_replaced_while_it_is_to_be_stopped_is_not_stopped() -> None:
+    """Another thread sends the next motion between the state and the stop."""
+    desk = Programming()
+    stopped(desk)
+    refusal = desk.monitor.refusal
+    sent: list[Run] = []
+
+    def refuses(is_stop: bool = False) -> Any:
+        found = refusal(is_stop)
+        desk.monitor.refusal = refusal  # type: ignore[method-assign]
+        sent.append(desk.motion())
+        return found
+
+    desk.monitor.refusal = refuses  # type: ignore[method-assign]
+    desk.state(0.1, paused=True)
+    assert len(sent) == 1
+    assert desk.stops == 0
+    assert not sent[0].done
+
+
+def test_two_threads_that_begin_to_listen_at_once_listen_once() -> None:
+    desk = Programming()
+    subscribe, before = desk.primary.subscribe_inline, len(desk.primary.subscribers)
+
+    def meanwhile(kind: type, callback: Callable[[Any], object]) -> Subscriber:
+        desk.primary.subscribe_inline = subscribe  # type: ignore[method-assign]
+        desk.programs._listen()
+        return subscribe(kind, callback)
+
+    desk.primary.subscribe_inline = meanwhile  # type: ignore[method-assign]
+    desk.programs._listen()
+    assert len(desk.primary.subscribers) == before + 2
