@@ -12,8 +12,12 @@ from tests.urlink.motion.test_impedance import READY
 from tests.urlink.motion.test_tool_impedance import STIFFNESS, SoftTool, place
 from tests.urlink.motion.test_yielding_programs import LINK
 from urlink import poses
+from urlink.motion.impedance import _Messages
+from urlink.motion.setpoints import read_message
+from urlink.packets import RealtimeState
 from urlink.simulator import Controller, Plane, Still
-from urlink.urscript.springs import ToolSprings, admittance
+from urlink.urscript.links import FOLLOW
+from urlink.urscript.springs import GAINS, POSTURE, ToolSprings, admittance
 from urlink.urscript.wrapping import program
 
 
@@ -140,11 +144,41 @@ def test_one_call_for_both(firmware: str, frame: Literal["base", "tool"]) -> Non
             with pytest.raises(urlink.Unreachable):
                 soft.send([2.0, 0, 0, 0, 0, 0])
             np.testing.assert_allclose(soft.target, goal)
+            assert soft.stiffness.tolist() == [800, 800, 800, 40, 40, 40]
+            damping = soft.damping.tolist()
             soft.set_gains(stiffness=[900, 900, 900, 50, 50, 50])
+            assert soft.stiffness.tolist() == [900, 900, 900, 50, 50, 50]
+            assert soft.damping.tolist() == damping
+            soft.set_gains(damping=0.5)
+            assert soft.damping.tolist() == [0.5] * 6
             robot.realtime.wait_until(
                 lambda state: np.linalg.norm(np.subtract(state.tool_vector_actual[:3], goal[:3])) < 0.004, timeout=20.0
             )
+            assert soft.error is None
         assert soft.done
+
+
+@pytest.mark.simulated_time
+def test_the_posture_of_a_pose_is_that_of_the_tcp() -> None:
+    tcp = np.array([0.0, 0.05, 0.1, 0.0, 0.0, 0.3])
+    with Controller("UR5e", "5.25", motion=Still(READY)) as controller, urlink.connect(controller.address) as robot:
+        robot.set_tcp(tcp.tolist())
+        robot.realtime.wait_until(lambda state: abs(state.tool_vector_actual[2] - 0.1) > 1e-6, timeout=5.0)
+        pose = robot.realtime.wait().tool_vector_actual.tolist()
+        with robot.motion.impedance("base") as soft:
+            soft.send(pose)
+            assert soft.posture is not None
+            np.testing.assert_allclose(soft.posture, READY, atol=1e-4)
+
+
+@pytest.mark.simulated_time
+def test_an_arm_that_is_not_known_has_no_springs(monkeypatch: pytest.MonkeyPatch) -> None:
+    with Controller("UR20", "5.25") as controller, urlink.connect(controller.address) as robot:
+        with pytest.raises(urlink.BadValue, match="stiffness has no default for a UR20"):
+            robot.motion.impedance()
+        monkeypatch.setattr(type(robot.identity), "arm", property(lambda self: None))
+        with pytest.raises(urlink.LocalError, match="does not say which arm this is"):
+            robot.motion.impedance()
 
 
 @pytest.mark.simulated_time
@@ -169,3 +203,14 @@ def test_what_cannot_act_is_refused() -> None:
         for given in ({"force": 10.0}, {"posture_stiffness": 1.0}):
             with pytest.raises(urlink.BadValue, match="springs of the tool"):
                 robot.motion.impedance(**given)  # type: ignore[arg-type]
+
+
+def test_gains_and_posture_are_repeated_among_the_targets() -> None:
+    """A message may be lost: a register holds the newest only."""
+    messages = _Messages(lambda link: [], [100.0] * 6, [1.0] * 6, has_posture=True)
+    messages.lead([0.3] * 6, list(READY))
+    sent = [read_message(messages.step(b"", RealtimeState((5, 25)), 0.0)) for _ in range(100)]
+    kinds = [mode for *_, mode in sent]
+    assert [kinds.count(mode) for mode in (FOLLOW, GAINS, POSTURE)] == pytest.approx([75, 12, 12], abs=2)
+    postures = [first for first, _, mode in sent if mode == POSTURE]
+    np.testing.assert_allclose(postures, [READY] * len(postures), atol=1e-6)

@@ -155,12 +155,25 @@ class TestWhatIsSaid:
                 jog.move([0.1] * 6)
 
 
+@pytest.mark.simulated_time
+def test_ctrl_c_while_a_block_ends_stops_the_arm(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    with opened(robot) as jog:
+        monkeypatch.setattr(jog._program, "finish", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            jog.__exit__(None, None, None)
+        assert isinstance(jog.error, Cancelled)
+
+
 class TestHeldSpeeds:
     """A speed for longer than its program may go on unled."""
 
     @pytest.mark.real_time
     def test_is_held_for_its_time_and_then_ends(self, robot: Rehearsal) -> None:
         motion = robot.motion.speed_joints([0.3, 0, 0, 0, 0, 0], duration=0.6)
+        assert motion.progress == 0.0
         assert "speedj(" in robot.uploaded
         robot.connect()
         began, told = robot.time, answers(robot)

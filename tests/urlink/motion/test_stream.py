@@ -371,6 +371,13 @@ class TestRefused:
         stream.run(5)
         assert stream.feed.is_dry
 
+    def test_a_pose_beyond_a_singularity(self) -> None:
+        """It is reached by another branch, or by turns of a joint that a step of a stream is not for."""
+        arm, stream = Arm("UR5e"), Streamed(E_SERIES)
+        far = arm.forward([HOME[0] + 2.5, *HOME[1:]])
+        with pytest.raises(BadValue, match=r"point 0 \(t = 9 s\): base \(joint 0\) would leap from "):
+            stream.append(PosePoint(far, 9.0))
+
     def test_poses_out_of_reach(self) -> None:
         stream = Streamed(E_SERIES)
         with pytest.raises(Unreachable):
