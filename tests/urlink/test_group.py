@@ -449,6 +449,27 @@ def test_where_a_message_comes_too_late_to_one_all_are_cleared() -> None:
         assert both.seconds_apart() < CYCLE
 
 
+@pytest.mark.slow
+def test_where_a_message_comes_too_late_to_all_they_go_on() -> None:
+    with pair(23) as both, both.group.stream(buffer=1.5) as stream:
+        stream.append(both.dense(), wait=False)
+        time.sleep(0.8)
+        assert stream.buffered == pytest.approx(stream.end - stream.time, abs=0.01)
+        routes = [both.sim.network.route(both.sim.here, side.computer) for side in both.sides]
+        quick = routes[0].latency
+        for route in routes:
+            route.latency = 0.3
+        soon = [beside(path, 0.0) for path in both.dense(1.0)]
+        with pytest.raises(BadValue) as raised:
+            stream.replace(0.0, soon)
+        assert "cleared" not in str(raised.value)
+        for route in routes:
+            route.latency = quick
+        stream.wait_until_dry()
+        assert stream.time == pytest.approx(2.4)
+        assert stream.buffered == 0.0
+
+
 @pytest.mark.parametrize("latency", [pytest.param(1e-3, marks=pytest.mark.slow), 5e-3])
 def test_a_stop_of_one_ends_the_stream_of_all(latency: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """Set-points of the other brake within two cycles and the ways from one controller and to the other."""
