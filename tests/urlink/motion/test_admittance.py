@@ -166,6 +166,7 @@ def test_the_posture_of_a_pose_is_that_of_the_tcp() -> None:
         robot.realtime.wait_until(lambda state: abs(state.tool_vector_actual[2] - 0.1) > 1e-6, timeout=5.0)
         pose = robot.realtime.wait().tool_vector_actual.tolist()
         with robot.motion.impedance("base") as soft:
+            assert soft.stiffness.tolist() == [500] * 3 + [30] * 3
             soft.send(pose)
             assert soft.posture is not None
             np.testing.assert_allclose(soft.posture, READY, atol=1e-4)

@@ -109,6 +109,14 @@ class TestOnItsWay:
         assert np.abs(path - wanted).max() < 2e-5
         assert stream.feed.starved == 0
 
+    def test_points_are_replaced_from_the_end_of_what_was_sent_at_the_latest(self) -> None:
+        stream = Streamed(E_SERIES, buffer=0.3)
+        stream.append(waves(0.05, 3.0))
+        stream.until(lambda: stream.feed.time > 0.5)
+        sent = stream.feed.reach(100.0)
+        assert stream.feed.reach(0.0) < sent == stream.feed.reach(200.0)
+        assert sent - stream.feed.time == pytest.approx(0.3, abs=0.1)
+
     def test_poses_are_reached_by_the_inverse(self) -> None:
         stream = Streamed(E_SERIES)
         arm = Arm("UR5e")
