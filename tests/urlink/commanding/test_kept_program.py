@@ -10,7 +10,8 @@ import pytest
 
 import urlink
 from linkcore.handle import Handle
-from tests.fakes.line import Programming, Run, Subscriber, fast
+from linkcore.streaming.connection_life import ConnectionState
+from tests.fakes.line import STARTED, STOPPED, Programming, Run, Subscriber, fast
 from tests.waiting import until
 from urlink.interfaces.enums import SafetyMode
 from urlink.simulator import Controller, Still
@@ -250,3 +251,86 @@ def test_two_threads_that_begin_to_listen_at_once_listen_once() -> None:
     desk.primary.subscribe_inline = meanwhile  # type: ignore[method-assign]
     desk.programs._listen()
     assert len(desk.primary.subscribers) == before + 2
+
+
+def test_a_lost_connection_forgets_it() -> None:
+    """Which program the controller has by the next connection is not known."""
+    desk = Programming()
+    stopped(desk)
+    desk.event(desk.primary, ConnectionState.LOST)
+    desk.event(desk.primary, ConnectionState.CONNECTED)
+    for _ in range(4):
+        desk.state(0.1, paused=True)
+    assert desk.stops == 0
+
+
+@pytest.mark.parametrize(("title", "name"), [(STOPPED, None), (STARTED, "theirs")])
+def test_once_it_has_ended_or_was_replaced_what_runs_is_left_alone(title: str, name: str | None) -> None:
+    desk = Programming()
+    run = stopped(desk)
+    desk.key(title, name or run.program)
+    for _ in range(4):
+        desk.state(0.1, runs=True)
+    assert desk.stops == 0
+
+
+@pytest.mark.parametrize(("title", "is_its_own"), [(STOPPED, False), (STARTED, True)])
+def test_what_is_reported_of_another_program_does_not_forget_it(title: str, is_its_own: bool) -> None:
+    desk = Programming()
+    run = stopped(desk)
+    desk.key(title, run.program if is_its_own else "theirs")
+    desk.state(0.1, paused=True)
+    assert desk.stops == 1
+
+
+def test_it_is_stopped_where_nobody_has_enabled_motions() -> None:
+    desk = Programming()
+    desk.interlock.policy = "always"
+    desk.interlock.enable(desk.clock.now)
+    stopped(desk)
+    assert desk.monitor.refusal() is not None
+    desk.state(0.1, paused=True)
+    assert desk.stops == 1
+
+
+@pytest.mark.parametrize(("firmware", "stops"), [("5.11", 2), ("1.8", 1)])
+def test_its_stop_is_sent_again_where_its_end_would_be_reported(firmware: str, stops: int) -> None:
+    """A CB2 reports no ends by name, so a program that runs later may be another."""
+    desk = Programming(firmware=firmware)
+    run = desk.motion(asks=False)
+    run.begins() if firmware == "5.11" else run.says("started")
+    desk.state(0.1, runs=True)
+    desk.realtime.tell(fast(SafetyMode.PROTECTIVE_STOP))
+    desk.realtime.tell(fast())
+    for _ in range(6):
+        desk.state(0.1, runs=True)
+    assert desk.stops == stops
+
+
+def test_one_that_was_sent_a_stop_just_before_is_sent_it_again() -> None:
+    """It may have stopped before that arrived; a CB2 reports no ends by name."""
+    desk = Programming(firmware="1.8")
+    run = desk.motion(asks=False)
+    run.says("started")
+    desk.state(0.1, runs=True)
+    run.cancel()
+    assert desk.stops == 1
+    desk.realtime.tell(fast(SafetyMode.PROTECTIVE_STOP))
+    desk.realtime.tell(fast())
+    for _ in range(3):
+        desk.state(0.1, paused=True)
+    assert desk.stops == 2
+
+
+def test_a_script_that_is_cancelled_during_a_stop_is_stopped_after_it() -> None:
+    desk = Programming(firmware="1.8")
+    script = desk.script()
+    script.says("started")
+    desk.state(0.1, runs=True)
+    desk.realtime.tell(fast(SafetyMode.PROTECTIVE_STOP))
+    script.cancel()
+    assert desk.stops == 0
+    desk.realtime.tell(fast())
+    for _ in range(3):
+        desk.state(0.1, paused=True)
+    assert desk.stops == 1
