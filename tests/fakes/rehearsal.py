@@ -221,9 +221,9 @@ class Rehearsal(ScriptedController):
             if not data:
                 return None
             self._rest += data
-        *messages, mode = struct.unpack(">13i", self._rest[:MESSAGE_SIZE])
+        *whole, mode = struct.unpack(">13i", self._rest[:MESSAGE_SIZE])
         self._rest = self._rest[MESSAGE_SIZE + 4 :]  # without its date
-        numbers = [each / 1e6 for each in messages]
+        numbers = [each / 1e6 for each in whole]
         self.speeds = numbers[6:]
         return numbers[:6], mode
 

@@ -118,10 +118,15 @@ class Within:
         self.is_once = is_once
 
     def __call__(self, robot: Robot, count: int = 1) -> None:
-        # Where the computer is so busy that nothing comes for longer, the robot brakes.
-        with contextlib.suppress(ConnectionLost), self.opened(robot) as opened:
-            for _ in range(count):
-                self.use(opened)
+        for is_last in (False, False, False, True):
+            try:
+                with self.opened(robot) as opened:
+                    for _ in range(count):
+                        self.use(opened)
+                return
+            except ConnectionLost:  # the computer is so busy that nothing came for longer, and the robot brakes
+                if is_last:
+                    raise
 
 
 def servo(robot: Robot, **options: Any) -> Servo:

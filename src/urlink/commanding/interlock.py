@@ -71,7 +71,7 @@ class Status(NamedTuple):
 class _Source:
     def __init__(self) -> None:
         self.status: Status | None = None
-        self.reported = float("-inf")
+        self.reported_at = float("-inf")
         #: why it reports nothing: its connection was lost, or the robot is silent
         self.absence: str | None = None
 
@@ -117,7 +117,7 @@ class Interlock:
     def report(self, source: str, status: Status, at: float) -> LinkError | None:
         """A source reported something at the time `at`. The error that ends all motions, if that has closed it."""
         known = self._sources.setdefault(source, _Source())
-        known.status, known.reported, known.absence = status.over(known.status), at, None
+        known.status, known.reported_at, known.absence = status.over(known.status), at, None
         return self._look()
 
     def amend(self, source: str, status: Status, at: float) -> LinkError | None:
@@ -166,12 +166,12 @@ class Interlock:
 
     def has_reported_since(self, since: float) -> bool:
         """Every source has reported after that time, and there is one."""
-        return bool(self._sources) and all(known.reported > since for known in self._sources.values())
+        return bool(self._sources) and all(known.reported_at > since for known in self._sources.values())
 
     @property
     def statuses(self) -> list[Status]:
         """What each source reported last on its present connection, the newest first."""
-        known = sorted(self._sources.values(), key=lambda each: each.reported, reverse=True)
+        known = sorted(self._sources.values(), key=lambda each: each.reported_at, reverse=True)
         return [each.status for each in known if each.status is not None]
 
     @property
@@ -227,7 +227,7 @@ class Interlock:
 
     def _staleness(self, now: float) -> NotRunning | None:
         for name, known in self._sources.items():
-            age = now - known.reported
+            age = now - known.reported_at
             if age > self.stale_after:
                 return NotRunning(
                     f"nothing has been read from the {name} interface for {age:.1f} s, so nothing is known of the "

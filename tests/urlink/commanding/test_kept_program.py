@@ -148,14 +148,19 @@ def test_closing_during_a_stop_waits_for_three_states(
 # -- state by state, without a controller ----------------------------------------------------------------
 
 
+def short_stop(desk: Programming) -> None:
+    """It is over before the primary interface has reported it."""
+    desk.realtime.tell(fast(SafetyMode.PROTECTIVE_STOP))
+    desk.realtime.tell(fast())
+
+
 def stopped(desk: Programming) -> Run:
     """A motion that a stop has ended; the stop is over, and the next state may be the second without it."""
     run = desk.motion()
     run.begins()
     desk.state(0.1, runs=True)
-    desk.realtime.tell(fast(SafetyMode.PROTECTIVE_STOP))
+    short_stop(desk)
     assert run.end.startswith("SafetyStop")
-    desk.realtime.tell(fast())
     desk.state(0.1, paused=True)
     assert desk.stops == 0
     return run
@@ -188,8 +193,7 @@ def test_once_it_is_gone_another_program_is_left_alone() -> None:
     desk = Programming(firmware="1.8")
     desk.motion(asks=False).says("started")
     desk.state(0.1, runs=True)
-    desk.realtime.tell(fast(SafetyMode.PROTECTIVE_STOP))
-    desk.realtime.tell(fast())
+    short_stop(desk)
     for runs in (False, False, True, True, True):
         desk.state(0.1, runs=runs)
     assert desk.stops == 0
@@ -200,8 +204,7 @@ def test_a_program_that_was_sent_before_the_stop_and_begins_after_it_is_left_alo
     desk = Programming(firmware="1.8", start_place=StartPlace(None, ()))
     desk.motion(asks=False).says("started")
     script = desk.script()
-    desk.realtime.tell(fast(SafetyMode.PROTECTIVE_STOP))
-    desk.realtime.tell(fast())
+    short_stop(desk)
     for _ in range(4):
         desk.state(0.1, runs=True)
     assert desk.stops == 0
@@ -300,8 +303,7 @@ def test_its_stop_is_sent_again_where_its_end_would_be_reported(firmware: str, s
     run = desk.motion(asks=False)
     run.begins() if firmware == "5.11" else run.says("started")
     desk.state(0.1, runs=True)
-    desk.realtime.tell(fast(SafetyMode.PROTECTIVE_STOP))
-    desk.realtime.tell(fast())
+    short_stop(desk)
     for _ in range(6):
         desk.state(0.1, runs=True)
     assert desk.stops == stops
@@ -315,8 +317,7 @@ def test_one_that_was_sent_a_stop_just_before_is_sent_it_again() -> None:
     desk.state(0.1, runs=True)
     run.cancel()
     assert desk.stops == 1
-    desk.realtime.tell(fast(SafetyMode.PROTECTIVE_STOP))
-    desk.realtime.tell(fast())
+    short_stop(desk)
     for _ in range(3):
         desk.state(0.1, paused=True)
     assert desk.stops == 2
