@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
+import time
 from collections.abc import Callable
+from types import SimpleNamespace
 
 import pytest
 
 from linkcore.errors import Cancelled, ConnectionLost, LinkTimeout
+from linkcore.net.recall import Recall, TakeBack
 from linkcore.pending_call import PendingCall, check_wanted
 from tests.fakes.line import Desk, slow
 from urlink.commanding.channel import CommandChannel
@@ -286,3 +290,57 @@ def test_over_another_connection(desk: Desk) -> None:
         desk.channel.motion(TEXT)
     desk.channel.motion("stopj(2)", is_stop=True)
     assert (sent, desk.sent) == (["setting", "stop"], ["stopj(2)\n"])
+
+
+@pytest.mark.parametrize(
+    ("options", "may_wait", "order", "pending"),
+    [
+        ({}, True, ["taken back", "sent"], ()),
+        ({"is_stop": True}, True, ["sent"], ("play",)),
+        ({"wait": False}, True, ["sent"], ("play",)),
+        ({}, False, ["sent"], ("play",)),
+        ({"is_stop": True, "replaces": True}, True, ["sent"], ()),
+    ],
+)
+def test_what_was_given_up_is_taken_back_before_a_motion(
+    options: dict[str, bool], may_wait: bool, order: list[str], pending: tuple[str, ...]
+) -> None:
+    """Not before a stop, nor by who cannot wait; a program that replaces the one that runs supersedes it."""
+    desk, recall, seen = Desk(may_wait=may_wait), Recall("controller"), list[str]()
+    desk.clear()
+    channel = CommandChannel(desk.channel._connection, desk.monitor, desk.section, desk.clock, recall)
+
+    def take_back(client: object, is_wanted: Callable[[], bool]) -> None:
+        time.sleep(0.3)
+        if is_wanted():
+            seen.append("taken back")
+
+    given_up(recall, take_back)
+    channel.motion(TEXT, claim=lambda: seen.append("sent"), **options)
+    assert (seen, recall.pending) == (order, pending)
+    recall.close()
+
+
+def test_a_second_for_what_cannot_be_taken_back() -> None:
+    desk, recall = Desk(may_wait=True), Recall("controller")
+    desk.clear()
+    channel = CommandChannel(desk.channel._connection, desk.monitor, desk.section, desk.clock, recall)
+
+    def take_back(client: object, is_wanted: Callable[[], bool]) -> None:
+        raise ConnectionLost("it is away")
+
+    given_up(recall, take_back)
+    begin = time.monotonic()
+    channel.motion(TEXT)
+    assert time.monotonic() - begin == pytest.approx(1.0, abs=0.05)
+    assert (desk.sent, recall.pending) == ([TEXT + "\n"], ("play",))
+    recall.close()
+
+
+def given_up(recall: Recall, undo: Callable[[object, Callable[[], bool]], None]) -> None:
+    """A command of that name was sent and not answered."""
+    client = SimpleNamespace(close=lambda: None)
+    with contextlib.suppress(LinkTimeout), recall.command("play", 0.0, TakeBack(lambda: client, undo)) as give_up:
+        give_up()
+        raise LinkTimeout("no answer")
+    assert recall.pending == ("play",)

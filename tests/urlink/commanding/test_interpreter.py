@@ -7,16 +7,20 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 import urlink
-from linkcore.errors import BadValue, Cancelled, ConnectFailed, LinkTimeout, LocalError, PacketError, WrongPeer
-from linkcore.handle import Phase
+from linkcore.errors import BadValue, Cancelled, Closed, ConnectFailed, LinkTimeout, LocalError, PacketError, WrongPeer
+from linkcore.handle import Lifecycle, Phase
+from linkcore.net.dialogue import Dialogue
+from tests.fakes.line import Desk
 from tests.waiting import until
-from urlink.commanding.interpreter import CLEAR_AFTER
+from urlink.commanding.interpreter import CLEAR_AFTER, _take_back
 from urlink.interfaces.interpreter import LONGEST_REPLY, WORDS, InterpreterProtocol, parse_reply, statement_line
 from urlink.simulator import Controller, Still
 from urlink.simulator.urscript.statements import MOST
@@ -169,6 +173,47 @@ def test_a_statement_that_was_given_up_is_taken_back(
         interpreter.execute("a = 42")
         interpreter.execute('textmsg("a is ", a)', wait=True)
         until(lambda: interpreter.texts == ("a is 42",))
+
+
+@pytest.mark.parametrize("is_over", [False, True])
+@pytest.mark.parametrize("until_done", range(5))
+def test_what_takes_a_statement_back(is_over: bool, until_done: int) -> None:
+    """First it is asked whether the controller answers; the mode ends where its program was given up too. What is
+    superseded meanwhile is taken back no further."""
+    asked: list[str] = []
+    life = Lifecycle("interpreter mode", Desk().callbacks)
+    if is_over:
+        life.fail(LinkTimeout("no answer"))
+    dialogue = cast(Dialogue, SimpleNamespace(ask=lambda line, timeout: asked.append(line)))
+    _take_back(life, dialogue, lambda: len(asked) < until_done)
+    lines = ["statelastexecuted", "skipbuffer", "abort", *["end_interpreter()"] * is_over]
+    assert asked == lines[:until_done]
+
+
+def test_ctrl_c_while_statements_are_waited_for_ends_the_mode(
+    robot: urlink.Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(word: str) -> int:
+        raise KeyboardInterrupt
+
+    interpreter = robot.interpreter()
+    monkeypatch.setattr(interpreter, "_ask", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        interpreter.wait_executed(TIMEOUT)
+    assert interpreter.phase is Phase.CANCELLED
+
+
+def test_a_program_that_is_not_in_the_mode_yet_is_asked_again_at_once(robot: urlink.Robot) -> None:
+    begin = time.monotonic()
+    with robot.interpreter():
+        assert time.monotonic() - begin < 0.5
+
+
+def test_a_closed_robot_connects_to_no_interpreter(controller: Controller) -> None:
+    with urlink.connect(controller.address) as robot, robot.interpreter():
+        pass
+    with pytest.raises(Closed, match=r"the robot at 127\.0\.0\.1 was closed"):
+        robot.interpreter()
 
 
 def test_many_statements_are_cleared_before_there_are_too_many(controller: Controller, robot: urlink.Robot) -> None:
