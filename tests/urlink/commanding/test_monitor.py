@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import gc
+import threading
+import time
+import weakref
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import pytest
@@ -13,6 +18,7 @@ from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from linkcore.wire.packet import State
 from tests.fakes.line import FIRMWARE, Desk, Subscriber, fast, slow
 from urlink.commanding.interlock import Interlock
+from urlink.commanding.monitor import SafetyMonitor
 from urlink.commanding.section import Section
 from urlink.errors import NotRunning, SafetyStop
 from urlink.interfaces.enums import RobotMode, SafetyMode
@@ -217,6 +223,38 @@ def test_closing_lets_go_of_everything(desk: Monitored) -> None:
     assert desk.stops == []  # it is no stop of the robot
 
 
+def test_closing_keeps_nobody_who_asked_to_be_called(desk: Monitored) -> None:
+    """They are parts that hold the monitor: it would live until the garbage collector runs."""
+
+    class Part:
+        def on_close(self, error: LinkError) -> None: ...
+
+        def on_silence(self, seconds: float) -> None: ...
+
+    parts = [Part(), Part()]
+    desk.monitor.on_close(parts[0].on_close)
+    desk.monitor.on_silence(parts[1].on_silence)
+    kept = list(map(weakref.ref, parts))
+    desk.monitor.close()
+    parts.clear()
+    assert [each() for each in kept] == [None, None]
+
+
+@pytest.mark.parametrize("ask", [SafetyMonitor.require, SafetyMonitor.require_running])
+def test_a_refusal_lives_no_longer_than_who_catches_it(desk: Monitored, ask: Callable[[SafetyMonitor], None]) -> None:
+    """Its traceback has the frame that raised it, which must not refer to it."""
+    caught: list[weakref.ref[LinkError]] = []
+    gc.disable()
+    try:
+        try:
+            ask(desk.monitor)
+        except NotRunning as error:
+            caught.append(weakref.ref(error))
+        assert [each() for each in caught] == [None]
+    finally:
+        gc.enable()
+
+
 # -- waiting -------------------------------------------------------------------------------------------
 
 
@@ -295,3 +333,33 @@ def test_how_long_news_is_waited_for() -> None:
     desk.monitor._section = Section(lambda: True)
     desk.monitor.await_news(moves=True)
     assert asked == []  # in the thread that would have to hear it
+
+
+def test_the_thread_that_reads_looks_itself_where_something_is_in_the_way(desk: Monitored) -> None:
+    """At the lines that it reads: what has come meanwhile, before it is refused."""
+    desk.clear()
+    looks: list[str] = []
+    for name, line in (("primary", desk.primary), ("realtime", desk.realtime)):
+        line.look = partial(looks.append, name)  # type: ignore[method-assign]
+    desk.monitor.await_news(moves=True)
+    assert looks == []
+    desk.primary.tell(slow(SafetyMode.PROTECTIVE_STOP))
+    desk.monitor.await_news(moves=False)
+    assert looks == []
+    desk.monitor.await_news(moves=True)
+    assert looks == ["primary", "realtime"]
+    desk.primary.reads_here = lambda: False  # type: ignore[method-assign]
+    desk.monitor.await_news(moves=True)
+    assert looks == ["primary", "realtime", "realtime"]
+
+
+@pytest.mark.simulated_time
+def test_who_waits_is_told_that_the_robot_was_closed() -> None:
+    """Also where nothing was listened to yet."""
+    desk = Desk(may_wait=True)
+    closing = threading.Timer(0.1, desk.monitor.close)
+    closing.start()
+    begin = time.monotonic()
+    assert not desk.monitor.wait_for(lambda interlock: False, 3600.0)
+    assert time.monotonic() - begin < 1.0
+    closing.join(1.0)
