@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any, cast
 
 from linkcore.clock import Stamp
+from linkcore.errors import LinkTimeout
 from linkcore.handle import Handle, Lifecycle
+from linkcore.net.recall import Recall, TakeBack
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from linkcore.threads import CallbackThread
@@ -166,6 +169,15 @@ class Desk:
     @property
     def sent(self) -> list[str]:
         return self.primary.sent
+
+
+def give_up(recall: Recall, name: str, undo: Callable[[Any, Callable[[], bool]], object]) -> None:
+    """A command of that name was sent and not answered."""
+    client = SimpleNamespace(close=lambda: None)
+    with contextlib.suppress(LinkTimeout), recall.command(name, 0.0, TakeBack(lambda: client, undo)) as sent:
+        sent()
+        raise LinkTimeout("no answer")
+    assert recall.pending == (name,)
 
 
 STARTED, STOPPED = "PROGRAM_XXX_STARTED", "PROGRAM_XXX_STOPPED"

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
 import threading
 import time
 from collections.abc import Callable
-from types import SimpleNamespace
 
 import pytest
 
 from linkcore.errors import Cancelled, ConnectionLost, LinkTimeout
-from linkcore.net.recall import Recall, TakeBack
+from linkcore.net.recall import Recall
 from linkcore.pending_call import PendingCall, check_wanted
-from tests.fakes.line import Desk, slow
+from tests.fakes.line import Desk, give_up, slow
 from urlink.commanding.channel import CommandChannel
 from urlink.errors import NotRunning, SafetyStop
 from urlink.interfaces.enums import RobotMode, SafetyMode
@@ -315,7 +313,7 @@ def test_what_was_given_up_is_taken_back_before_a_motion(
         if is_wanted():
             seen.append("taken back")
 
-    given_up(recall, take_back)
+    give_up(recall, "play", take_back)
     channel.motion(TEXT, claim=lambda: seen.append("sent"), **options)
     assert (seen, recall.pending) == (order, pending)
     recall.close()
@@ -329,18 +327,9 @@ def test_a_second_for_what_cannot_be_taken_back() -> None:
     def take_back(client: object, is_wanted: Callable[[], bool]) -> None:
         raise ConnectionLost("it is away")
 
-    given_up(recall, take_back)
+    give_up(recall, "play", take_back)
     begin = time.monotonic()
     channel.motion(TEXT)
     assert time.monotonic() - begin == pytest.approx(1.0, abs=0.05)
     assert (desk.sent, recall.pending) == ([TEXT + "\n"], ("play",))
     recall.close()
-
-
-def given_up(recall: Recall, undo: Callable[[object, Callable[[], bool]], None]) -> None:
-    """A command of that name was sent and not answered."""
-    client = SimpleNamespace(close=lambda: None)
-    with contextlib.suppress(LinkTimeout), recall.command("play", 0.0, TakeBack(lambda: client, undo)) as give_up:
-        give_up()
-        raise LinkTimeout("no answer")
-    assert recall.pending == ("play",)

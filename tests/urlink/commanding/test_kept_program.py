@@ -13,7 +13,7 @@ from linkcore.handle import Handle
 from linkcore.streaming.connection_life import ConnectionState
 from tests.fakes.line import STARTED, STOPPED, Programming, Run, Subscriber, fast
 from tests.waiting import until
-from urlink.interfaces.enums import SafetyMode
+from urlink.interfaces.enums import RobotMode, SafetyMode
 from urlink.simulator import Controller, Still
 from urlink.urscript.wrapping import StartPlace
 
@@ -335,3 +335,39 @@ def test_a_script_that_is_cancelled_during_a_stop_is_stopped_after_it() -> None:
     for _ in range(3):
         desk.state(0.1, paused=True)
     assert desk.stops == 1
+
+
+def test_a_later_program_replaces_it_where_none_is_reported_by_name(caplog: pytest.LogCaptureFixture) -> None:
+    """Nothing tries to stop it any more, with each state."""
+    caplog.set_level("INFO", "urlink")
+    desk = Programming(firmware="1.8")
+    desk.motion(asks=False).says("started")
+    desk.state(0.1, runs=True)
+    short_stop(desk)
+    desk.motion(asks=False).says("started")
+    for _ in range(3):
+        desk.state(0.1, runs=True)
+    assert desk.stops == 0
+    assert caplog.messages == []
+
+
+def test_a_program_beside_it_does_not_replace_it() -> None:
+    desk = Programming()
+    stopped(desk)
+    desk.script("sec blink():\n  set_flag(1, True)\nend")
+    desk.state(0.1, paused=True)
+    assert desk.stops == 1
+
+
+def test_one_that_ends_since_the_robot_does_not_run_is_not_stopped_later() -> None:
+    """It was not paused: what runs once the robot runs again may be another."""
+    desk = Programming(firmware="1.8")
+    run = desk.motion(asks=False)
+    run.says("started")
+    desk.state(0.1, runs=True)
+    desk.realtime.tell(fast(mode=RobotMode.POWER_OFF))
+    assert run.end.startswith("NotRunning")
+    desk.realtime.tell(fast())
+    for _ in range(3):
+        desk.state(0.1, runs=True)
+    assert desk.stops == 0

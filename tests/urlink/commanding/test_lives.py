@@ -12,7 +12,7 @@ from linkcore.clock import Stamp
 from linkcore.errors import Cancelled, Closed, ConnectFailed, ConnectionLost, LinkError, LinkTimeout
 from linkcore.handle import Lifecycle, Phase
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
-from tests.fakes.line import FIRMWARE, STARTED, Programming, Run, Subscriber, slow
+from tests.fakes.line import FIRMWARE, STARTED, Programming, Run, Subscriber, give_up, slow
 from urlink.errors import CompileError, NotRunning, ProgramStopped, SafetyStop, ScriptFailed
 from urlink.interfaces.enums import RobotMode, SafetyMode
 from urlink.interfaces.primary.robot_message import RuntimeExceptionMessage, TextMessage
@@ -442,6 +442,49 @@ def test_only_the_newest_is_stopped(desk: Programming) -> None:
     three = desk.motion(asks=False, is_stop=True)
     three.cancel()
     assert desk.stops == 2  # nobody has to enable an arm that is to stop
+
+
+def test_a_stop_that_is_refused_says_so(desk: Programming) -> None:
+    script = desk.script()
+    script.begins()
+    desk.primary.tell(slow(SafetyMode.PROTECTIVE_STOP))
+    with pytest.raises(SafetyStop, match="protective stop"):
+        desk.programs.stop(script._life)
+
+
+def test_it_is_known_when_the_last_one_ended(desk: Programming) -> None:
+    """A state from before that may show its movement."""
+    run = desk.motion()
+    run.begins()
+    desk.clock.now += 5.0
+    run.stops()
+    desk.state(0.7)
+    assert run.done
+    assert desk.programs.ended == desk.clock.now
+
+
+@pytest.mark.simulated_time
+@pytest.mark.parametrize(
+    ("begin", "pending"),
+    [
+        (lambda desk: desk.motion(), ()),
+        (lambda desk: desk.motion(is_stop=True), ("play",)),
+        (lambda desk: desk.script(SEC), ("play",)),
+    ],
+)
+def test_what_replaces_the_running_program_supersedes_what_was_given_up(
+    desk: Programming, begin: Callable[[Programming], Run], pending: tuple[str, ...]
+) -> None:
+    """It need not be taken back any more. Neither a stop nor a program beside replaces it."""
+
+    def undo(client: object, is_wanted: Callable[[], bool]) -> None:
+        raise ConnectionLost("it is away")
+
+    recall = desk.channel._recall
+    give_up(recall, "play", undo)
+    begin(desk)
+    assert recall.pending == pending
+    recall.close()
 
 
 def test_what_is_sent_while_a_stop_waits_for_news_is_not_stopped(
