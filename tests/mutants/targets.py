@@ -36,6 +36,7 @@ GROUPS = {
         ("urlink/commanding/*.py",),
         (
             "tests/urlink/commanding",
+            "tests/urlink/interfaces/test_tool_serial.py",
             "tests/urlink/motion",
             "tests/urlink/rtde",
             "tests/urlink/test_cycles.py",

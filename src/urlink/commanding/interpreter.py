@@ -336,7 +336,7 @@ class Interpreters:
         """Until the controller takes a statement."""
         while True:
             if interpreter.done:
-                interpreter.wait(0)
+                interpreter.wait()
                 raise RemoteError(f"{interpreter.name} was over before it began")
             try:
                 # It may not be in the mode yet, which is not a failure.

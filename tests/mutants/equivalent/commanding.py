@@ -5,9 +5,18 @@ from tests.mutants.equivalent import Equivalent
 CHANNEL = "urlink/commanding/channel.py"
 INTERPRETER = "urlink/commanding/interpreter.py"
 MONITOR = "urlink/commanding/monitor.py"
+PROGRAMS = "urlink/commanding/programs.py"
 
 EQUIVALENT: tuple[Equivalent, ...] = (
     Equivalent(CHANNEL, "_has_turn", "return False", "return None", "its only caller asks whether it is true"),
     Equivalent(INTERPRETER, "__exit__", "0", "1", "type and exception are both None, or neither is"),
     Equivalent(MONITOR, "wait_for", "left <= 0.0", "left < 0.0", "a clock that says exactly this costs one more look"),
+    Equivalent(PROGRAMS, "__init__", "4", "5", "a random number is one of more, of which as many bits are used"),
+    Equivalent(
+        PROGRAMS,
+        "_stop_kept",
+        "now - self._stop_sent > _IGNORED",
+        "now - self._stop_sent >= _IGNORED",
+        "a state that comes exactly then, or the next",
+    ),
 )

@@ -240,7 +240,14 @@ def test_closing_keeps_nobody_who_asked_to_be_called(desk: Monitored) -> None:
     assert [each() for each in kept] == [None, None]
 
 
-@pytest.mark.parametrize("ask", [SafetyMonitor.require, SafetyMonitor.require_running])
+@pytest.mark.parametrize(
+    "ask",
+    [
+        SafetyMonitor.require,
+        SafetyMonitor.require_running,
+        lambda monitor: monitor._interlock.enable(monitor.clock()),
+    ],
+)
 def test_a_refusal_lives_no_longer_than_who_catches_it(desk: Monitored, ask: Callable[[SafetyMonitor], None]) -> None:
     """Its traceback has the frame that raised it, which must not refer to it."""
     caught: list[weakref.ref[LinkError]] = []
