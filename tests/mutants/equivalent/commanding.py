@@ -4,12 +4,14 @@ from tests.mutants.equivalent import Equivalent
 
 CHANNEL = "urlink/commanding/channel.py"
 INTERPRETER = "urlink/commanding/interpreter.py"
+IO = "urlink/commanding/io.py"
 MONITOR = "urlink/commanding/monitor.py"
 PROGRAMS = "urlink/commanding/programs.py"
 
 EQUIVALENT: tuple[Equivalent, ...] = (
     Equivalent(CHANNEL, "_has_turn", "return False", "return None", "its only caller asks whether it is true"),
     Equivalent(INTERPRETER, "__exit__", "0", "1", "type and exception are both None, or neither is"),
+    Equivalent(IO, "set_tool_communication", "3", "4", "numbers of 32 bits up to 40 are that exact"),
     Equivalent(MONITOR, "wait_for", "left <= 0.0", "left < 0.0", "a clock that says exactly this costs one more look"),
     Equivalent(PROGRAMS, "__init__", "4", "5", "a random number is one of more, of which as many bits are used"),
     Equivalent(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
@@ -99,6 +100,8 @@ def test_reading(robot: ScriptedController) -> None:
     assert io.tool_analog_in(0) == Analog(2.5, AnalogDomain.VOLTAGE)
     assert io.tool_analog_in(1) == Analog(3.5, AnalogDomain.CURRENT)
     assert io.tool_voltage == 24
+    cells = re.findall(r"<td[^>]*>([^<]*)</td>", io._repr_html_())
+    assert cells[1::2] == ["3, 8, 17", "7, 15, 16", "1.5 V", "0.004 A", "0 V", "0.02 A"]
 
 
 def test_cb2() -> None:
