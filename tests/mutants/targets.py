@@ -43,6 +43,7 @@ GROUPS = {
             "tests/urlink/test_gravity_and_payload.py",
             "tests/urlink/test_robot.py",
             "tests/urlink/test_public_names.py",
+            "tests/urlink/test_units.py",
         ),
     ),
     "motion": Group(
