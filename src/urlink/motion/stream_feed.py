@@ -80,7 +80,7 @@ class _Sent:
 
     def clock(self, t: float) -> float:
         """`t` s after it began, on the clock of the stream, s."""
-        return self.begins + (self.ends - self.begins) * min(t / self.step.length, 1.0) if t > 0.0 else self.begins
+        return self.begins + (self.ends - self.begins) * max(t, 0.0) / self.step.length
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,0 +1,237 @@
+"""What feeds a stream: how far ahead it plans, what it sends first, and what becomes of points that are given up."""
+
+from __future__ import annotations
+
+import contextlib
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from linkcore.errors import BadValue, ConnectionLost, LinkTimeout
+from tests.fakes.rehearsal import HOME, turned
+from tests.urlink.motion.streamed import Streamed
+from tests.urlink.motion.test_stream import E_SERIES, FIRMWARES, wave, waves
+from urlink.firmware import Firmware
+from urlink.motion.common_time import MemberPace
+from urlink.motion.stream_feed import StreamFeed
+from urlink.motion.stream_steps import Mark
+from urlink.motion.trajectory import TrajectoryPoint
+from urlink.urscript.buffering import POINT
+from urlink.urscript.links import WAIT
+
+
+def moves(stream: Streamed, since: float = 0.5) -> Streamed:
+    """Points are left for two seconds."""
+    stream.append(waves(0.05, since + 2.0))
+    stream.until(lambda: stream.feed.time > since)
+    return stream
+
+
+def mark(stream: Streamed) -> Mark:
+    """Where the next point begins."""
+    assert stream.feed.mark is not None
+    return stream.feed.mark
+
+
+def test_before_it_begins_and_at_rest() -> None:
+    stream = Streamed(E_SERIES)
+    feed = stream.feed
+    assert (feed.time, feed.reach(1.0), feed.ahead, feed.is_dry, feed.is_answered) == (0.0, 0.0, 0.0, True, True)
+    assert feed.dry().done()
+    assert feed.answered().done()
+    feed.skip(2.0)
+    feed.skip(1.0)  # not back
+    assert feed.time == feed.reach(1.0) == mark(stream).time == 2.0
+    assert mark(stream).moment.q == pytest.approx(HOME)
+    stream.append(TrajectoryPoint(turned(0.1), 3.0, [0] * 6, [0] * 6))
+    feed.skip(5.0)  # not where points are left
+    assert (feed.time, mark(stream).time) == (2.0, 3.0)
+    dry, answered = feed.dry(), feed.answered()
+    assert (dry.done(), answered.done(), feed.is_dry) == (False, True, False)
+    stream.run(3)
+    feed.skip(5.0)
+    assert feed.time < 3.0
+    stream.until(dry.done)
+    assert feed.time == 3.0
+    assert stream.path[-1] == pytest.approx(turned(0.1), abs=1e-6)
+    feed.skip(5.0)
+    assert feed.time == 5.0
+
+
+def test_before_the_arm_rests_there_is_nothing() -> None:
+    feed = StreamFeed(lambda link: [], contextlib.nullcontext(), Streamed(E_SERIES).bounds, 0.002, 10, 0.3)
+    feed.skip(2.0)
+    assert (feed.time, feed.mark, feed.begun.done()) == (0.0, None, False)
+
+
+def test_it_is_answered_once_no_cut_is_on_its_way() -> None:
+    stream = moves(Streamed(E_SERIES, way=5))
+    feed = stream.feed
+    done = [feed.replace(0.0, ()) for _ in range(2)]
+    answered = feed.answered()
+    while not answered.done():
+        assert not feed.is_answered
+        stream.run()
+    assert feed.is_answered
+    assert [each.done() for each in done] == [True, True]
+    assert done[0].result() <= done[1].result()
+
+
+def test_what_could_not_be_replaced_is_told_before() -> None:
+    stream = moves(Streamed(E_SERIES))
+    curve = stream.reader.curve([TrajectoryPoint(turned(2.0), 0.7, [0] * 6)], 0.4, mark(stream))
+    before, sent = mark(stream), stream.feed.reach(100.0)
+    with pytest.raises(BadValue, match="cannot be reached"):
+        stream.feed.check(0.4, curve)
+    stream.feed.check(0.4, stream.reader.curve(waves(0.4, 1.85), 0.4, before))
+    assert mark(stream) is before
+    assert stream.feed.is_answered
+    assert stream.feed.reach(100.0) == sent
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
+def test_a_cut_is_planned_six_cycles_and_ten_milliseconds_ahead(firmware: Firmware) -> None:
+    stream = moves(Streamed(firmware))
+    for later in (0.0, 0.1):
+        ahead = stream.feed.reach(later) - stream.feed.time
+        assert ahead == pytest.approx(6 * stream.period + 0.01 + later, abs=1e-9)
+
+
+def test_no_cut_is_planned_more_than_a_second_ahead() -> None:
+    stream = moves(Streamed(E_SERIES, buffer=3.0, way=400))
+    stream.feed.margin = 0.6  # messages take 0.8 s
+    assert stream.replace(0.0, waves(0.05, 6.0)) > 1.0
+    assert stream.feed.margin == 1.0
+
+
+@pytest.mark.parametrize("cycles", [0, 1, 2, 3, 30])
+def test_its_time_is_right_after_this_computer_has_stood_still(cycles: int) -> None:
+    """The reports that it finds then are older than the state."""
+    stream = moves(Streamed(E_SERIES, way=3), 0.3)
+    for _ in range(20):
+        stream.run(7)
+        before, begin = stream.feed.time, stream.bench.cycle
+        stream.run(cycles, is_frozen=True)
+        stream.run()
+        assert stream.feed.time - before == pytest.approx((stream.bench.cycle - begin) * stream.period)
+
+
+def test_its_end_is_told_to_all_that_wait() -> None:
+    stream = moves(Streamed(E_SERIES, way=5))
+    feed = stream.feed
+    replaced, others = [feed.replace(0.0, ()) for _ in range(2)], [feed.answered(), feed.dry()]
+    handed = stream.append(TrajectoryPoint(mark(stream).moment.q, 3.0))
+    error = ConnectionLost("it is away")
+    feed.end(error)
+    assert handed.future.exception(0.0) is error
+    assert [each.exception(0.0) for each in replaced] == [error] * 2
+    assert [each.exception(0.0) for each in others] == [error] * 2
+    assert feed.begun.result() is None  # it had begun
+    feed.end(LinkTimeout("later"))
+    assert replaced[0].exception() is error
+
+
+def test_the_end_before_it_has_begun() -> None:
+    feed = StreamFeed(lambda link: [], contextlib.nullcontext(), Streamed(E_SERIES).bounds, 0.002, 10, 0.3)
+    error = ConnectionLost("it is away")
+    feed.end(error)
+    assert feed.begun.exception(0.0) is error
+
+
+# -- points that are given up ------------------------------------------------------------------------------
+
+
+def test_points_that_are_given_up_before_they_were_sent() -> None:
+    """The next ones begin where those before them end; where nothing is left, at rest."""
+    stream = Streamed(E_SERIES)
+    feed = stream.feed
+    rests = mark(stream)
+    one, two, three = (stream.append(waves(t + 0.05, t + 0.5)) for t in (0.0, 0.5, 1.0))
+    for given_up in (three, one):
+        feed.forget(given_up)
+        assert mark(stream).time == pytest.approx(1.0)
+        assert mark(stream).moment.q == pytest.approx(wave(1.0).q)
+    feed.forget(two)
+    assert mark(stream).time == rests.time
+    assert mark(stream).moment.q == pytest.approx(HOME)
+    assert not mark(stream).moment.qd.any()
+    stream.run(10)
+    assert feed.is_dry
+    assert not np.ptp(stream.path or [list(HOME)], axis=0).any()
+
+
+def test_of_points_that_are_given_up_those_that_were_sent_are_reached() -> None:
+    stream = Streamed(E_SERIES, buffer=0.3)
+    handed = stream.append(waves(0.05, 1.0))
+    stream.until(lambda: stream.feed.time > 0.2)
+    stream.feed.forget(handed)
+    end = mark(stream)
+    assert 0.4 < end.time == stream.feed.reach(100.0) < 0.6
+    assert end.moment.q == pytest.approx(wave(end.time).q)
+    stream.append(waves(end.time + 0.05, 1.0))
+    stream.until(lambda: stream.feed.time > 0.95)
+    assert stream.feed.starved == 0
+
+
+def test_points_are_given_up_that_came_after_the_tail_was_cleared() -> None:
+    """What is left of the step in which it was cut is gone through."""
+    stream = moves(Streamed(E_SERIES))
+    cleared = stream.feed.replace(0.0, ())
+    rests = mark(stream)
+    assert not rests.moment.qd.any()
+    stream.feed.forget(stream.append(TrajectoryPoint(rests.moment.q, rests.time + 0.5)))
+    end = mark(stream)
+    stream.until(cleared.done)
+    assert end.time == rests.time == cleared.result()
+    assert end.moment.q == pytest.approx(wave(end.time).q, abs=2e-6)
+    assert end.moment.qd == pytest.approx(wave(end.time).qd, abs=1e-4)
+
+
+# -- several arms ------------------------------------------------------------------------------------------
+
+
+class Paces:
+    """In place of what several arms go at: `wanted` is the pace, and `looks` what was said of each cycle."""
+
+    def __init__(self) -> None:
+        self.wanted, self.change = 1.0, 0.0
+        self.looks: list[SimpleNamespace] = []
+
+    def look(self, *seconds: float, **what: Any) -> float:
+        self.looks.append(SimpleNamespace(**what))
+        self.wanted -= self.change
+        return self.wanted
+
+
+@pytest.mark.parametrize(("change", "paces"), [(0.0, 0), (0.0004, 2), (0.0015, 3)])
+def test_a_pace_is_sent_before_a_point_where_it_has_changed_by_a_thousandth(change: float, paces: int) -> None:
+    """The program is sent one of them each cycle."""
+    stream, pace = Streamed(E_SERIES), Paces()
+    stream.feed.pace = cast(MemberPace, pace)
+    stream.run(5)
+    messages: list[bytes] = []
+    step = stream.feed.step
+    stream.feed.step = lambda *what: messages.append(step(*what)) or messages[-1]  # type: ignore[func-returns-value,method-assign]
+    stream.append(waves(0.05, 1.0))
+    stream.run(2)  # the cut by which it begins, and the first point
+    pace.change = change
+    messages.clear()
+    stream.run(6)
+    kinds = [int.from_bytes(message[:4], "big") for message in messages]
+    assert (kinds.count(WAIT), kinds.count(POINT)) == (paces, 6 - paces)
+
+
+def test_what_is_said_of_an_arm_to_the_others() -> None:
+    stream, paces = Streamed(E_SERIES), Paces()
+    stream.feed.pace = cast(MemberPace, paces)
+    stream.run(5)
+    assert (paces.looks[-1].is_led, paces.looks[-1].is_idle) == (False, True)
+    moves(stream)
+    assert (paces.looks[-1].is_led, paces.looks[-1].is_idle) == (True, False)
+    # Without a report for a tenth of a second it counts as one that goes through no points; the last is some ms old.
+    stream.way = 10_000
+    paces.looks.clear()
+    stream.run(100)
+    assert [look.is_led for look in paces.looks].index(False) == pytest.approx(0.09 / stream.period, abs=6)
