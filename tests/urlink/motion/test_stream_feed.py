@@ -235,3 +235,22 @@ def test_what_is_said_of_an_arm_to_the_others() -> None:
     paces.looks.clear()
     stream.run(100)
     assert [look.is_led for look in paces.looks].index(False) == pytest.approx(0.09 / stream.period, abs=6)
+
+
+def test_its_time_is_right_while_its_pace_changes() -> None:
+    """Within the two cycles that a pace takes to get there."""
+    stream, paces = Streamed(E_SERIES), Paces()
+    stream.feed.pace = cast(MemberPace, paces)
+    stream.append(waves(0.05, 2.0))
+    times = np.linspace(0.0, 1.5, 15001)
+    angles = [wave(t).q[5] for t in times]
+    errors: list[float] = []
+    for paces.wanted in (1.0, 0.5, 0.05, 1.0, 0.0, 0.7):
+        for _ in range(150):
+            stream.run()
+            time = float(np.interp(stream.path[-1][5] if stream.path else 0.0, angles, times))
+            if 0.35 < time < 1.45:
+                errors.append((stream.feed.time - time) / stream.period)
+    assert len(errors) > 500
+    assert min(errors) > -2.5
+    assert max(errors) < 0.5
