@@ -16,7 +16,7 @@ from tests.urlink.motion.test_stream import E_SERIES, FIRMWARES, wave, waves
 from urlink.firmware import Firmware
 from urlink.motion.common_time import MemberPace
 from urlink.motion.stream_feed import StreamFeed
-from urlink.motion.stream_steps import Mark
+from urlink.motion.stream_steps import Handed, Mark
 from urlink.motion.trajectory import TrajectoryPoint
 from urlink.urscript.buffering import POINT
 from urlink.urscript.links import WAIT
@@ -104,6 +104,34 @@ def test_no_cut_is_planned_more_than_a_second_ahead() -> None:
     stream.feed.margin = 0.6  # messages take 0.8 s
     assert stream.replace(0.0, waves(0.05, 6.0)) > 1.0
     assert stream.feed.margin == 1.0
+
+
+@pytest.mark.parametrize("way", [0, 60])
+def test_the_program_is_sent_no_more_points_than_it_holds(way: int) -> None:
+    """One place is for the beginning of a step that is cut. Reports are late on a slow way."""
+    stream = Streamed(E_SERIES, buffer=0.1, way=way)
+    feed = stream.feed
+    feed.add(stream.reader.after(waves(0.004, 1.0, 0.004), mark(stream)), Handed())
+    held: list[int] = []
+    for _ in range(300):
+        stream.run()
+        held.append(feed._head - feed._report.base)
+    assert max(held) == feed._capacity - 1 == 28
+
+
+def test_points_are_handed_over_once_the_last_of_them_was_sent() -> None:
+    stream = Streamed(E_SERIES, buffer=0.3)
+    feed = stream.feed
+    one, two = stream.append(waves(0.05, 0.2)), stream.append(waves(0.25, 0.7))
+    stream.until(one.future.done)
+    assert feed.reach(100.0) == pytest.approx(0.2)
+    assert not two.future.done()
+    stream.run(30)
+    assert 0.28 < feed.ahead < 0.35
+    assert not two.future.done()
+    stream.until(two.future.done)
+    assert feed.reach(100.0) == pytest.approx(0.7)
+    assert feed.time == pytest.approx(0.65 - 0.3, abs=0.005)  # the last point but one is 0.3 s away
 
 
 @pytest.mark.parametrize("cycles", [0, 1, 2, 3, 30])
