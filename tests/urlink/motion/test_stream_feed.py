@@ -11,14 +11,14 @@ import pytest
 
 from linkcore.errors import BadValue, ConnectionLost, LinkTimeout
 from tests.fakes.rehearsal import HOME, turned
-from tests.urlink.motion.streamed import Streamed
+from tests.urlink.motion.streamed import ACCELERATION, JERK, Streamed
 from tests.urlink.motion.test_stream import E_SERIES, FIRMWARES, wave, waves
 from urlink.firmware import Firmware
 from urlink.motion.common_time import MemberPace
 from urlink.motion.stream_feed import StreamFeed
 from urlink.motion.stream_steps import Handed, Mark
 from urlink.motion.trajectory import TrajectoryPoint
-from urlink.urscript.buffering import POINT
+from urlink.urscript.buffering import BRAKING, POINT
 from urlink.urscript.links import WAIT
 
 
@@ -166,6 +166,48 @@ def test_the_end_before_it_has_begun() -> None:
     error = ConnectionLost("it is away")
     feed.end(error)
     assert feed.begun.exception(0.0) is error
+
+
+# -- messages that come too late ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("buffer", "cycles", "starved"), [(0.1, 20, 0), (0.1, 100, 1), (0.3, 100, 0), (0.3, 200, 1)])
+def test_points_that_came_too_late_are_sent_again(buffer: float, cycles: int, starved: int) -> None:
+    """A network that stands still, both ways, for longer than the program holds points."""
+    stream = moves(Streamed(E_SERIES, buffer=buffer), 0.5)
+    begin = len(stream.path)
+    stream.way = cycles
+    stream.run(cycles)
+    stream.way = 0
+    stream.until(lambda: stream.feed.time > 2.4)
+    assert stream.feed.starved == starved
+    # Not a point is left out: the arm is where the wave is.
+    assert stream.path[-1] == pytest.approx(wave(stream.feed.time).q, abs=3e-3)
+    _, qdd, _ = stream.derivatives(begin)
+    assert np.abs(qdd).max() < ACCELERATION
+
+
+@pytest.mark.parametrize("way", [0, 5, 15, 30])
+def test_points_that_come_while_it_brakes_for_want_of_them(way: int) -> None:
+    """It goes on from the braking where a cut comes in time, and else from rest."""
+    stream = Streamed(E_SERIES, way=way)
+    stream.append(waves(0.05, 0.6))
+    margin = stream.feed.margin
+    stream.until(lambda: stream.feed._report.phase == BRAKING)
+    assert stream.feed.time == pytest.approx(0.6)
+    begin, end = len(stream.path), mark(stream)
+    there = end.moment.q + 0.1
+    stream.append([TrajectoryPoint(there, end.time + t, [0] * 6, [0] * 6) for t in (0.5, 0.7)])
+    stream.run_dry()
+    assert stream.feed.time == pytest.approx(1.3)
+    assert stream.feed.starved == 1
+    assert stream.path[-1] == pytest.approx(there, abs=1e-6)
+    assert (stream.feed.margin > margin) is bool(way)
+    qd, qdd, qddd = stream.derivatives(begin - 5)
+    assert np.abs(qdd).max() < ACCELERATION
+    assert np.abs(qddd).max() < JERK * 1.05
+    slowest = float(np.linalg.norm(qd[: round(0.4 / stream.period)], axis=1).min())
+    assert (slowest > 0.01) is (way < 15)
 
 
 # -- points that are given up ------------------------------------------------------------------------------

@@ -1,14 +1,17 @@
-"""Steps of a stream: how long it takes to brake."""
+"""Steps of a stream: polynomials, how long it takes to brake, and the limits within which a path leads back."""
 
 from __future__ import annotations
 
+import contextlib
 import math
 
 import numpy as np
 import pytest
 
+from linkcore.errors import BadValue
+from urlink.models import model
 from urlink.motion.jerk_limited import JointLimit
-from urlink.motion.stream_steps import JointMoment, Step
+from urlink.motion.stream_steps import Bounds, JointMoment, Step
 from urlink.urscript.buffering import BRAKING_FACTOR, STRAY
 
 LIMITS = (JointLimit(3.0, 2.0, 50.0),) * 6
@@ -39,3 +42,201 @@ def test_how_long_braking_takes(speed: float, acceleration: float, seconds: floa
         assert step.end.qd == pytest.approx([0.0] * 6, abs=1e-9)
     if acceleration and not speed:
         assert abs(step.end.q[0]) <= STRAY + 1e-9
+
+
+# -- polynomials -------------------------------------------------------------------------------------------
+
+
+def random_moment(rng: np.random.Generator, size: float = 1.0) -> JointMoment:
+    q, qd, qdd = size * rng.uniform(-1.0, 1.0, (3, 6))
+    return JointMoment(q, qd, qdd)
+
+
+def same(one: JointMoment, other: JointMoment, *names: str) -> bool:
+    return all(getattr(one, name) == pytest.approx(getattr(other, name), abs=1e-9) for name in names)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize(("degree", "met"), [(1, ["q"]), (3, ["q", "qd"]), (5, ["q", "qd", "qdd"])])
+def test_a_step_meets_what_its_degree_can(degree: int, met: list[str], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    begin, end, length = random_moment(rng), random_moment(rng), float(rng.uniform(0.1, 2.0))
+    step = Step.to(begin, end, length, degree)
+    assert same(step.begin, begin, *met)
+    assert same(step.end, end, *met)
+    assert not step.rows[degree + 1 :].any()
+    if degree == 3:
+        assert not step.end.qdd.any()
+        assert step.at(length).qdd.any()
+
+
+@pytest.mark.parametrize("degree", [1, 3, 5])
+def test_speeds_and_accelerations_are_derivatives(degree: int) -> None:
+    rng = np.random.default_rng(degree)
+    step = Step.to(random_moment(rng), random_moment(rng), 0.8, degree)
+    for t in (0.1, 0.4, 0.7):
+        before, here, after = step.at(t - 1e-5), step.at(t), step.at(t + 1e-5)
+        assert here.qd == pytest.approx((after.q - before.q) / 2e-5, rel=1e-6, abs=1e-6)
+        assert here.qdd == pytest.approx((after.qd - before.qd) / 2e-5, rel=1e-6, abs=1e-6)
+
+
+@pytest.mark.parametrize("degree", [1, 3, 5])
+def test_a_step_in_two_parts(degree: int) -> None:
+    rng = np.random.default_rng(degree)
+    step = Step.to(random_moment(rng), random_moment(rng), 0.8, degree)
+    beginning, rest = step.cut(0.3), step.rest(0.3)
+    assert (beginning.length, beginning.degree) == (0.3, {1: 1, 3: 4, 5: 5}[degree])
+    assert rest.length == pytest.approx(0.5)
+    assert rest.degree == degree
+    assert same(beginning.end, step.at(0.3), "q", "qd", "qdd")
+    for t in (0.0, 0.2, 0.5):
+        assert same(rest.at(t), step.at(0.3 + t), "q", "qd", "qdd")
+
+
+@pytest.mark.parametrize(("degree", "count"), [(1, 1), (3, 2), (4, 2), (5, 3)])
+def test_it_begins_in_a_moment_as_far_as_its_degree_meets_one(degree: int, count: int) -> None:
+    rng = np.random.default_rng(degree)
+    step = Step.to(random_moment(rng), random_moment(rng), 0.8, degree)
+    for number, name in enumerate(("q", "qd", "qdd")):
+        for joint in range(6):
+            for by, is_same in ((0.9e-6, True), (-1.1e-6, False)):
+                begin = step.begin
+                getattr(begin, name)[joint] += by
+                assert step.begins_in(begin) is (is_same or number >= count)
+
+
+def test_what_rests() -> None:
+    for speed, acceleration, rests in ((0.9e-6, -0.9e-6, True), (-1.1e-6, 0.0, False), (0.0, 1.1e-6, False)):
+        assert moment(speed, acceleration).rests is rests
+    assert JointMoment.at_rest([1.0] * 6).rests
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_braking_begins_in_the_moment_and_ends_at_rest(seed: int) -> None:
+    begin = random_moment(np.random.default_rng(seed), 2.0)
+    step = Step.braking(begin, LIMITS)
+    assert same(step.begin, begin, "q", "qd", "qdd")
+    assert same(step.end, JointMoment.at_rest(step.end.q), "qd", "qdd")
+
+
+# -- what may be asked of an arm ---------------------------------------------------------------------------
+
+SPEED, ACCELERATION, JERK = 2.0, 8.0, 60.0
+
+
+def bounds(arm: str | None = "UR5e") -> Bounds:
+    own = (JointLimit(SPEED, ACCELERATION, JERK),) * 6
+    return Bounds(None if arm is None else model(arm), (SPEED,) * 6, own)
+
+
+def only(joint: int, value: float, q: float = 0.0, acceleration: float = 0.0) -> JointMoment:
+    """One joint is at `q` and moves."""
+    here = JointMoment.at_rest([0.0] * 6)
+    here.q[joint], here.qd[joint], here.qdd[joint] = q, value, acceleration
+    return here
+
+
+@pytest.mark.parametrize("joint", [0, 3, 5])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_first_limit_that_is_exceeded_is_told(joint: int, sign: float) -> None:
+    """With the step, the joint, the value and the limit."""
+    still = Step.to(only(joint, 0.0), only(joint, 0.0), 1.0, 5)
+    name = f"joint {joint}"
+    cases = [
+        (
+            Step.to(only(joint, 0.0), only(joint, 0.0, sign * 2.1), 1.0, 1),
+            rf"two: speed .*{name}\) is -?2\.1000 rad/s; ",
+        ),
+        (
+            Step.to(only(joint, 0.0, 0.0, sign * 42.0), only(joint, 0.0, 0.0, sign * 42.0), 0.05, 5),
+            rf"two: acceleration .*{name}\) is -?42\.0000 rad/s²; the limit of a UR5e is 40\.0000",
+        ),
+        (
+            Step.to(only(joint, 0.0, sign * 6.2), only(joint, 0.0, sign * 6.3), 1.0, 5),
+            rf"two: position of .*{name}\) is -?6\.\d+ rad; the limit of a UR5e is -?6\.2832 rad",
+        ),
+        (
+            Step.to(only(joint, sign * 1.5, sign * 5.0), only(joint, sign * 1.5, sign * 6.2), 0.8, 5),
+            rf"two: position where it would brake to if nothing followed of .*{name}\) is -?6\.\d+ rad",
+        ),
+    ]
+    for step, message in cases:
+        with pytest.raises(BadValue, match=message):
+            bounds().check([still, step], [False, False], ["one", "two"])
+
+
+def test_what_rounding_exceeds_is_within() -> None:
+    for excess, is_refused in ((1.0 + 0.9e-6, False), (1.0 + 1.2e-6, True)):
+        step = Step.to(only(0, 0.0), only(0, 0.0, excess * SPEED), 1.0, 1)
+        with pytest.raises(BadValue) if is_refused else contextlib.nullcontext():
+            bounds().check([step], [True], ["one"])
+
+
+def test_a_corner_has_no_acceleration() -> None:
+    """That of a straight step is none of the arm's: it is the program's that brakes."""
+    step = Step.to(only(0, 0.0, 0.0, 90.0), only(0, 0.0, 0.0, 90.0), 0.02, 5)
+    bounds().check([step], [True], ["one"])
+    with pytest.raises(BadValue, match="acceleration"):
+        bounds().check([step], [False], ["one"])
+
+
+def test_an_arm_that_is_not_known() -> None:
+    """A message holds three turns; the acceleration is that of no arm."""
+    turns = 6.0 * math.pi
+    unknown = bounds(None)
+    for q, acceleration, message in (
+        (turns - 0.01, 0.0, ""),
+        (0.0, 990.0, ""),
+        (turns + 0.01, 0.0, f"the limit of the fastest arm is {turns:.4f} rad"),
+        (-turns - 0.01, 0.0, f"the limit of the fastest arm is -{turns:.4f} rad"),
+        (0.0, 1010.0, r"the limit of the fastest arm is 1000\.0000 rad/s²"),
+    ):
+        here = only(2, 0.0, q, acceleration)
+        step = Step.to(here, only(2, 0.0, q, acceleration), 1e-3, 5)
+        with pytest.raises(BadValue, match=message) if message else contextlib.nullcontext():
+            unknown.check([step], [False], ["one"])
+
+
+@pytest.mark.parametrize(
+    "begin",
+    [only(1, 0.0), only(1, 1.0), only(1, -1.0), only(1, 0.5, 0.0, 4.0), only(1, 0.0, 0.0, 9.0), only(1, -1.9)],
+    ids=str,
+)
+def test_the_way_to_a_moment_is_quick_and_within_the_limits(begin: JointMoment) -> None:
+    """It takes at most an eighth longer than it has to."""
+    end = only(1, 0.3, 0.5)
+    way = bounds().way(begin, end, 0.004)
+    assert way is not None
+    assert same(way.begin, begin, "q", "qd", "qdd")
+    assert same(way.end, end, "q", "qd", "qdd")
+    t = np.linspace(0.0, way.length, 400)
+    moments = [way.at(each) for each in t]
+    assert max(abs(each.qd[1]) for each in moments) <= SPEED * 1.01
+    hardest = max(ACCELERATION, abs(begin.qdd[1]))
+    assert max(abs(each.qdd[1]) for each in moments) <= hardest * 1.01
+    assert np.abs(np.diff([each.qdd[1] for each in moments]) / t[1]).max() <= JERK * 1.01
+    quicker = [Step.to(begin, end, way.length / factor, 5) for factor in (1.126, 1.25, 1.5)]
+    assert bounds().first_within(quicker) is None
+
+
+def test_a_way_takes_as_long_as_it_is_to_and_twenty_seconds_at_most() -> None:
+    begin, end = only(0, 0.0), only(0, 0.0, 0.01)
+    for least in (3.0, 19.0, 25.0):
+        way = bounds().way(begin, end, least)
+        assert way is not None
+        assert way.length == least
+    assert bounds().way(begin, only(0, 0.0, 6.5), 0.004) is None
+    assert bounds().way(begin, only(0, 2.1), 30.0) is None
+    slow = Bounds(model("UR5e"), (0.1,) * 6, (JointLimit(0.1, ACCELERATION, JERK),) * 6)
+    for q, is_there in ((0.9, True), (1.2, False)):  # 15 s/8 of its mean is the largest speed
+        assert (slow.way(begin, only(0, 0.0, q), 0.004) is not None) is is_there
+
+
+@pytest.mark.parametrize("joint", range(6))
+def test_the_first_that_is_within_each_limit(joint: int) -> None:
+    begin, far = only(joint, 0.0), only(joint, 0.0, 0.5)
+    ways = [Step.to(begin, far, length, 5) for length in (0.2, 0.4, 1.2, 1.5)]
+    assert bounds().first_within(ways) == 2
+    assert bounds().first_within(ways[:2]) is None
+    beyond = [Step.to(only(joint, 0.0, q), only(joint, 0.0, q), 1.0, 5) for q in (6.3, -6.3, 6.28)]
+    assert bounds().first_within(beyond) == 2
