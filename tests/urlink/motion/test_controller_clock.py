@@ -1,16 +1,19 @@
-"""The time of a program, state by state. (The controller's clock is with the follower.)"""
+"""The time of a program, state by state, and its pauses. (The controller's clock is with the follower.)"""
 
 from __future__ import annotations
 
+import itertools
 import math
 from types import SimpleNamespace
 from typing import cast
 
+import numpy as np
 import pytest
 
+from urlink.errors import ToleranceExceeded
 from urlink.interfaces.enums import ProgramState
 from urlink.interfaces.realtime.packets import RealtimeState
-from urlink.motion.controller_clock import ProgramClock, is_paused, reported_scaling
+from urlink.motion.controller_clock import Pause, ProgramClock, is_paused, reported_scaling
 
 PLAYING, PAUSING, PAUSED = ProgramState.PLAYING, ProgramState.PAUSING, ProgramState.PAUSED
 
@@ -49,3 +52,80 @@ def test_its_time_is_the_controllers_by_the_mean_of_two_states() -> None:
         assert clock.rate == scaling
         assert wall.passed(each, now) == pytest.approx((later, later))
         assert wall.rate == 1.0
+
+
+def test_a_program_that_goes_on_is_slow_at_first() -> None:
+    clock = ProgramClock(0.008)
+    clock.passed(state(1.0, time=50.0), 0.0)
+    clock.passed(state(1.0, time=50.008), 0.008)
+    assert clock.rate == 1.0
+    clock.restart()
+    rates, scaled = [], []
+    for n in range(2, 24):
+        seconds, passed = clock.passed(state(1.0, time=50.0 + 0.008 * n), 0.008 * n)
+        assert seconds == pytest.approx(0.008)
+        rates.append(clock.rate)
+        scaled.append(passed)
+    assert rates == pytest.approx([min(0.05 * n, 1.0) for n in range(22)])
+    assert scaled[0] == 0.0
+    assert scaled[1:] == pytest.approx([0.008 * 0.5 * (a + b) for a, b in itertools.pairwise(rates)])
+    assert (clock.beginning(), clock.after(3.0, 0.25)) == (0.0, 3.25)
+
+
+# -- pauses ------------------------------------------------------------------------------------------------
+
+
+def arm(turned: float = 0.0, speed: float = 0.0, program: ProgramState = PAUSED) -> RealtimeState:
+    """Joint 4 is turned, and moves."""
+    q, qd = np.zeros(6), np.zeros(6)
+    q[4], qd[4] = turned, speed
+    return cast(RealtimeState, SimpleNamespace(q_target=q, qd_target=qd, program_state=program))
+
+
+def test_an_arm_that_is_where_it_came_to_rest_goes_on() -> None:
+    pause = Pause("a motion", 0.05)
+    assert [pause.look(arm(0.1 * n, program=PLAYING)) for n in range(3)] == [False] * 3
+    assert (pause.holds, pause.is_over, pause.count) == (False, False, 0)
+    for _ in range(2):
+        assert pause.look(arm(0.3, 1.0, PAUSING))
+        assert pause.look(arm(0.4, -1.1e-4))
+        assert pause.look(arm(0.5, 0.9e-4))  # here it rests
+        assert pause.look(arm(0.9, 0.0))  # it is pushed, and back in time
+        assert pause.holds
+        assert not pause.look(arm(0.5 + 0.0499, program=PLAYING))
+        assert pause.is_over
+        pause.is_over = False
+    assert pause.count == 2
+
+
+@pytest.mark.parametrize("moved", [0.0501, -0.0501])
+def test_an_arm_that_was_moved_does_not_go_on(moved: float) -> None:
+    pause = Pause("a motion", 0.05)
+    pause.look(arm(0.5))
+    pause.look(arm(0.5 + moved))
+    moved_by = (
+        r"^wrist 2 \(joint 4\) was moved by 0\.0501 rad while the program of a motion was paused; at most 0\.05 rad"
+    )
+    with pytest.raises(ToleranceExceeded, match=moved_by):
+        pause.look(arm(0.5 + moved, program=PLAYING))
+    assert (pause.holds, pause.is_over, pause.count) == (False, True, 1)
+
+
+def test_where_it_is_looked_at_once_the_pause_need_not_be_over() -> None:
+    pause = Pause("a motion", 0.05, at_once=True)
+    pause.look(arm(0.2, 1.0, PAUSING))
+    pause.look(arm(0.5))
+    pause.look(arm(0.549))
+    with pytest.raises(ToleranceExceeded):
+        pause.look(arm(0.551))
+
+
+def test_an_arm_that_had_not_come_to_rest_may_be_anywhere() -> None:
+    pause = Pause("a motion", 0.05)
+    pause.look(arm(0.2, 1.0, PAUSING))
+    assert not pause.look(arm(0.5, program=PLAYING))
+    # The place of the pause before does not count.
+    pause.look(arm(0.6))
+    pause.look(arm(0.6, program=PLAYING))
+    pause.look(arm(0.9, 1.0, PAUSING))
+    assert not pause.look(arm(0.9, program=PLAYING))

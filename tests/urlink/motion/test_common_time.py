@@ -1,0 +1,320 @@
+"""One time for several arms, state by state, each of a controller with a clock of its own."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import cast
+
+import pytest
+
+from urlink.interfaces.enums import ProgramState
+from urlink.interfaces.realtime.packets import RealtimeState
+from urlink.motion.common_time import CommonPace, CommonTime, MemberClock, MemberPace
+
+CYCLE = 0.008
+#: s by which the controllers' clocks are ahead of this computer's
+OFFSETS = (100.0, -7.0)
+#: 1/s with which a rate changes
+RAMP = 6.25
+
+
+def state(time: float, scaling: float = 1.0) -> RealtimeState:
+    playing = ProgramState.PLAYING
+    return cast(RealtimeState, SimpleNamespace(time=time, speed_scaling=scaling, program_state=playing))
+
+
+# -- of trajectories ---------------------------------------------------------------------------------------
+
+
+class Clocks:
+    """Two arms; `now` is this computer's time, s, and a state arrives `late` s after its time."""
+
+    def __init__(self, late: float = 0.0) -> None:
+        self.now, self.late = 50.0, late
+        self.common = CommonTime()
+        self.members = [self._member(offset) for offset in OFFSETS]
+
+    def _member(self, offset: float) -> MemberClock:
+        return self.common.member(lambda time: time - offset, CYCLE)
+
+    def step(self, *scalings: float | None) -> None:
+        """A cycle later, a state of each arm; None for none."""
+        self.now += CYCLE
+        for member, offset, scaling in zip(self.members, OFFSETS, scalings, strict=True):
+            if scaling is not None:
+                member.passed(state(self.now - self.late + offset, scaling), self.now)
+
+    def begin(self, *scalings: float) -> None:
+        """Until it has begun, at 0 s."""
+        self.step(*scalings)
+        for member in self.members:
+            member.beginning()
+        while self.members[0].beginning() is None:
+            self.step(*scalings)
+
+    @property
+    def time(self) -> float:
+        return self.common.at(self.now)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.02, -0.005])
+def test_it_begins_for_all_50_ms_after_the_last_is_ready(late: float) -> None:
+    clocks = Clocks(late)
+    one, other = clocks.members
+    for _ in range(5):
+        clocks.step(1.0, 1.0)
+        assert one.beginning() is None
+    assert clocks.common.began is None
+    assert other.beginning() is None
+    clocks.step(1.0, 1.0)
+    began = max(clocks.now, clocks.now - late) + 0.05
+    assert clocks.common.began == pytest.approx(began)
+    for _ in range(10):
+        clocks.step(1.0, 1.0)
+        at = clocks.now - late
+        for member in clocks.members:
+            if at < began:
+                assert member.beginning() is None
+            else:
+                assert member.beginning() == pytest.approx(at - began)
+    assert clocks.now - late > began
+
+
+@pytest.mark.parametrize("slow", [0, 1])
+def test_it_passes_as_slowly_as_for_the_slowest(slow: int) -> None:
+    clocks = Clocks()
+    clocks.begin(1.0, 1.0)
+    time = clocks.time
+    scalings = [1.0, 1.0]
+    scalings[slow] = 0.4
+    rates = []
+    for _ in range(20):
+        clocks.step(*scalings)
+        rates.append(clocks.common.rate)
+    # Twelve cycles with the ramp: the mean of both rates. The state of the second arm comes after that of the first.
+    assert rates == pytest.approx([min(max(1.0 - RAMP * CYCLE * (n - slow), 0.4), 1.0) for n in range(1, 21)])
+    assert clocks.time - time == pytest.approx(CYCLE * (1.0 * slow + 0.4 * (20 - slow) + 0.5 * 0.6 * 12))
+    time = clocks.time
+    for _ in range(20):
+        clocks.step(1.0, 1.0)
+    assert clocks.common.rate == pytest.approx(1.0)
+    assert clocks.time - time == pytest.approx(CYCLE * (0.4 * slow + 1.0 * (20 - slow) - 0.5 * 0.6 * 12))
+    assert [each.rate for each in clocks.members] == pytest.approx([1.0, 1.0])
+
+
+def test_it_begins_as_fast_as_the_slowest() -> None:
+    clocks = Clocks()
+    clocks.begin(0.3, 0.8)
+    assert clocks.common.rate == pytest.approx(0.3)
+
+
+def test_an_arm_that_is_silent_or_paused_halts_all_until_it_leaves() -> None:
+    clocks = Clocks()
+    clocks.begin(1.0, 1.0)
+    one, other = clocks.members
+    assert other.own_rate(clocks.now + 0.0999) == 1.0
+    assert other.own_rate(clocks.now + 0.1001) == 0.0
+    for _ in range(40):
+        clocks.step(1.0, None)
+    assert clocks.common.rate == 0.0
+    time = clocks.time
+    clocks.step(1.0, None)
+    assert clocks.time == time
+    clocks.step(1.0, 1.0)
+    clocks.step(1.0, 1.0)
+    assert clocks.common.rate > 0.0
+    other.is_paused = lambda: True
+    assert other.own_rate(clocks.now) == 0.0
+    for _ in range(20):
+        clocks.step(1.0, 1.0)
+    assert clocks.common.rate == 0.0
+    other.leave()
+    assert other.own_rate(clocks.now) == 1.0
+    for _ in range(20):
+        clocks.step(1.0, None)
+    assert clocks.common.rate == 1.0
+    one.leave()
+
+
+def test_one_that_leaves_before_it_was_ready_is_not_waited_for() -> None:
+    clocks = Clocks()
+    clocks.members[1].leave()
+    clocks.begin(1.0, 0.1)
+    assert clocks.common.rate == 1.0
+
+
+@pytest.mark.parametrize(
+    ("off", "towards"),
+    [(0.0, 0.0), (0.004, 0.004 / 0.2), (-0.004, -0.004 / 0.2), (0.5, 0.1), (-0.5, -0.1)],
+)
+def test_an_arm_is_led_to_the_common_time_in_a_fifth_of_a_second(off: float, towards: float) -> None:
+    """By a tenth of its speed at most."""
+    clocks = Clocks()
+    clocks.begin(1.0, 1.0)
+    clocks.step(1.0, 1.0)
+    member = clocks.members[0]
+    before = clocks.time - CYCLE - off
+    assert member.after(before, CYCLE) == pytest.approx(before + CYCLE * (1.0 + towards))
+
+
+def test_where_the_time_of_a_state_is_none_this_computers_clock_counts() -> None:
+    clocks = Clocks()
+    clocks.begin(1.0, 1.0)
+    clocks.now += CYCLE
+    time = clocks.time
+    clocks.members[0].passed(state(math.nan), clocks.now)
+    assert clocks.members[0].beginning() == pytest.approx(time)
+
+
+def test_an_arm_that_goes_on_after_a_pause_is_slow_at_first() -> None:
+    clocks = Clocks()
+    clocks.begin(1.0, 1.0)
+    clocks.members[1].restart()
+    clocks.step(1.0, 1.0)
+    assert clocks.members[1].own_rate(clocks.now) == 0.0
+    clocks.step(1.0, 1.0)
+    assert clocks.members[1].own_rate(clocks.now) == pytest.approx(RAMP * CYCLE)
+
+
+# -- of streams --------------------------------------------------------------------------------------------
+
+
+class Paces:
+    """Two streams; `places` is where each is, s."""
+
+    def __init__(self) -> None:
+        self.now = 50.0
+        self.common = CommonPace()
+        self.members = [self._member(offset) for offset in OFFSETS]
+        self.places = [0.0, 0.0]
+        self.are_led, self.are_idle = [True, True], [False, False]
+        self.rates = [1.0, 1.0]
+        self.sent = [0.0, 0.0]
+
+    def _member(self, offset: float) -> MemberPace:
+        return self.common.member(lambda time: time - offset, CYCLE)
+
+    def step(self, cycles: int = 1) -> None:
+        for _ in range(cycles):
+            self.now += CYCLE
+            for i, (member, offset) in enumerate(zip(self.members, OFFSETS, strict=True)):
+                what = {"is_led": self.are_led[i], "is_idle": self.are_idle[i]}
+                self.sent[i] = member.look(self.now + offset, self.now, self.places[i], self.rates[i], **what)
+
+
+def test_streams_begin_together_50_ms_after_the_last_goes_through_points() -> None:
+    paces = Paces()
+    paces.are_led = [True, False]
+    paces.step(20)
+    assert paces.sent == [0.0, 0.0]
+    paces.are_led = [True, True]
+    paces.step()
+    begins = paces.now + 0.05
+    sent: list[tuple[float, float]] = []
+    for _ in range(40):
+        paces.step()
+        assert paces.sent[0] == pytest.approx(paces.sent[1], abs=RAMP * CYCLE)
+        sent.append((paces.now, paces.sent[1]))
+    assert [pace for now, pace in sent if now < begins] == [0.0] * 6
+    rising = [pace for now, pace in sent if now >= begins]
+    # It holds two cycles later.
+    assert rising[:10] == pytest.approx([RAMP * CYCLE * n for n in range(2, 12)])
+    assert paces.sent == pytest.approx([1.0, 1.0])
+
+
+@pytest.mark.parametrize("slow", [0, 1])
+def test_streams_pass_as_slowly_as_the_slowest(slow: int) -> None:
+    """Which is the pace of the program on the slow arm, and a fraction of that on the other."""
+    paces = Paces()
+    paces.step(40)
+    paces.rates[slow] = 0.5
+    paces.step(40)
+    assert paces.sent[slow] == 1.0
+    assert paces.sent[1 - slow] == pytest.approx(0.5)
+    assert paces.common.at(paces.now) == pytest.approx(0.5)
+    paces.step()
+    assert paces.common.at(paces.now + 0.01) == pytest.approx(0.5)
+
+
+def test_a_stream_without_points_holds_up_nobody() -> None:
+    paces = Paces()
+    paces.are_led, paces.are_idle = [True, False], [False, True]
+    paces.step(40)
+    assert paces.sent == [1.0, 0.0]
+    paces.are_led, paces.are_idle = [False, False], [True, True]
+    paces.step(2)
+    assert paces.common.at(paces.now) == 0.0
+    # They begin together again.
+    paces.are_led, paces.are_idle = [True, True], [False, False]
+    paces.step(2)
+    assert paces.sent == [0.0, 0.0]
+    paces.step(40)
+    assert paces.sent == [1.0, 1.0]
+
+
+def test_a_stream_that_has_braked_halts_all_and_they_go_on_together() -> None:
+    paces = Paces()
+    paces.step(40)
+    paces.are_led[1] = False
+    paces.step(5)
+    assert 0.0 < paces.sent[0] < 1.0
+    paces.step(40)
+    assert paces.sent == [0.0, 0.0]
+    paces.are_led[1] = True
+    paces.step(2)
+    assert paces.sent == [0.0, 0.0]
+    paces.step(40)
+    assert paces.sent == [1.0, 1.0]
+
+
+def test_a_stream_that_is_silent_or_paused_has_no_rate_until_it_leaves() -> None:
+    paces = Paces()
+    paces.step(40)
+    other = paces.members[1]
+    assert other.own_rate(paces.now + 0.0999) == 1.0
+    assert other.own_rate(paces.now + 0.1001) == 0.0
+    other.is_paused = lambda: True
+    assert other.own_rate(paces.now) == 0.0
+    paces.step(40)
+    assert paces.sent == [0.0, 0.0]
+    other.leave()
+    assert other.own_rate(paces.now) == 1.0
+    paces.step(40)
+    assert paces.sent[0] == 1.0
+
+
+@pytest.mark.parametrize("ahead", [0.0, 0.02, 0.1, 0.3])
+@pytest.mark.parametrize("leader", [0, 1])
+def test_a_stream_that_is_ahead_waits_for_the_one_behind(leader: int, ahead: float) -> None:
+    """For a fifth of a second it stands; it is led there in that time."""
+    paces = Paces()
+    paces.step(40)
+    paces.places[leader] = ahead
+    paces.step(2)
+    assert paces.sent[leader] == pytest.approx(max(1.0 - ahead / 0.2, 0.0), abs=0.09)
+    assert paces.sent[1 - leader] == pytest.approx(1.0)
+
+
+def test_where_a_stream_is_at_another_moment() -> None:
+    """By its pace, for a tenth of a second at most; where it is not led it stands."""
+    paces = Paces()
+    paces.places = [3.0, 3.0]
+    paces.step(40)
+    member = paces.members[0]
+    place = member.place_at(paces.now, 1.0)
+    assert place == pytest.approx(3.0 + 2 * CYCLE)
+    for later, passed in ((0.05, 0.05), (0.2, 0.1), (-0.05, -0.05), (-0.2, -0.1)):
+        assert member.place_at(paces.now + later, 0.5) - place == pytest.approx(0.5 * passed)
+    paces.are_led[0] = False
+    paces.step()
+    assert member.place_at(paces.now + 0.05, 0.5) == 3.0
+    assert paces.common.lead(5.0, paces.now) == pytest.approx(2.0)
+
+
+def test_the_pace_of_a_state_without_a_time_is_that_of_its_arrival() -> None:
+    paces = Paces()
+    paces.step(40)
+    member = paces.members[0]
+    member.look(math.nan, paces.now + 0.01, 1.0, 1.0, is_led=True, is_idle=False)
+    assert member.place_at(paces.now + 0.01, 1.0) == pytest.approx(1.0 + 2 * CYCLE)
