@@ -1,0 +1,201 @@
+"""The points of a stream as they are given: what becomes of each, and what is refused."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from linkcore.errors import BadValue
+from urlink.models import model
+from urlink.motion import PosePoint
+from urlink.motion.jerk_limited import JointLimit
+from urlink.motion.stream_points import PointReader
+from urlink.motion.stream_steps import Bounds, JointMoment, Mark, Step
+from urlink.motion.trajectory import Trajectory, TrajectoryPoint
+from urlink.vectors import FloatArray
+
+SHORTEST = 0.004
+STILL = [0.0] * 6
+
+
+def reader(inverse: Callable[[FloatArray, FloatArray], FloatArray] = lambda pose, near: pose) -> PointReader:
+    limits = (JointLimit(3.0, 10.0, 100.0),) * 6
+    return PointReader(Bounds(model("UR5e"), (3.0,) * 6, limits), SHORTEST, inverse)
+
+
+def mark(time: float = 2.0, qd: float = 0.0) -> Mark:
+    """At zero; the last joint moves."""
+    return Mark(time, JointMoment(np.zeros(6), np.array([*STILL[:5], qd]), np.zeros(6)))
+
+
+def at(angle: float) -> list[float]:
+    return [*STILL[:5], angle]
+
+
+def point(angle: float, time: float, *more: float) -> TrajectoryPoint:
+    """Of the last joint: with its speed, and with its acceleration."""
+    return TrajectoryPoint(at(angle), time, *map(at, more))
+
+
+# -- appended ----------------------------------------------------------------------------------------------
+
+
+def test_each_point_has_the_step_from_the_one_before() -> None:
+    """Of the degree that it gives numbers for."""
+    points = [point(0.1, 2.5), point(0.2, 3.0, 0.3), point(0.3, 3.5, 0.1, 0.2), point(0.2, 4.0)]
+    aims = reader().after(points, mark(qd=0.01))
+    assert [(aim.time, aim.degree) for aim in aims] == [(2.5, 1), (3.0, 3), (3.5, 5), (4.0, 1)]
+    begin, time = mark(qd=0.01).moment, 2.0
+    for aim, given in zip(aims, points, strict=True):
+        assert aim.step is not None
+        assert aim.step.length == given.time - time
+        assert aim.step.degree == aim.degree
+        assert aim.moment.q == pytest.approx(given.q)
+        expected = Step.to(begin, aim.moment, aim.step.length, aim.degree)
+        assert aim.step.rows == pytest.approx(expected.rows)
+        begin, time = aim.moment, given.time
+    assert aims[1].moment.qd[5] == pytest.approx(0.3)
+    assert aims[2].moment.qdd[5] == pytest.approx(0.2)
+
+
+def test_one_point_and_none() -> None:
+    (aim,) = reader().after(point(0.1, 3.0), mark())
+    assert aim.time == 3.0
+    with pytest.raises(BadValue, match="there are no points"):
+        reader().after([], mark())
+    with pytest.raises(BadValue, match="there are no points"):
+        reader().curve([], 0.0, mark())
+
+
+def test_a_first_point_where_the_arm_rests_has_no_step() -> None:
+    for time in (2.0, 2.0 + 0.99 * SHORTEST, 2.0 - 0.99 * SHORTEST):
+        first, second = reader().after([point(0.04, time), point(0.1, 2.5)], mark())
+        assert (first.time, first.step, first.degree) == (2.0, None, 5)
+        assert first.moment.q[5] == 0.04
+        assert second.step is not None
+        assert second.step.length == pytest.approx(2.5 - time)
+    (moves,) = reader().after([point(0.04, 2.0, 0.2, 0.3)], mark())
+    assert (moves.moment.qd[5], moves.moment.qdd[5]) == (0.2, 0.3)
+
+
+@pytest.mark.parametrize(("away", "is_near"), [(0.0499, True), (-0.0499, True), (0.0501, False), (-0.0501, False)])
+def test_it_is_near_the_arm(away: float, is_near: bool) -> None:
+    why = rf"point 0 \(t = 2 s\): wrist 3 \(joint 5\) is at {away:.4f} rad, 0\.0501 rad from .*; expected at most 0\.05 rad"
+    with contextlib.nullcontext() if is_near else pytest.raises(BadValue, match=why):
+        reader().after(point(away, 2.0), mark())
+    there = Trajectory.from_arrays([0, 1], [at(away), at(0.1)])
+    with contextlib.nullcontext() if is_near else pytest.raises(BadValue, match="from where the arm is"):
+        reader().after(there, mark())
+
+
+@pytest.mark.parametrize(
+    ("number", "time", "is_refused"),
+    [
+        (0, 2.0 + SHORTEST, False),
+        (0, 2.0 + SHORTEST * (1 - 0.9e-6), False),
+        (0, 2.0 + SHORTEST * (1 - 1.2e-6), True),
+        (0, 2.0, True),
+        (0, 1.5, True),
+        (0, 1002.0, False),
+        (0, 1002.1, True),
+        (1, 2.5 + SHORTEST * (1 + 1e-9), False),
+        (1, 2.5 + 0.9 * SHORTEST, True),
+        (1, 1502.0, True),
+    ],
+)
+def test_how_far_points_are_apart(number: int, time: float, is_refused: bool) -> None:
+    """Two cycles of the controller at least, from an arm that moves."""
+    points = [point(0.0, 2.5)] * number + [point(0.0, time)]
+    why = rf"point {number} \(t = .*: its time is .* s after the point before, .* expected 0\.004 s, .* to 1000 s"
+    with pytest.raises(BadValue, match=why) if is_refused else contextlib.nullcontext():
+        reader().after(points, mark(qd=1e-5))
+
+
+def test_a_point_that_the_arm_could_not_follow_is_named() -> None:
+    points = [point(0.02, 2.0), point(0.03, 2.5), point(3.0, 2.6)]
+    why = r"^point 2 \(t = 2\.6 s\): speed of wrist 3"
+    with pytest.raises(BadValue, match=why):
+        reader().after(points, mark())
+    with pytest.raises(BadValue, match=why):
+        reader().curve(points, 0.0, mark())
+
+
+def test_an_acceleration_needs_a_speed() -> None:
+    lacking = TrajectoryPoint(at(0.1), 2.5, None, STILL)
+    with pytest.raises(BadValue, match="point 1 has accelerations without velocities"):
+        reader().after([point(0.1, 2.4), lacking], mark())
+
+
+@pytest.mark.parametrize(("wrong", "why"), [([3], "point 0 is 3; expected"), (3, "points are 3; expected")])
+def test_what_is_no_point(wrong: Any, why: str) -> None:
+    with pytest.raises(BadValue, match=why):
+        reader().after(wrong, mark())
+
+
+# -- trajectories ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("begins", "first"), [(0.0, 2.0), (2.7, 2.7)])
+def test_a_trajectory_begins_at_the_mark_or_later(begins: float, first: float) -> None:
+    there = Trajectory.from_arrays([0, 0.5, 1], [at(0), at(0.1), at(0.2)])
+    aims = reader().after(there, mark(), begins)
+    times = [first + t for t in (0.0, 0.5, 1.0)]
+    # Where the points end its first one is the mark.
+    assert [aim.time for aim in aims] == pytest.approx(times[1:] if first == 2.0 else times)
+    assert [aim.moment.q[5] for aim in aims][-2:] == pytest.approx([0.1, 0.2])
+    curve = reader().curve(there, 5.0, mark())
+    assert [aim.time for aim in curve] == [5.0, 5.5, 6.0]
+
+
+def test_a_dense_trajectory_is_sampled_at_every_fourth_cycle() -> None:
+    """It stays the same curve."""
+    dense = np.linspace(0.0, 1.0, 1001)
+    cubic = Trajectory.from_arrays(dense, [at(0.2 * u * u * (3 - 2 * u)) for u in dense])
+    aims = reader().after(cubic, mark())
+    assert len(aims) == 125
+    assert [aim.degree for aim in aims] == [3] * 125
+    for aim in aims[::20]:
+        assert aim.moment.q[5] == pytest.approx(float(cubic.at(np.array([aim.time - 2.0]))[0][0, 5]))
+    times = [2.0, *(aim.time for aim in aims)]
+    assert [b - a for a, b in itertools.pairwise(times)] == pytest.approx([2 * SHORTEST] * 125)
+    quintic = Trajectory.from_arrays(
+        dense,
+        [at(0.2 * u**3 * (10 - 15 * u + 6 * u * u)) for u in dense],
+        qd=[at(0.2 * 30 * u * u * (1 - u) ** 2) for u in dense],
+        qdd=[at(0.2 * 60 * u * (1 - 3 * u + 2 * u * u)) for u in dense],
+    )
+    assert {aim.degree for aim in reader().after(quintic, mark())} == {5}
+    short = Trajectory.from_arrays([0.0, 0.003, 0.0079], [at(0.0), at(1e-5), at(2e-5)])
+    assert [aim.time for aim in reader().after(short, mark())] == pytest.approx([2.0079])
+    sparse = Trajectory.from_arrays([0.0, 0.004, 0.1], [at(0.0), at(1e-5), at(2e-5)])
+    assert len(reader().after(sparse, mark())) == 2
+
+
+# -- poses -------------------------------------------------------------------------------------------------
+
+
+def test_a_pose_is_reached_as_near_as_can_be_to_the_point_before() -> None:
+    asked: list[float] = []
+
+    def inverse(pose: FloatArray, near: FloatArray) -> FloatArray:
+        asked.append(float(near[5]))
+        return np.array(at(float(pose[0])))
+
+    poses = [PosePoint([x, 0, 0, 0, 0, 0], time) for x, time in ((0.1, 3.0), (0.2, 5.0), (0.4, 6.0))]
+    aims = reader(inverse).after([poses[0], point(0.3, 4.0), *poses[1:]], mark())
+    assert asked == [0.0, 0.3, 0.2]
+    assert [aim.moment.q[5] for aim in aims] == pytest.approx([0.1, 0.3, 0.2, 0.4])
+    assert [aim.degree for aim in aims] == [1] * 4
+
+
+@pytest.mark.parametrize(("leap", "is_refused"), [(1.49, False), (-1.49, False), (1.51, True), (-1.51, True)])
+def test_a_pose_behind_a_singularity(leap: float, is_refused: bool) -> None:
+    read = reader(lambda pose, near: np.array(at(leap)))
+    why = rf"point 0 \(t = 9 s\): wrist 3 \(joint 5\) would leap from 0\.0000 to {leap:.4f} rad; .* 1\.5 rad"
+    with pytest.raises(BadValue, match=why) if is_refused else contextlib.nullcontext():
+        read.after(PosePoint(STILL, 9.0), mark())
