@@ -85,7 +85,7 @@ def test_a_first_point_where_the_arm_rests_has_no_step() -> None:
 
 @pytest.mark.parametrize(("away", "is_near"), [(0.0499, True), (-0.0499, True), (0.0501, False), (-0.0501, False)])
 def test_it_is_near_the_arm(away: float, is_near: bool) -> None:
-    why = rf"point 0 \(t = 2 s\): wrist 3 \(joint 5\) is at {away:.4f} rad, 0\.0501 rad from .*; expected at most 0\.05 rad"
+    why = rf"point 0 \(t = 2 s\): wrist 3 \(joint 5\) is at {away:.4f} rad, 0\.0501 rad from .*; .* 0\.05 rad"
     with contextlib.nullcontext() if is_near else pytest.raises(BadValue, match=why):
         reader().after(point(away, 2.0), mark())
     there = Trajectory.from_arrays([0, 1], [at(away), at(0.1)])
