@@ -30,7 +30,9 @@ def moment(speed: float, acceleration: float) -> JointMoment:
         (2.0, 0.0, BRAKING_FACTOR * 2.0 / 2.0),  # by the largest acceleration
         (0.02, 0.0, math.sqrt(6.0 * 0.02 / 50.0)),  # by the largest jerk
         (0.0, 1.0, 4.0 / 50.0),  # so is an acceleration that dies away
-        (0.0, 90.0, math.sqrt(12.0 * STRAY / 90.0)),  # which is to lead no joint further than it may stray
+        (0.0, 4.0, 16.0 / 50.0),
+        (0.0, 5.2, math.sqrt(12.0 * STRAY / 5.2)),  # which is to lead no joint further than it may stray
+        (0.0, 90.0, math.sqrt(12.0 * STRAY / 90.0)),
         (0.9, 90.0, math.sqrt(6.0 * 0.9 / 50.0)),
     ],
 )
