@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from linkcore.errors import BadValue, ConnectionLost, LinkTimeout
+from linkcore.errors import BadValue, Cancelled, ConnectionLost, LinkTimeout
 from tests.fakes.rehearsal import HOME, turned
 from tests.urlink.motion.streamed import ACCELERATION, JERK, Streamed
 from tests.urlink.motion.test_stream import E_SERIES, FIRMWARES, wave, waves
@@ -166,6 +166,71 @@ def test_the_end_before_it_has_begun() -> None:
     error = ConnectionLost("it is away")
     feed.end(error)
     assert feed.begun.exception(0.0) is error
+
+
+# -- replaced ----------------------------------------------------------------------------------------------
+
+
+def is_consistent(stream: Streamed) -> bool:
+    """What was sent and not passed takes as long as it is to on the clock of the stream: the arm is on its points."""
+    return stream.feed.ahead == pytest.approx(stream.feed.reach(100.0) - stream.feed.time, abs=1e-9)
+
+
+@pytest.mark.parametrize("since", [0.0, 0.62, 1.2])
+def test_what_was_handed_over_and_not_sent_is_given_up_where_it_is_replaced(since: float) -> None:
+    stream = Streamed(E_SERIES)
+    one, two = stream.append(waves(0.05, 0.6)), stream.append(waves(0.65, 2.0))
+    stream.until(lambda: stream.feed.time > 0.4)
+    assert one.future.done()
+    assert is_consistent(stream)
+    chunk = waves(since + 0.3, 2.5)
+    assert stream.replace(since, chunk) >= since
+    assert mark(stream).time == chunk[-1].time
+    assert mark(stream).moment.q == pytest.approx(chunk[-1].q)
+    assert one.future.exception() is None
+    # Points of it that come before the new ones are sent.
+    assert two.future.done() is (since < 0.65)
+    if since < 0.65:
+        with pytest.raises(Cancelled, match="were replaced or cleared before the robot had room"):
+            two.future.result()
+    for _ in range(100):
+        stream.run()
+        assert is_consistent(stream)
+    stream.until(lambda: stream.feed.time > 2.4)
+    assert stream.path[-1] == pytest.approx(wave(stream.feed.time).q, abs=3e-3)
+    assert two.future.done()
+    assert stream.feed.starved == 0
+
+
+def test_a_tail_is_cut_from_a_time_on_of_what_was_sent() -> None:
+    stream = moves(Streamed(E_SERIES))
+    cleared = stream.feed.replace(0.67, ())
+    assert mark(stream).time == 0.67
+    assert stream.feed.reach(100.0) == pytest.approx(0.67)
+    # The points before it stay.
+    stream.feed.forget(stream.append(TrajectoryPoint(mark(stream).moment.q, 1.5)))
+    assert mark(stream).time == pytest.approx(0.67)
+    assert mark(stream).moment.q == pytest.approx(wave(0.67).q, abs=2e-6)
+    stream.until(cleared.done)
+    assert is_consistent(stream)
+    stream.run_dry()
+    assert stream.feed.time == pytest.approx(0.67)
+
+
+def test_at_rest_it_goes_onto_the_first_points_that_it_can_reach_in_their_time() -> None:
+    stream = Streamed(E_SERIES)
+    stream.replace(0.0, [TrajectoryPoint(turned(0.01 * i), 0.05 * i, [0, 0, 0, 0, 0, 0.2]) for i in range(20)])
+    stream.run(30)
+    begin = stream.feed.time
+    stream.run(100)
+    assert stream.feed.time - begin == pytest.approx(100 * stream.period)
+    assert stream.path[-1] == pytest.approx(turned(0.2 * stream.feed.time), abs=1e-3)
+    # Later points are none of those that may be left out.
+    stream.run_dry()
+    end = mark(stream)
+    stream.append([TrajectoryPoint(end.moment.q + by, end.time + t) for by, t in ((0.05, 0.05), (0.0, 2.0))])
+    stream.until(lambda: stream.feed.time > end.time + 0.05)
+    assert stream.path[-1] == pytest.approx(end.moment.q + 0.05, abs=5e-3)
 
 
 # -- messages that come too late ---------------------------------------------------------------------------
