@@ -173,7 +173,7 @@ def test_the_end_before_it_has_begun() -> None:
 
 def is_consistent(stream: Streamed) -> bool:
     """What was sent and not passed takes as long as it is to on the clock of the stream: the arm is on its points."""
-    return stream.feed.ahead == pytest.approx(stream.feed.reach(100.0) - stream.feed.time, abs=1e-9)
+    return bool(stream.feed.ahead == pytest.approx(stream.feed.reach(100.0) - stream.feed.time, abs=1e-9))
 
 
 @pytest.mark.parametrize("since", [0.0, 0.62, 1.2])
@@ -215,6 +215,28 @@ def test_a_tail_is_cut_from_a_time_on_of_what_was_sent() -> None:
     assert is_consistent(stream)
     stream.run_dry()
     assert stream.feed.time == pytest.approx(0.67)
+
+
+@pytest.mark.parametrize("cycles", [1, 5, 20, 80])
+def test_points_are_replaced_onto_which_it_has_just_gone_from_braking(cycles: int) -> None:
+    """In what is left of the braking, in the path from there, and later."""
+    stream = Streamed(E_SERIES)
+    stream.append(waves(0.05, 0.6))
+    stream.until(lambda: stream.feed._report.phase == BRAKING)
+    begin, end = len(stream.path), mark(stream)
+    there = end.moment.q + 0.1
+    stream.append([TrajectoryPoint(there, end.time + t, [0] * 6, [0] * 6) for t in (0.5, 0.7)])
+    stream.until(lambda: stream.feed._report.phase != BRAKING)
+    stream.run(cycles)
+    assert is_consistent(stream) is (cycles >= 20)
+    still = [TrajectoryPoint(there - 0.03, end.time + 0.1 * i, [0] * 6, [0] * 6) for i in range(3, 14)]
+    stream.replace(0.0, still)
+    stream.run_dry()
+    assert stream.path[-1] == pytest.approx(there - 0.03, abs=1e-6)
+    assert stream.feed.starved == 1
+    _, qdd, qddd = stream.derivatives(begin - 5)
+    assert np.abs(qdd).max() < ACCELERATION
+    assert np.abs(qddd).max() < JERK * 1.05
 
 
 def test_at_rest_it_goes_onto_the_first_points_that_it_can_reach_in_their_time() -> None:
