@@ -205,13 +205,15 @@ class Engine:
     def _note(self, job: Job, outcome: str, tests: int, killer: str | None = None) -> None:
         path = str(job.path.relative_to(ROOT))
         self.results.append(Result(path, job.mutation, job.is_control, outcome, tests, killer))
+        if killer and job.is_control:
+            print(f"failed without a mutation: {killer}", file=sys.stderr, flush=True)
         if outcome in ("survived", "uncovered") and not job.is_control:
             mutation = job.mutation
             where = f"{job.path.relative_to(ROOT)}:{mutation.line}"
             print(f"{where}: {outcome}: {mutation.before}  ->  {mutation.after}", file=sys.stderr, flush=True)
 
     def _jobs(self) -> list[Job]:
-        """In the reverse of the order in which they are done."""
+        """In the reverse of the order in which they are done: controls are first."""
         jobs: list[Job] = []
         for path, source in self._sources.items():
             name = path.relative_to(ROOT / "src").as_posix()
@@ -220,8 +222,8 @@ class Engine:
                 found = sorted(self._random.sample(found, self._sample))
             jobs += [Job(path, mutation) for mutation in found]
         within = [job for job in jobs if job.mutation.function]
-        jobs += [job._replace(is_control=True) for job in self._random.sample(within, min(CONTROLS, len(within)))]
-        return jobs[::-1]
+        controls = [job._replace(is_control=True) for job in self._random.sample(within, min(CONTROLS, len(within)))]
+        return [*jobs[::-1], *controls]
 
     # -- children ----------------------------------------------------------------------------
 
