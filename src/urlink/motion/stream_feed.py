@@ -183,6 +183,8 @@ class StreamFeed:
         self._last: _Sent
         self._brake: Step
         self._is_open = False
+        #: number of the step that is the beginning of the braking, where it went on from that
+        self._resumed = 0
         self._queue: deque[Aim] = deque()
         self._cut: _Cut | None = None
         #: those that wait for the answer to the cut
@@ -463,7 +465,8 @@ class StreamFeed:
                 if not self._queue:  # it was cleared, or is past its last point
                     self.mark = Mark(time, found)
             self._brake = Step.braking(found or self._last.step.end, self._bounds.limits)
-            if self._brake.length > self._cycle and not self._is_cleared:
+            # Where it had gone on from braking and reached no point since, it is the same braking.
+            if self._brake.length > self._cycle and not self._is_cleared and self._last.number != self._resumed:
                 self.starved += 1
             self._is_cleared = False
 
@@ -548,6 +551,7 @@ class StreamFeed:
         kept = self._kept(None)
         self._open(report.base, t, 5, here, kept)
         step = self._brake.cut(t)
+        self._resumed = self._head
         self._steps.append(_Sent(self._head, 0, step, time, time, self._last.until + t, None))
 
     def _attend(self) -> None:

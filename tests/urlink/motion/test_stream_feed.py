@@ -274,7 +274,7 @@ def test_points_that_came_too_late_are_sent_again(buffer: float, cycles: int, st
     assert np.abs(qdd).max() < ACCELERATION
 
 
-@pytest.mark.parametrize("way", [0, 5, 15, 30])
+@pytest.mark.parametrize("way", [0, 5, 10, 15, 30])
 def test_points_that_come_while_it_brakes_for_want_of_them(way: int) -> None:
     """It goes on from the braking where a cut comes in time, and else from rest."""
     stream = Streamed(E_SERIES, way=way)
@@ -294,7 +294,7 @@ def test_points_that_come_while_it_brakes_for_want_of_them(way: int) -> None:
     assert np.abs(qdd).max() < ACCELERATION
     assert np.abs(qddd).max() < JERK * 1.05
     slowest = float(np.linalg.norm(qd[: round(0.4 / stream.period)], axis=1).min())
-    assert (slowest > 0.01) is (way < 15)
+    assert (slowest > 0.01) is (way < 10)
 
 
 # -- points that are given up ------------------------------------------------------------------------------
