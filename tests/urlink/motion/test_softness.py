@@ -14,6 +14,7 @@ from urlink.firmware import Firmware
 from urlink.models import Model, model
 from urlink.motion.softness import Softness
 from urlink.urscript.springs import Springs
+from urlink.vectors import JOINTS
 
 UR5E = model("UR5e")
 DIRECT, MEASURED, NONE = Firmware(5, 23), Firmware(5, 10), Firmware(5, 9)
@@ -53,13 +54,14 @@ RANGES: list[tuple[str, str, list[float], list[float]]] = [
 
 @pytest.mark.parametrize(("frame", "name", "least", "most"), RANGES, ids=lambda value: str(value)[:12])
 def test_each_axis_has_its_range(frame: str, name: str, least: list[float], most: list[float]) -> None:
+    axes = JOINTS if frame == "joints" or name == "posture_stiffness" else ("x", "y", "z", "rx", "ry", "rz")
     asked(frame, DIRECT, UR5E, **{name: least})
     asked(frame, DIRECT, UR5E, **{name: most})
     for axis in range(6):
         for bound, beyond in ((least, -1e-6), (most, 1e-6)):
             values = [(low + high) / 2 for low, high in zip(least, most, strict=True)]
             values[axis] = bound[axis] + beyond
-            with pytest.raises(BadValue, match=rf"^{name}\[{axis}\] \([\w ]+\) is .*; expected"):
+            with pytest.raises(BadValue, match=rf"^{name}\[{axis}\] \({axes[axis]}\) is .*; expected"):
                 asked(frame, DIRECT, UR5E, **{name: values})
 
 
@@ -89,6 +91,15 @@ def test_a_joint_that_turns_without_end_has_a_number_for_that() -> None:
     found: Springs = asked(arm=model("UR3e")).keywords["springs"]
     assert endless == [5]
     assert (found.lowest[5], found.highest[5]) == (-1e6, 1e6)
+
+
+def test_an_arm_without_numbers_of_its_own_has_to_be_given_some() -> None:
+    for name in ("stiffness", "torque"):
+        others = {"stiffness": 100.0, "torque": 10.0}
+        del others[name]
+        with pytest.raises(BadValue, match=f"^{name} has no default for a UR20; expected a number, or six"):
+            asked("joints", DIRECT, model("UR20"), **others)
+    asked("joints", DIRECT, model("UR20"), stiffness=100.0, torque=10.0)
 
 
 @pytest.mark.parametrize("frame", ["base", "tool"])
