@@ -99,7 +99,6 @@ class ProgramClock:
         self.rate = 1.0
         self._clock = ControllerClock(cycle)
         self._is_ignored = scaling == "ignore"
-        self._has_begun = False
         self._is_new = False
         self._most = 1.0
 
@@ -117,8 +116,6 @@ class ProgramClock:
         self._most = min(self._most + RAMP * seconds, 1.0)
         before = self.rate
         self.rate = min(1.0 if self._is_ignored else reported_scaling(state), self._most)
-        if not self._has_begun:
-            self._has_begun, before = True, self.rate
         return seconds, 0.5 * (before + self.rate) * seconds
 
     def beginning(self) -> float | None:

@@ -93,6 +93,7 @@ def test_it_passes_as_slowly_as_for_the_slowest(slow: int) -> None:
         clocks.step(*scalings)
         rates.append(clocks.common.rate)
     # Twelve cycles with the ramp: the mean of both rates. The state of the second arm comes after that of the first.
+    assert [each.rate for each in clocks.members] == pytest.approx([0.4, 0.4])
     assert rates == pytest.approx([min(max(1.0 - RAMP * CYCLE * (n - slow), 0.4), 1.0) for n in range(1, 21)])
     assert clocks.time - time == pytest.approx(CYCLE * (1.0 * slow + 0.4 * (20 - slow) + 0.5 * 0.6 * 12))
     time = clocks.time
@@ -191,6 +192,7 @@ class Paces:
         self.are_led, self.are_idle = [True, True], [False, False]
         self.rates = [1.0, 1.0]
         self.sent = [0.0, 0.0]
+        self.has_left = [False, False]
 
     def _member(self, offset: float) -> MemberPace:
         return self.common.member(lambda time: time - offset, CYCLE)
@@ -199,6 +201,8 @@ class Paces:
         for _ in range(cycles):
             self.now += CYCLE
             for i, (member, offset) in enumerate(zip(self.members, OFFSETS, strict=True)):
+                if self.has_left[i]:
+                    continue
                 what = {"is_led": self.are_led[i], "is_idle": self.are_idle[i]}
                 self.sent[i] = member.look(self.now + offset, self.now, self.places[i], self.rates[i], **what)
 
@@ -228,13 +232,24 @@ def test_streams_pass_as_slowly_as_the_slowest(slow: int) -> None:
     """Which is the pace of the program on the slow arm, and a fraction of that on the other."""
     paces = Paces()
     paces.step(40)
-    paces.rates[slow] = 0.5
+    paces.rates = [0.8, 0.8]
+    paces.rates[slow] = 0.4
     paces.step(40)
     assert paces.sent[slow] == 1.0
     assert paces.sent[1 - slow] == pytest.approx(0.5)
-    assert paces.common.at(paces.now) == pytest.approx(0.5)
+    assert paces.common.at(paces.now) == pytest.approx(0.4)
     paces.step()
-    assert paces.common.at(paces.now + 0.01) == pytest.approx(0.5)
+    assert paces.common.at(paces.now + 0.01) == pytest.approx(0.4)
+
+
+def test_a_stream_by_itself_begins_as_late() -> None:
+    paces = Paces()
+    paces.has_left[1] = True
+    for _ in range(6):
+        paces.step()
+        assert paces.sent[0] == 0.0
+    paces.step(3)
+    assert paces.sent[0] > 0.0
 
 
 def test_a_stream_without_points_holds_up_nobody() -> None:
@@ -280,6 +295,7 @@ def test_a_stream_that_is_silent_or_paused_has_no_rate_until_it_leaves() -> None
     assert paces.sent == [0.0, 0.0]
     other.leave()
     assert other.own_rate(paces.now) == 1.0
+    paces.has_left[1] = True
     paces.step(40)
     assert paces.sent[0] == 1.0
 
