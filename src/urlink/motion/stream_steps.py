@@ -338,7 +338,7 @@ def onto(bounds: Bounds, curve: Sequence[Aim], here: JointMoment, time: float, s
         if not places or place[0].time > places[-1][0].time:
             places.append(place)
         at = time + _LATER * (at - time)
-    if not places or places[-1][0].time < time + shortest:
+    if not places:
         raise BadValue(
             f"all points are past: the last is at {curve[-1].time:g} s, and they are needed from {time:g} s on"
         )
@@ -354,8 +354,8 @@ def onto(bounds: Bounds, curve: Sequence[Aim], here: JointMoment, time: float, s
 
 
 def _landing(curve: Sequence[Aim], at: float, shortest: float) -> tuple[Aim, list[Aim]]:
-    """The moment of a curve at a time, or a little later at its next point; and the points after it."""
-    following = next(i for i, aim in enumerate(curve) if aim.time >= at or i == len(curve) - 1)
+    """The moment of a curve at a time before its end, or a little later at its next point; and the points after it."""
+    following = next(i for i, aim in enumerate(curve) if aim.time >= at)
     aim = curve[following]
     if aim.step is None or aim.time - at < shortest:
         return aim, list(curve[following + 1 :])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import math
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from linkcore.errors import BadValue
 from urlink.models import model
 from urlink.motion.jerk_limited import JointLimit
-from urlink.motion.stream_steps import Bounds, JointMoment, Step
+from urlink.motion.stream_steps import Aim, Bounds, JointMoment, Step, onto
 from urlink.urscript.buffering import BRAKING_FACTOR, STRAY
 
 LIMITS = (JointLimit(3.0, 2.0, 50.0),) * 6
@@ -242,3 +243,91 @@ def test_the_first_that_is_within_each_limit(joint: int) -> None:
     assert bounds().first_within(ways[:2]) is None
     beyond = [Step.to(only(joint, 0.0, q), only(joint, 0.0, q), 1.0, 5) for q in (6.3, -6.3, 6.28)]
     assert bounds().first_within(beyond) == 2
+
+
+# -- onto another curve ------------------------------------------------------------------------------------
+
+SHORTEST = 0.004
+
+
+def ramp(first: float, last: float, spacing: float = 0.1, rate: float = 0.2) -> list[Aim]:
+    """The last joint turns steadily, from 0 at 0 s."""
+    aims: list[Aim] = []
+    for n in range(round((last - first) / spacing) + 1):
+        time = first + n * spacing
+        here = only(5, rate, rate * time)
+        step = None if not aims else Step.to(aims[-1].moment, here, time - aims[-1].time, 5)
+        aims.append(Aim(time, 5, here, step))
+    return aims
+
+
+def check_on(curve: list[Aim], found: list[Aim], here: JointMoment, time: float) -> None:
+    """It goes from `here` onto the curve, and is on it from then on."""
+    assert found[0].step is not None
+    assert same(found[0].step.begin, here, "q", "qd", "qdd")
+    before = found[0].time - found[0].step.length
+    assert before == pytest.approx(time)
+    for aim, following in itertools.pairwise(found):
+        assert following.step is not None
+        assert same(following.step.begin, aim.moment, "q", "qd", "qdd")
+        assert following.step.length == pytest.approx(following.time - aim.time)
+    for aim in found:
+        assert aim.step is not None
+        assert same(aim.step.end, aim.moment, "q", "qd", "qdd")
+        assert aim.moment.q[5] == pytest.approx(0.2 * aim.time)
+    assert found[-1].time == curve[-1].time
+
+
+@pytest.mark.parametrize(("since", "lands"), [(0.5, 1.0 + 2 * SHORTEST), (1.3, 1.3)])
+def test_it_goes_over_as_soon_as_it_can(since: float, lands: float) -> None:
+    """In four cycles at least, and not before the curve begins."""
+    curve, here = ramp(since, 2.0), only(5, 0.2, 0.2)
+    found = onto(bounds(), curve, here, 1.0, SHORTEST)
+    assert found[0].time == pytest.approx(lands)
+    check_on(curve, found, here, 1.0)
+    assert [aim.time for aim in found[1:]] == pytest.approx([aim.time for aim in curve if aim.time > lands + 1e-9])
+    assert all(aim.degree == 5 for aim in found)
+
+
+@pytest.mark.parametrize("beside", [0.001, 0.03, 0.2])
+def test_it_takes_as_long_as_the_limits_want(beside: float) -> None:
+    """A quarter more than what was not enough."""
+    curve, here = ramp(0.0, 3.0), only(5, 0.2, 0.2 + beside)
+    found = onto(bounds(), curve, here, 1.0, SHORTEST)
+    check_on(curve, found, here, 1.0)
+    assert found[0].step is not None
+    length = found[0].step.length
+    assert math.log(length / (2 * SHORTEST), 1.25) == pytest.approx(round(math.log(length / (2 * SHORTEST), 1.25)))
+    assert bounds().first_within([found[0].step]) == 0
+    sooner = 1.0 + length / 1.25
+    assert bounds().first_within([Step.to(here, only(5, 0.2, 0.2 * sooner), sooner - 1.0, 5)]) is None
+
+
+def test_it_lands_on_the_last_point_if_on_none_before() -> None:
+    curve, here = ramp(0.0, 1.6), only(5, 0.2, 0.2 + 0.19)
+    (last,) = onto(bounds(), curve, here, 1.0, SHORTEST)
+    assert last.time == 1.6
+    # But not on one that it cannot reach in time either.
+    with pytest.raises(BadValue, match=r"the points up to 1\.2 s cannot be reached from where the stream is at 1 s"):
+        onto(bounds(), ramp(0.0, 1.2), here, 1.0, SHORTEST)
+
+
+@pytest.mark.parametrize(
+    ("ends", "is_past"), [(1.0, True), (1.0 + 1.4 * SHORTEST, True), (1.0 + 1.6 * SHORTEST, False)]
+)
+def test_points_that_are_past(ends: float, is_past: bool) -> None:
+    curve, here = ramp(ends - 0.5, ends), only(5, 0.2, 0.2)
+    why = rf"all points are past: the last is at {ends:g} s, and they are needed from 1 s on"
+    with pytest.raises(BadValue, match=why) if is_past else contextlib.nullcontext():
+        (found,) = onto(bounds(), curve, here, 1.0, SHORTEST)
+        assert found.time == pytest.approx(ends)
+
+
+@pytest.mark.parametrize(("before", "lands"), [(0.9 * SHORTEST, 1.1), (1.1 * SHORTEST, 1.1 - 1.1 * SHORTEST)])
+def test_it_lands_on_a_point_that_is_near(before: float, lands: float) -> None:
+    """What is left of the step to it would be too short."""
+    time = 1.1 - before - 2 * SHORTEST
+    here = only(5, 0.2, 0.2 * time)
+    found = onto(bounds(), ramp(0.0, 2.0), here, time, SHORTEST)
+    assert found[0].time == pytest.approx(lands)
+    check_on(ramp(0.0, 2.0), found, here, time)
