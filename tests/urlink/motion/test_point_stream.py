@@ -1,0 +1,241 @@
+"""What a user asks of a stream of points, on a robot that is played by the test and takes none of them."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from linkcore.errors import BadValue, Cancelled, Closed, ConnectionLost, LinkTimeout, LocalError
+from tests.fakes.rehearsal import HOME, Rehearsal, turned
+from tests.urlink.motion.test_blocks import entered
+from urlink.kinematics import Arm
+from urlink.motion import PosePoint
+from urlink.motion.common_time import MemberPace
+from urlink.motion.stream_feed import StreamFeed
+from urlink.motion.stream_steps import Aim
+from urlink.motion.trajectory import Trajectory, TrajectoryPoint
+
+pytestmark = pytest.mark.simulated_time
+
+
+def there(angle: float, t: float) -> TrajectoryPoint:
+    return TrajectoryPoint(turned(angle), t)
+
+
+# -- what it begins with -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("firmware", "buffer", "capacity"),
+    [("5.11", 0.3, 79), ("5.11", 0.5, 129), ("5.11", 10.0, 256), ("3.4", 0.48, 34), ("3.4", 0.05, 7)],
+)
+def test_the_program_holds_as_many_points_as_fit_into_its_buffer(
+    rehearsal: Callable[..., Rehearsal], firmware: str, buffer: float, capacity: int
+) -> None:
+    """Two cycles apart, 256 at most."""
+    robot = rehearsal(firmware, "UR5" if firmware < "5" else "UR5e")
+    with entered(robot, robot.motion.stream(buffer, watchdog=0.5)) as stream:
+        assert stream.buffer == buffer
+        assert f"head - base < {capacity}:" in robot.uploaded
+        assert all(
+            len(each.split(",")) == capacity for each in re.findall(r"kept_degree = \[([0, ]+)\]", robot.uploaded)
+        )
+
+
+def test_a_firmware_that_cannot_hold_points(rehearsal: Callable[..., Rehearsal]) -> None:
+    for firmware, model, why in (
+        ("1.8", "UR5", "CB2 controllers cannot read binary messages"),
+        ("3.3", "UR5", "its URScript lacks what that needs"),
+    ):
+        robot = rehearsal(firmware, model)
+        with pytest.raises(LocalError, match=rf"firmware {firmware} cannot hold points of a stream: {why}; 3\.4 is"):
+            robot.motion.stream()
+
+
+def test_before_its_block_nothing_is_told(robot: Rehearsal) -> None:
+    stream = robot.motion.stream()
+    assert (stream.time, stream.end, stream.buffered, stream.room, stream.starved) == (0.0, 0.0, 0.0, 0.5, 0)
+    assert stream.is_dry
+    calls: list[Callable[[], object]] = [
+        lambda: stream.append(there(0.1, 1.0)),
+        lambda: stream.replace(0.0, there(0.1, 1.0)),
+        stream.clear,
+        stream.wait_until_dry,
+    ]
+    for call in calls:
+        with pytest.raises(LocalError, match="is told something within its block"):
+            call()
+
+
+# -- points ------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def stream(robot: Rehearsal) -> Any:
+    """In its block; no state comes, so no point is sent."""
+    with entered(robot, robot.motion.stream(0.5)) as stream:
+        while not stream._feed.begun.done():
+            robot.show()
+        yield stream
+
+
+def test_points_that_wait_in_memory(stream: Any) -> None:
+    assert stream.append([there(0.1, 0.4), there(0.2, 0.8)], wait=False) == pytest.approx(-0.3)
+    assert (stream.end, stream.time, stream.is_dry) == (0.8, 0.0, False)
+    assert stream.buffered == 0.8
+    assert stream.room == pytest.approx(-0.3)
+
+
+def test_where_it_is_and_how_often_it_starved(stream: Any) -> None:
+    stream._feed = SimpleNamespace(time=3.0, mark=SimpleNamespace(time=2.0), starved=7, is_dry=True)
+    assert (stream.time, stream.end, stream.buffered, stream.room, stream.starved) == (3.0, 2.0, 0.0, 0.5, 7)
+    assert stream.is_dry
+
+
+@pytest.mark.parametrize(
+    ("call", "seconds", "why"),
+    [
+        (lambda stream: stream.append(there(0.1, 0.4), wait=0.3), 0.3, "has had no room for the points within 0.3 s"),
+        (lambda stream: stream.wait_until_dry(0.7), 0.7, "the stream has not run dry within 0.7 s"),
+    ],
+)
+def test_each_wait_has_an_end(stream: Any, call: Callable[[Any], object], seconds: float, why: str) -> None:
+    stream.append(there(0.05, 0.2), wait=False)
+    begin = time.monotonic()
+    with pytest.raises(LinkTimeout, match=re.escape(why)):
+        call(stream)
+    assert time.monotonic() - begin == pytest.approx(seconds, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("call", "why"),
+    [
+        (lambda stream: stream.replace(0.0, there(0.1, 0.4)), "has not taken the change of its points within 10 s"),
+        (lambda stream: stream.clear(), "has not taken the change of its points within 10 s"),
+        (lambda stream: stream._await_answer(), "the robot has not answered within 10 s"),
+    ],
+)
+def test_a_change_is_waited_for_for_ten_seconds(stream: Any, call: Callable[[Any], object], why: str) -> None:
+    never: Future[Any] = Future()
+    stream._feed.replace = lambda since, curve: never
+    stream._feed.answered = lambda: never
+    begin = time.monotonic()
+    with pytest.raises(LinkTimeout, match=why):
+        call(stream)
+    assert time.monotonic() - begin == pytest.approx(10.0, abs=0.05)
+
+
+def test_room_is_waited_for_for_a_minute_or_not_at_all(stream: Any) -> None:
+    waited: list[float] = []
+    stream._await_room = lambda handed, seconds: waited.append(seconds)
+    stream.append(there(0.1, 0.4))
+    stream.append(there(0.1, 0.8), wait=False)
+    assert waited == [60.0]
+
+
+def test_there_is_one_producer(stream: Any) -> None:
+    with stream._producing():
+        with pytest.raises(LocalError, match="a stream has one producer"):
+            stream.append(there(0.1, 0.4))
+        with pytest.raises(LocalError, match="a stream has one producer"):
+            stream.replace(0.0, there(0.1, 0.4))
+        stream.clear()  # is for any thread
+    with pytest.raises(BadValue):
+        stream.append([])
+    stream.append(there(0.1, 0.4), wait=False)
+
+
+def test_points_are_read_again_where_another_thread_has_cleared_the_stream(stream: Any) -> None:
+    after, read = stream._reader.after, list[float]()
+
+    def clears(points: Any, mark: Any, begins: float) -> Sequence[Aim]:
+        read.append(mark.time)
+        if len(read) == 1:
+            stream._feed.skip(2.0)  # where nothing is left it ends elsewhere after that
+        return cast(Sequence[Aim], after(points, mark, begins))
+
+    stream._reader.after = clears
+    stream.append(there(0.04, 3.0), wait=False)
+    assert read == [0.0, 2.0]
+    assert stream.end == 3.0
+
+
+def test_a_trajectory_that_begins_later(stream: Any) -> None:
+    """As of several arms: nothing is left, so the clock is set forward."""
+    path = Trajectory.from_arrays([0, 1], [turned(0.0), turned(0.1)])
+    mark, aims = stream._checked(path, 4.0)
+    assert mark.time == stream.time == 4.0
+    assert [aim.time for aim in aims] == [5.0]
+    mark, aims = stream._checked(path, 3.0)
+    assert mark.time == 4.0
+
+
+def test_a_pose_is_reached_with_the_tool_that_the_robot_shows(stream: Any) -> None:
+    q = turned(0.1)
+    (point,) = stream._checked(PosePoint(Arm("UR5e").forward(q), 1.0))[1]
+    assert point.moment.q == pytest.approx(q, abs=1e-6)
+    assert stream._curve(PosePoint(Arm("UR5e").forward(HOME), 1.0), 0.0)[0].moment.q == pytest.approx(HOME, abs=1e-6)
+
+
+def test_what_is_asked_of_the_feed(stream: Any) -> None:
+    asked: list[tuple[Any, ...]] = []
+    stream._feed = SimpleNamespace(
+        check=lambda *what: asked.append(("check", *what)),
+        reach=lambda later: later + 1.0,
+        is_answered="known",
+    )
+    stream._check(0.5, ())
+    assert asked == [("check", 0.5, ())]
+    assert stream._reach(0.25) == 1.25
+    assert stream._is_answered == "known"
+
+
+# -- its end -----------------------------------------------------------------------------------------------
+
+
+def test_what_was_not_sent_when_its_block_is_left(robot: Rehearsal) -> None:
+    ended: list[Exception] = []
+    for error in (None, ConnectionLost("it is away")):
+        stream = robot.motion.stream()
+        cast(Any, stream)._feed.end = ended.append
+        if error is None:
+            stream._life.finish()
+        else:
+            stream._life.fail(error)
+        assert isinstance(ended[-1], Closed if error is None else ConnectionLost)
+    assert "the block of the stream was left" in str(ended[0])
+
+
+def test_the_reason_of_its_end_is_what_a_call_raises(stream: Any) -> None:
+    failed: Future[float] = Future()
+    failed.set_exception(Cancelled("dropped"))
+    with pytest.raises(Cancelled, match="dropped"):
+        stream._answered(failed)
+    stream._life.fail(ConnectionLost("it is away"))
+    with pytest.raises(ConnectionLost, match="it is away"):
+        stream._answered(failed)
+    refused: Future[float] = Future()
+    refused.set_exception(ValueError("not of the link"))
+    with pytest.raises(ValueError, match="not of the link"):
+        stream._answered(refused)
+
+
+def test_it_goes_on_with_others(robot: Rehearsal) -> None:
+    left: list[int] = []
+    pace = SimpleNamespace(is_paused=None, leave=lambda: left.append(1))
+    stream = robot.motion.stream()
+    stream._join(cast(MemberPace, pace))
+    feed = stream._feed
+    assert isinstance(feed, StreamFeed)
+    assert feed.pace is cast(Any, pace)
+    assert cast(Any, pace).is_paused() is False
+    stream._life.finish()
+    assert left == [1]
+    assert np.isfinite(stream.room)
