@@ -663,3 +663,64 @@ def test_whatever_the_states_say_the_arm_is_never_led_too_fast(
         if led.is_over:
             break
     assert path[-1] == pytest.approx(trajectory.q[-1][5], abs=0.06)
+
+
+# -- a pause ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("aside", [0.0, 0.02, -0.02])
+@pytest.mark.parametrize("braked", [0.0, 0.06, -0.05])
+def test_after_a_pause_it_goes_on_from_the_nearest_point_of_its_path(braked: float, aside: float) -> None:
+    """Without a leap; what the arm is beside its path is faded out."""
+    trajectory = Trajectory.from_arrays([0, 2], [turned(0), turned(1.0)])
+    feeding = Feeding(follower(trajectory=trajectory))
+    feeding.state(0)
+    for _ in range(500):
+        feeding.state()
+    follows, before = feeding.follower, feeding.follower.progress * 2.0
+    stands = before + braked
+    feeding.q = trajectory.sample(stands)[0]
+    feeding.q[0] += aside
+    follows.resume(state(feeding.time, feeding.q))
+    sent = [list(feeding.q)]
+    for _ in range(3):
+        feeding.state()
+        sent.append(list(feeding.q))
+    assert follows.progress * 2.0 == pytest.approx(stands, abs=5e-3)
+    # Its time begins slowly, and the program is where it was braked to.
+    assert np.abs(np.diff(sent, axis=0)).max() < 4e-3
+    for _ in range(400):
+        feeding.state()
+    # 0.806 s by the controller, of which the first sixth was slow.
+    t = follows.progress * 2.0
+    assert t - stands == pytest.approx(0.72, abs=0.01)
+    assert feeding.q == pytest.approx(trajectory.sample(t + 2 * feeding.cycle)[0], abs=2e-3)
+    while not follows.is_over:
+        feeding.state()
+    assert feeding.q == pytest.approx(turned(1.0), abs=1e-3)
+
+
+def test_a_pause_before_it_has_begun() -> None:
+    """It begins where the arm stands then."""
+    feeding = Feeding(follower())
+    feeding.follower.resume(state(feeding.time, turned(0.02)))
+    feeding.q = turned(0.02)
+    feeding.state()
+    feeding.state()
+    assert feeding.q == pytest.approx(turned(0.02), abs=1e-3)
+
+
+def test_what_is_beside_the_path_at_its_end_is_faded_out_after_it() -> None:
+    """The end is when that is over."""
+    trajectory = Trajectory.from_arrays([0, 1], [turned(0), turned(0.3)])
+    feeding = Feeding(follower(trajectory=trajectory))
+    feeding.state(0)
+    for _ in range(490):
+        feeding.state()
+    feeding.q = trajectory.sample(0.98)[0]
+    feeding.q[0] += 0.04
+    feeding.follower.resume(state(feeding.time, feeding.q))
+    assert feeding.follower._end > 1.1
+    for _ in range(400):
+        feeding.state()
+    assert feeding.q == pytest.approx(turned(0.3), abs=1e-3)

@@ -212,3 +212,57 @@ def test_a_program_that_speaks_no_numbers() -> None:
         Served().step(b"0\none\n")
     with pytest.raises(ProgramStopped, match="asks for point -4"):
         Served().step(b"-4\n")
+
+
+# -- a pause ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("braked", "skipped"), [(0.1, 0.1), (0.0, 0.0), (-0.1, 0.0)])
+def test_after_a_pause_the_program_asks_how_far_on_the_arm_is(braked: float, skipped: float) -> None:
+    """Along its path; never back."""
+    served = Served()
+    served.step(b"0\n")
+    served.step(b"1\n")
+    served.step(b"2\n")
+    for n in range(1, 6):
+        served.angle = float(PATH.sample(0.05 * n)[0][5])
+        served.step(seconds=0.05)
+    before = served.server.progress * 2.0
+    assert before == pytest.approx(0.25)
+    served.angle = float(PATH.sample(before + braked)[0][5])
+    state: Any = SimpleNamespace(time=served.BEGIN + served.seconds, q_target=np.array(turned(served.angle)), **PLAYING)
+    served.server.resume(state)
+    ((seconds,),) = served.step(b"-3\n")
+    assert seconds == pytest.approx(1.0 + skipped, abs=0.005)
+    assert served.step(b"-3\n") == [[1.0]]  # once
+    assert served.step(b"-1\n") == [[1.0]]
+
+
+def test_what_the_arm_is_beside_its_path_is_faded_out_in_its_path() -> None:
+    served = Served()
+    for said in (b"0\n", b"1\n", b"2\n"):
+        served.step(said)
+    for n in range(1, 5):
+        served.angle = float(PATH.sample(0.05 * n)[0][5])
+        served.step(seconds=0.05)
+    aside = 0.04
+    q = np.array(PATH.sample(0.2)[0])
+    q[0] += aside
+    state: Any = SimpleNamespace(time=served.BEGIN + served.seconds, q_target=q, **PLAYING)
+    server = served.server
+    before = server.desired(0.2)[0]
+    assert before == pytest.approx(PATH.sample(0.2)[0])
+    server.resume(state)
+    began = 0.2
+    for after, left in ((0.0, 1.0), (0.2, 0.5), (0.3, 1.0 - 0.75**2 * 1.5), (0.4, 0.0), (0.8, 0.0)):
+        off = server.desired(began + after)[0][0] - PATH.sample(began + after)[0][0]
+        assert off == pytest.approx(left * aside, abs=5e-4)
+
+
+def test_a_pause_before_it_has_begun_skips_nothing() -> None:
+    served = Served()
+    served.step(b"0\n")
+    state: Any = SimpleNamespace(time=served.BEGIN, q_target=np.array(turned(0.1)), **PLAYING)
+    served.server.resume(state)
+    assert served.step(b"-3\n") == [[1.0]]
+    assert served.server.desired(0.0)[0] == pytest.approx(PATH.sample(0.0)[0])
