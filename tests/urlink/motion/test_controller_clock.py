@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
 import pytest
 
+from linkcore.handle import Lifecycle
+from linkcore.streaming.packet_queue import latest
+from linkcore.streaming.stream import Stream
+from tests.fakes.line import Desk
 from urlink.errors import ToleranceExceeded
 from urlink.interfaces.enums import ProgramState
 from urlink.interfaces.realtime.packets import RealtimeState
-from urlink.motion.controller_clock import Pause, ProgramClock, is_paused, reported_scaling
+from urlink.motion.controller_clock import Pause, ProgramClock, end_where_moved, is_paused, reported_scaling
 
 PLAYING, PAUSING, PAUSED = ProgramState.PLAYING, ProgramState.PAUSING, ProgramState.PAUSED
 
@@ -129,3 +134,31 @@ def test_an_arm_that_had_not_come_to_rest_may_be_anywhere() -> None:
     pause.look(arm(0.6, program=PLAYING))
     pause.look(arm(0.9, 1.0, PAUSING))
     assert not pause.look(arm(0.9, program=PLAYING))
+
+
+@pytest.mark.parametrize(("moved", "is_ended"), [(0.0499, False), (0.0501, True)])
+def test_a_motion_of_the_controllers_ends_as_soon_as_its_arm_is_moved(moved: float, is_ended: bool) -> None:
+    """Before it goes on: the program is stopped."""
+    looks: list[Callable[[RealtimeState], None]] = []
+    closed: list[float] = []
+    braked: list[int] = []
+    subscription = SimpleNamespace(close=closed.append)
+
+    def subscribe(look: Callable[[RealtimeState], None], policy: object) -> object:
+        assert policy is latest
+        looks.append(look)
+        return subscription
+
+    life = Lifecycle("a motion", Desk().callbacks)
+    life.brake = lambda: braked.append(1)
+    life.begin()
+    end_where_moved(life, cast("Stream[RealtimeState]", SimpleNamespace(subscribe=subscribe)))
+    (look,) = looks
+    look(arm(0.1, 1.0, PLAYING))
+    look(arm(0.5))
+    look(arm(0.5 + moved))
+    assert life.is_over is is_ended
+    assert isinstance(life.error, ToleranceExceeded if is_ended else type(None))
+    assert (braked, closed) == (([1], [0]) if is_ended else ([], []))
+    life.finish()
+    assert closed == [0]

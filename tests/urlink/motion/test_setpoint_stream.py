@@ -200,6 +200,32 @@ def test_a_small_gap_to_where_the_program_has_coasted_is_faded_out(
         q, qd = fed.led((6 + cycles) * CYCLE)
 
 
+def test_after_a_pause_the_source_begins_anew_where_the_arm_stands(fed: Fed) -> None:
+    """At rest, without what was left of a gap; the time of the program begins slowly."""
+    fed.source.skipped = (at(-0.004), at(0.0))
+    assert fed.led(6 * CYCLE)[0] > 0.0
+    fed.source.called.clear()
+    state = SimpleNamespace(time=60.0, q_target=np.array(at(0.3)))
+    fed.paced.resume(cast(RealtimeState, state))
+    assert fed.source.called == [("restart", 60.0, at(0.3), REST)]
+    fed.source.called.clear()
+    fed.source.speed = 0.3 / (7 * CYCLE)
+    q, _ = fed.led(7 * CYCLE)
+    assert q == pytest.approx(0.3)  # it is not too far from where the arm stands, nor beside it by a gap
+    assert fed.paced._clock.rate == 0.0
+
+
+def test_a_pause_before_it_has_begun_restarts_nothing() -> None:
+    fed = Fed()
+    fed.source.has_targets = False
+    fed.state(0.0)
+    fed.paced.resume(cast(RealtimeState, SimpleNamespace(time=60.0, q_target=np.array(at(0.3)))))
+    assert fed.source.called == []
+    fed.source.has_targets = True
+    fed.state(CYCLE)
+    assert fed.led(2 * CYCLE) == (0.0, 0.0)
+
+
 def test_a_source_begins_anew_with_the_speed_that_is_left(fed: Fed) -> None:
     fed.source.speed = 1.0
     fed.led(CYCLE)
