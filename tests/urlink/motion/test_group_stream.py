@@ -319,6 +319,16 @@ def test_what_ends_one_stream_is_the_error_of_all(streams: Streams) -> None:
             streams.append([1.0], [1.0])
 
 
+@pytest.mark.parametrize("ended", ["group", "left"])
+def test_who_cancels_one_cancels_all(streams: Streams, ended: str) -> None:
+    with contextlib.suppress(Cancelled), streams.group:
+        (streams.group if ended == "group" else streams.left).cancel()
+    for each in (streams.group, streams.left, streams.right):
+        assert each.phase is Phase.CANCELLED
+    why = "streams was cancelled" if ended == "group" else "cancelled with that of left: left was cancelled"
+    assert why in str(streams.group.error)
+
+
 def test_an_error_of_a_call_ends_nothing(streams: Streams) -> None:
     with streams.group:
         streams.left.raises["dry"] = LinkTimeout("it has not run dry")

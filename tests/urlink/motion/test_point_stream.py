@@ -132,6 +132,31 @@ def test_a_change_is_waited_for_for_ten_seconds(stream: Any, call: Callable[[Any
     assert time.monotonic() - begin == pytest.approx(10.0, abs=0.05)
 
 
+@pytest.mark.parametrize("call", [lambda stream: stream.clear(), lambda stream: stream.wait_until_dry(30.0)])
+def test_it_begins_once_the_arm_rests(robot: Rehearsal, call: Callable[[Any], object]) -> None:
+    with entered(robot, robot.motion.stream()) as stream:
+        cast(Any, stream)._feed.begun = Future()  # it does not
+        begin = time.monotonic()
+        with pytest.raises(LinkTimeout, match="the arm does not come to rest within 10 s"):
+            call(stream)
+        assert time.monotonic() - begin == pytest.approx(10.0, abs=0.05)
+
+
+def test_all_is_cleared_and_waited_for_for_a_minute(stream: Any) -> None:
+    put: list[tuple[float, Sequence[Aim]]] = []
+    waited: list[float] = []
+    stream._put = lambda since, curve: put.append((since, curve))
+    stream._answered = lambda replaced: 0.7
+    stream._await = lambda future, seconds, what: waited.append(seconds)
+    assert stream.clear() == 0.7
+    assert put == [(0.0, ())]
+    waited.clear()
+    stream.wait_until_dry()
+    assert waited[-1] == 60.0
+    with pytest.raises(BadValue):
+        stream.wait_until_dry(float("inf"))
+
+
 def test_room_is_waited_for_for_a_minute_or_not_at_all(stream: Any) -> None:
     waited: list[float] = []
     stream._await_room = lambda handed, seconds: waited.append(seconds)
