@@ -183,7 +183,7 @@ class StreamFeed:
         self._last: _Sent
         self._brake: Step
         self._is_open = False
-        #: number of the step that is the beginning of the braking, where it went on from that
+        #: number of the step with which it went on from braking: of what was left of that
         self._resumed = 0
         self._queue: deque[Aim] = deque()
         self._cut: _Cut | None = None
