@@ -318,4 +318,16 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "anchor + _CLOSEST < each[0] <= at - _CLOSEST",
         "times a thousandth apart, to the last bit: one waypoint or two",
     ),
+    Equivalent(
+        "urlink/motion/stream_feed.py", "_resume", "5", "6", "here and in the program, what is above 4 is of degree 5"
+    ),
+    Equivalent(
+        "urlink/motion/stream_steps.py", "way", "5", "6", "here and in the program, what is above 4 is of degree 5"
+    ),
+    Equivalent(
+        "urlink/motion/stream_steps.py", "onto", "5", "6", "here and in the program, what is above 4 is of degree 5"
+    ),
+    Equivalent(
+        "urlink/motion/stream_steps.py", "_landing", "5", "6", "here and in the program, what is above 4 is of degree 5"
+    ),
 )

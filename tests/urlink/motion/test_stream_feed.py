@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from linkcore.errors import BadValue, Cancelled, ConnectionLost, LinkTimeout
+from linkcore.pending_call import PendingCall
 from tests.fakes.rehearsal import HOME, turned
 from tests.urlink.motion.streamed import ACCELERATION, JERK, Streamed
 from tests.urlink.motion.test_stream import E_SERIES, FIRMWARES, wave, waves
@@ -330,6 +331,17 @@ def test_of_points_that_are_given_up_those_that_were_sent_are_reached() -> None:
     stream.append(waves(end.time + 0.05, 1.0))
     stream.until(lambda: stream.feed.time > 0.95)
     assert stream.feed.starved == 0
+
+
+def test_points_of_a_task_that_has_given_them_up_are_not_sent() -> None:
+    stream = Streamed(E_SERIES)
+    one, two = stream.append(waves(0.05, 0.2)), stream.append(waves(0.25, 0.5))
+    two.call = cast(PendingCall, SimpleNamespace(is_given_up=True))
+    stream.run_dry()
+    assert stream.feed.time == mark(stream).time == pytest.approx(0.2)
+    assert one.future.exception() is None
+    with pytest.raises(Cancelled, match="the task that appended these points has given them up"):
+        two.future.result(0.0)
 
 
 def test_points_are_given_up_that_came_after_the_tail_was_cleared() -> None:
