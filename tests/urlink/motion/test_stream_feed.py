@@ -70,14 +70,15 @@ def test_before_the_arm_rests_there_is_nothing() -> None:
 def test_it_is_answered_once_no_cut_is_on_its_way() -> None:
     stream = moves(Streamed(E_SERIES, way=5))
     feed = stream.feed
-    done = [feed.replace(0.0, ()) for _ in range(2)]
+    curve = stream.reader.curve(waves(0.4, 2.5), 0.4, mark(stream))
+    done = [feed.replace(0.4, curve) for _ in range(2)]
     answered = feed.answered()
     while not answered.done():
         assert not feed.is_answered
         stream.run()
     assert feed.is_answered
     assert [each.done() for each in done] == [True, True]
-    assert done[0].result() <= done[1].result()
+    assert done[0].result() < done[1].result()
 
 
 def test_what_could_not_be_replaced_is_told_before() -> None:
