@@ -13,7 +13,7 @@ EQUIVALENT: tuple[Equivalent, ...] = (
     Equivalent(INTERPRETER, "__exit__", "0", "1", "type and exception are both None, or neither is"),
     Equivalent(IO, "set_tool_communication", "3", "4", "numbers of 32 bits up to 40 are that exact"),
     Equivalent(MONITOR, "wait_for", "left <= 0.0", "left < 0.0", "a clock that says exactly this costs one more look"),
-    Equivalent(PROGRAMS, "__init__", "4", "5", "a random number is one of more, of which as many bits are used"),
+    Equivalent(PROGRAMS, "__init__", "4", "5", "the number with which tokens begin is random with either"),
     Equivalent(
         PROGRAMS,
         "_stop_kept",

@@ -2,6 +2,8 @@ from __future__ import annotations
 
 from tests.mutants.equivalent import Equivalent
 
+FIFTH = "here and in the program, a step of a degree above 4 is computed as one of degree 5"
+
 EQUIVALENT: tuple[Equivalent, ...] = (
     Equivalent(
         "urlink/motion/jerk_limited.py",
@@ -318,16 +320,7 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "anchor + _CLOSEST < each[0] <= at - _CLOSEST",
         "times a thousandth apart, to the last bit: one waypoint or two",
     ),
-    Equivalent(
-        "urlink/motion/stream_feed.py", "_resume", "5", "6", "here and in the program, what is above 4 is of degree 5"
-    ),
-    Equivalent(
-        "urlink/motion/stream_steps.py", "way", "5", "6", "here and in the program, what is above 4 is of degree 5"
-    ),
-    Equivalent(
-        "urlink/motion/stream_steps.py", "onto", "5", "6", "here and in the program, what is above 4 is of degree 5"
-    ),
-    Equivalent(
-        "urlink/motion/stream_steps.py", "_landing", "5", "6", "here and in the program, what is above 4 is of degree 5"
-    ),
+    Equivalent("urlink/motion/stream_steps.py", "way", "5", "6", FIFTH),
+    Equivalent("urlink/motion/stream_steps.py", "onto", "5", "6", FIFTH),
+    Equivalent("urlink/motion/stream_steps.py", "_landing", "5", "6", FIFTH),
 )

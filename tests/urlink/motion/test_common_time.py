@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
-from typing import cast
 
 import pytest
 
-from urlink.interfaces.enums import ProgramState
-from urlink.interfaces.realtime.packets import RealtimeState
+from tests.urlink.motion.test_controller_clock import state
 from urlink.motion.common_time import CommonPace, CommonTime, MemberClock, MemberPace
 
 CYCLE = 0.008
@@ -17,11 +14,6 @@ CYCLE = 0.008
 OFFSETS = (100.0, -7.0)
 #: 1/s with which a rate changes
 RAMP = 6.25
-
-
-def state(time: float, scaling: float = 1.0) -> RealtimeState:
-    playing = ProgramState.PLAYING
-    return cast(RealtimeState, SimpleNamespace(time=time, speed_scaling=scaling, program_state=playing))
 
 
 # -- of trajectories ---------------------------------------------------------------------------------------
@@ -43,7 +35,7 @@ class Clocks:
         self.now += CYCLE
         for member, offset, scaling in zip(self.members, OFFSETS, scalings, strict=True):
             if scaling is not None:
-                member.passed(state(self.now - self.late + offset, scaling), self.now)
+                member.passed(state(scaling, time=self.now - self.late + offset), self.now)
 
     def begin(self, *scalings: float) -> None:
         """Until it has begun, at 0 s."""
@@ -164,7 +156,7 @@ def test_where_the_time_of_a_state_is_none_this_computers_clock_counts() -> None
     clocks.begin(1.0, 1.0)
     clocks.now += CYCLE
     time = clocks.time
-    clocks.members[0].passed(state(math.nan), clocks.now)
+    clocks.members[0].passed(state(1.0, time=math.nan), clocks.now)
     assert clocks.members[0].beginning() == pytest.approx(time)
 
 

@@ -256,7 +256,6 @@ def test_what_one_refuses_before_leaves_the_points_of_all(streams: Streams) -> N
 
 def test_what_comes_too_late_to_one_clears_all(streams: Streams) -> None:
     streams.right.raises["answered"] = BadValue("too far by now")
-    streams.left.raises = {}
     clear = streams.group.clear
     cleared: list[int] = []
 

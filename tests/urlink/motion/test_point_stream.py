@@ -9,7 +9,6 @@ from concurrent.futures import Future
 from types import SimpleNamespace
 from typing import Any, cast
 
-import numpy as np
 import pytest
 
 from linkcore.errors import BadValue, Cancelled, Closed, ConnectionLost, LinkTimeout, LocalError
@@ -263,4 +262,3 @@ def test_it_goes_on_with_others(robot: Rehearsal) -> None:
     assert cast(Any, pace).is_paused() is False
     stream._life.finish()
     assert left == [1]
-    assert np.isfinite(stream.room)
