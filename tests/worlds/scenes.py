@@ -80,4 +80,16 @@ SCENES: Mapping[str, World] = {
         Client((_ask("speed_joints"), _ask("script", size=0.5)), 0.0),
         events=(Event("cut", 0.0, 0.5, 0, 1.0, 1), Event("protective_stop", 0.0, 0.2, 0, 1.0, 1)),
     ),
+    # The controller has it paused when it refuses the script, and a person presses play.
+    "refused-script-forgets-the-program": _world(
+        Client((_ask("move_joints"), _ask("misspelt_script", after=0.35), _ask("wait_state", after=3.0)), 0.0),
+        Client((_ask("play", at=2.0),), 0.0, "dashboard"),
+        events=(Event("protective_stop", 0.2, 0.3, 0, 1.0, 0),),
+    ),
+    # It begins before the second state without the first one.
+    "next-stop-forgets-the-program": _world(
+        Client((_ask("move_joints"), _ask("wait_state", after=4.0)), 0.0),
+        Client((_ask("play", at=2.0),), 0.0, "dashboard"),
+        events=(Event("protective_stop", 0.2, 0.3, 0, 1.0, 0), Event("protective_stop", 0.55, 0.3, 0, 1.0, 0)),
+    ),
 }

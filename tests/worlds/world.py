@@ -28,6 +28,7 @@ MOTIONS = (
     "follow_rtde",
     "follow_low_bandwidth",
     "script",
+    "misspelt_script",
     "statements",
 )
 BLOCKS = (

@@ -222,8 +222,6 @@ class Programs:
                 raise life.error
             run.sent = self._clock()
             self._runs[run.name] = run
-            if not wrapped.is_secondary:
-                self._forget_given_up()  # replaced
             newest = self._newest()
             if newest is not run and newest is not None and not wrapped.is_secondary:
                 # A signal handler has sent it between these lines: it is the later one, though it was sent first.
@@ -360,9 +358,8 @@ class Programs:
     def _on_key(self, title: str, name: str) -> None:
         run = self._runs.get(name)
         self._has_keys |= title in (_STARTED, _STOPPED)
-        given_up = self._stopping or self._kept
-        if name == given_up if title == _STOPPED else title == _STARTED and name != given_up:
-            self._forget_given_up()  # it has ended, or another has replaced it
+        if title == _STOPPED and name == self._given_up:
+            self._forget_given_up()
         if title == _STARTED and run is not None:
             self._begin(run)
         elif title == _STARTED:
@@ -442,16 +439,15 @@ class Programs:
         now = self._clock()
         if self._kept is None and self._has_keys and now - self._stop_sent > _IGNORED:
             self._kept = self._stopping
-        is_clear = self._kept is not None and self._monitor.refusal(is_stop=True) is None
+        is_clear = self._may_stop_kept() and self._monitor.refusal(is_stop=True) is None
         was_clear, self._was_clear = self._was_clear, is_clear
         # By the second state without a stop: which program runs by the first one is reported behind it.
         if not (is_clear and was_clear):
             return
 
         def claim() -> None:
-            newest = self._newest()
-            if self._kept is None or (newest is not None and newest.name != self._kept):
-                raise Cancelled("it has ended, or was replaced")
+            if not self._may_stop_kept():
+                raise Cancelled("it has ended, or another was sent")
 
         try:
             if not (mode.is_program_running or mode.is_program_paused):
@@ -462,6 +458,11 @@ class Programs:
             self._stopping, self._kept, self._stop_sent = (self._kept if self._has_keys else None), None, now
         except LinkError as error:
             _log.info("%s, which was given up, was not stopped yet: %s", self._kept, error)
+
+    def _may_stop_kept(self) -> bool:
+        """It is there, and no other was sent that replaces it, if it compiles: a stop would stop that one."""
+        newest = self._newest()
+        return self._kept is not None and (newest is None or newest.name == self._kept)
 
     def _check_time(self) -> None:
         now = self._clock()
@@ -503,6 +504,8 @@ class Programs:
 
     def _replace(self, name: str, successor: _Run | None) -> None:
         """A program has begun: those sent before it are over, whether that was reported or not."""
+        if name != self._given_up:
+            self._forget_given_up()
         for run in self._pending():
             if run is successor:
                 return
@@ -538,12 +541,16 @@ class Programs:
             # The report of the stop may follow.
             run.life.fire(Event.STOP, at=self._clock())
 
+    @property
+    def _given_up(self) -> str | None:
+        return self._stopping or self._kept
+
     def _forget_given_up(self) -> None:
         self._stopping = self._kept = None
 
     def _interlock_closed(self, error: LinkError) -> None:
         if isinstance(error, SafetyStop):
-            self._kept = self._stopping  # it may have stopped before the stop was sent
+            self._kept = self._given_up  # it may have stopped before the stop was sent
         for run in self._pending():
             # After a stop begins only what was asked for anew.
             is_held = not run.has_begun and run.wrapped.permission is not None and isinstance(error, SafetyStop)

@@ -13,6 +13,7 @@ from linkcore.handle import Handle
 from linkcore.streaming.connection_life import ConnectionState
 from tests.fakes.line import STARTED, STOPPED, Programming, Run, Subscriber, fast
 from tests.waiting import until
+from urlink.errors import CompileError
 from urlink.interfaces.enums import RobotMode, SafetyMode
 from urlink.simulator import Controller, Still
 from urlink.urscript.wrapping import StartPlace
@@ -79,6 +80,21 @@ def test_it_does_not_go_on(
     until(lambda: not moves(controller))
     assert controller.program_name  # paused, and still there
     controller.faults.clear()
+    until(lambda: not controller.program_name)
+    controller.pendant.play()
+    time.sleep(1.0)
+    assert not moves(controller)
+
+
+def test_it_does_not_go_on_after_a_script_that_does_not_compile(controller: Controller, robot: urlink.Robot) -> None:
+    """The simulated controller keeps the paused program then; whether a real one does is not known."""
+    handle = move(robot)
+    until(lambda: moves(controller))
+    during(controller, robot, handle)
+    controller.faults.clear()
+    robot.safety.wait_enabled(5)
+    with pytest.raises(CompileError):
+        robot.script.run("def p():\n  no_such_function()\nend\n").wait(5)
     until(lambda: not controller.program_name)
     controller.pendant.play()
     time.sleep(1.0)
@@ -154,10 +170,15 @@ def short_stop(desk: Programming) -> None:
     desk.realtime.tell(fast())
 
 
-def stopped(desk: Programming) -> Run:
+def says_so(run: Run) -> None:
+    """As on a CB2, which reports no programs by name."""
+    run.says("started")
+
+
+def stopped(desk: Programming, begins: Callable[[Run], None] = Run.begins) -> Run:
     """A motion that a stop has ended; the stop is over, and the next state may be the second without it."""
     run = desk.motion()
-    run.begins()
+    begins(run)
     desk.state(0.1, runs=True)
     short_stop(desk)
     assert run.end.startswith("SafetyStop")
@@ -351,10 +372,58 @@ def test_a_later_program_replaces_it_where_none_is_reported_by_name(caplog: pyte
     assert caplog.messages == []
 
 
+@pytest.mark.parametrize(("firmware", "begins"), [("5.11", Run.begins), ("1.8", says_so)])
+def test_one_that_does_not_compile_does_not_replace_it(
+    firmware: str, begins: Callable[[Run], None], caplog: pytest.LogCaptureFixture
+) -> None:
+    """It is stopped once nothing is about to replace it; until then no state reports an attempt."""
+    caplog.set_level("INFO", "urlink")
+    desk = Programming(firmware=firmware)
+    stopped(desk, begins)
+    script = desk.script("no_such_function()")
+    for _ in range(3):
+        desk.state(0.1, paused=True)
+    assert desk.stops == 0
+    desk.exception("compile_error_name_not_found:no_such_function:")
+    assert script.end.startswith("CompileError")
+    desk.state(0.1, paused=True)
+    assert desk.stops == 0  # the first state after it
+    desk.state(0.1, paused=True)
+    assert desk.stops == 1
+    assert caplog.messages == []
+
+
+def test_the_next_stop_does_not_forget_it() -> None:
+    """It comes before the second state without the one before."""
+    desk = Programming()
+    stopped(desk)
+    desk.realtime.tell(fast(SafetyMode.PROTECTIVE_STOP))
+    for _ in range(3):
+        desk.state(0.1, paused=True)
+    assert desk.stops == 0
+    desk.realtime.tell(fast())
+    for _ in range(2):
+        desk.state(0.1, paused=True)
+    assert desk.stops == 1
+
+
+def test_one_that_begins_while_it_is_sent_a_stop_is_sent_it_again() -> None:
+    """The stop was on its way before the program began, so it is no other that has begun."""
+    desk = Programming()
+    run = desk.motion()
+    run.cancel()
+    assert desk.stops == 1
+    run.begins()
+    for _ in range(4):
+        desk.state(0.1, runs=True)
+    assert desk.stops == 2
+
+
 def test_a_program_beside_it_does_not_replace_it() -> None:
     desk = Programming()
     stopped(desk)
-    desk.script("sec blink():\n  set_flag(1, True)\nend")
+    beside = desk.script("sec blink():\n  set_flag(1, True)\nend")
+    beside.says("started")
     desk.state(0.1, paused=True)
     assert desk.stops == 1
 
