@@ -92,4 +92,16 @@ SCENES: Mapping[str, World] = {
         Client((_ask("play", at=2.0),), 0.0, "dashboard"),
         events=(Event("protective_stop", 0.2, 0.3, 0, 1.0, 0), Event("protective_stop", 0.55, 0.3, 0, 1.0, 0)),
     ),
+    # It is cancelled while the next one is on its way, which the controller refuses.
+    "motion-left-to-a-refused-script": _world(
+        Client(
+            (
+                _ask("move_joints", "cancel", size=0.5, patience=0.196),
+                _ask("misspelt_script", thread=1, after=0.2),
+                _ask("wait_state", thread=1, after=1.0),
+            ),
+            0.0,
+        ),
+        latency=5e-3,
+    ),
 }

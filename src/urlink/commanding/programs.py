@@ -149,7 +149,8 @@ class Programs:
         #: name of the program that was sent a stop, until the controller reports that it has
         self._stopping: str | None = None
         self._stop_sent = -math.inf  # when it was
-        #: name of the program that was given up and that the controller may keep, paused by a stop of the robot
+        #: name of the program that was given up and goes on where nothing replaces it: paused by a stop of the robot,
+        #: or running until the one begins that was sent after it
         self._kept: str | None = None
         self._was_clear = False  # by the state before, nothing kept that program from being stopped
         #: when the last one ended; what a robot's states showed until then may be from before it
@@ -228,8 +229,10 @@ class Programs:
                 raise Cancelled(f"{life.name} was preempted by {newest.life.name}")
 
         def end() -> None:
-            self._runs.pop(run.name, None)
+            was_sent = self._runs.pop(run.name, None) is run
             self.ended = self._clock()
+            if was_sent and not wrapped.is_secondary:
+                self._stop_kept()  # where this one has not begun, it has replaced nothing
 
         life.fire(Event.SEND)
         life.on_end(end)
@@ -242,28 +245,34 @@ class Programs:
             raise
 
     def stop(self, life: Lifecycle) -> None:
-        """Stop the program of a life, if it is the newest: one that was sent after it stops it anyway.
+        """Stop the program of a life, unless another was sent after it, which stops it by beginning.
+
+        Should that one not begin, since it does not compile or is given up too, the program is stopped then.
 
         Raises:
             SafetyStop: a stop holds, so no program is taken. It is stopped once the stop is over, if it is still there.
             NotRunning: nothing is known of the robot, so it cannot be stopped from here.
             RemoteError: it could not be sent.
         """
-        newest = self._newest()
-        if newest is None or newest.life is not life:
+        run = next((run for run in self._pending() if run.life is life), None)
+        if run is None or run.wrapped.is_secondary:
             return
 
         def claim() -> None:
-            """The channel may wait for news first, and another thread send what comes after."""
+            """Once more when the channel has waited for news: another thread may send one meanwhile."""
             newest = self._newest()
-            if newest is not None and newest.life is not life:
-                raise Cancelled(f"{newest.life.name} was sent meanwhile, which stops it anyway")
+            if newest is not None and newest is not run:
+                raise Cancelled(f"{newest.life.name} was sent after it")
 
-        self._stopping, self._stop_sent = newest.name, self._clock()
         try:
+            claim()
+            self._stopping, self._stop_sent = run.name, self._clock()
             self._send_stop(claim)
+            self._kept = None  # whichever ran is stopped
+        except Cancelled:
+            self._kept = run.name
         except SafetyStop:
-            self._kept = newest.name
+            self._kept = run.name
             raise
 
     def _send_stop(self, claim: Callable[[], object], *, wait: bool = True) -> None:
@@ -299,9 +308,9 @@ class Programs:
             self._monitor.wait_for(lambda interlock: self._kept is None, min(timeout, _CLOSING))
         if self._kept is not None and self._mode is not None and self._mode.is_program_paused:
             _log.warning("closed during a stop: the controller has %s paused, and may go on with it later", self._kept)
-        newest = self._newest()
-        if newest is not None and newest.is_motion:
-            newest.life.cancel("cancelled, since the robot was closed", brake=True)
+        for run in self._pending():
+            if run.is_motion and not run.wrapped.is_secondary:
+                run.life.cancel("cancelled, since the robot was closed", brake=True)
         _close(self._subscriptions.take() or [])
         for run in self._pending():
             run.life.fail(ConnectionLost(f"the robot was closed here while {run.life.name} ran; {self._what_if(run)}"))
@@ -347,7 +356,7 @@ class Programs:
             mode = packet.robot_mode_data
             if mode is not None:
                 self._on_mode(mode)
-                self._stop_kept(mode)
+                self._after_stop(mode)
         elif isinstance(packet, KeyMessage):
             self._on_key(packet.title.strip(), packet.text.strip("\0 \n"))
         elif isinstance(packet, TextMessage):
@@ -431,38 +440,43 @@ class Programs:
                 self._end(run)
         self._check_time()
 
-    def _stop_kept(self, mode: RobotModeData) -> None:
+    def _after_stop(self, mode: RobotModeData) -> None:
         """Stop the program that was given up during a stop, now that the stop is over: `play` would let it go on.
 
         Once more also the one that was sent a stop and goes on: an e-Series in local control ignores what it is sent.
         """
-        now = self._clock()
-        if self._kept is None and self._has_keys and now - self._stop_sent > _IGNORED:
+        if self._kept is None and self._has_keys and self._clock() - self._stop_sent > _IGNORED:
             self._kept = self._stopping
-        is_clear = self._may_stop_kept() and self._monitor.refusal(is_stop=True) is None
+        is_clear = self._may_stop_kept()
         was_clear, self._was_clear = self._was_clear, is_clear
         # By the second state without a stop: which program runs by the first one is reported behind it.
         if not (is_clear and was_clear):
             return
+        if mode.is_program_running or mode.is_program_paused:
+            self._stop_kept()
+        else:
+            self._forget_given_up()
+
+    def _stop_kept(self) -> None:
+        """Where it cannot be sent now, the next state asks again."""
 
         def claim() -> None:
             if not self._may_stop_kept():
                 raise Cancelled("it has ended, or another was sent")
 
+        if not self._may_stop_kept():
+            return
         try:
-            if not (mode.is_program_running or mode.is_program_paused):
-                self._forget_given_up()
-                return
-            # Without waiting: this is the reader thread. Where it cannot be sent now, the next state asks again.
-            self._send_stop(claim, wait=False)
-            self._stopping, self._kept, self._stop_sent = (self._kept if self._has_keys else None), None, now
+            self._send_stop(claim, wait=False)  # this may be the reader thread
+            stopping = self._kept if self._has_keys else None
+            self._stopping, self._kept, self._stop_sent = stopping, None, self._clock()
         except LinkError as error:
             _log.info("%s, which was given up, was not stopped yet: %s", self._kept, error)
 
     def _may_stop_kept(self) -> bool:
-        """It is there, and no other was sent that replaces it, if it compiles: a stop would stop that one."""
-        newest = self._newest()
-        return self._kept is not None and (newest is None or newest.name == self._kept)
+        """It is there, no stop holds, and no other was sent that replaces it by beginning: that one would be stopped."""
+        is_replaced = self._newest() is not None
+        return self._kept is not None and not is_replaced and self._monitor.refusal(is_stop=True) is None
 
     def _check_time(self) -> None:
         now = self._clock()

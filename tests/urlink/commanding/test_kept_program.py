@@ -1,4 +1,7 @@
-"""A program that was given up during a stop is stopped after it: `play` at the pendant does not let it go on."""
+"""A program that was given up during a stop is stopped after it: `play` at the pendant does not let it go on.
+
+Nor does one go on that was given up after another was sent, where that one does not begin.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,8 @@ from typing import Any
 import pytest
 
 import urlink
-from linkcore.handle import Handle
+from linkcore.errors import LinkError
+from linkcore.handle import Handle, Phase
 from linkcore.streaming.connection_life import ConnectionState
 from tests.fakes.line import STARTED, STOPPED, Programming, Run, Subscriber, fast
 from tests.waiting import until
@@ -94,9 +98,35 @@ def test_it_does_not_go_on_after_a_script_that_does_not_compile(controller: Cont
     controller.faults.clear()
     robot.safety.wait_enabled(5)
     with pytest.raises(CompileError):
-        robot.script.run("def p():\n  no_such_function()\nend\n").wait(5)
+        robot.script.run(REFUSED).wait(5)
     until(lambda: not controller.program_name)
     controller.pendant.play()
+    time.sleep(1.0)
+    assert not moves(controller)
+
+
+REFUSED = "def p():\n  no_such_function()\nend\n"
+
+
+def cancel(robot: urlink.Robot, handle: Handle, script: Handle) -> None:
+    handle.cancel()
+    with pytest.raises(CompileError):
+        script.wait(5)
+
+
+def close(robot: urlink.Robot, handle: Handle, script: Handle) -> None:
+    robot.close()
+
+
+@pytest.mark.parametrize("give_up", [cancel, close])
+def test_a_motion_is_not_left_to_a_script_that_does_not_compile(
+    controller: Controller, robot: urlink.Robot, give_up: Callable[[urlink.Robot, Handle, Handle], None]
+) -> None:
+    handle = move(robot)
+    until(lambda: moves(controller))
+    give_up(robot, handle, robot.script.run(REFUSED))
+    assert handle.phase is Phase.CANCELLED
+    until(lambda: not controller.program_name, 0.2)
     time.sleep(1.0)
     assert not moves(controller)
 
@@ -312,7 +342,9 @@ def test_it_is_stopped_where_nobody_has_enabled_motions() -> None:
     desk.interlock.policy = "always"
     desk.interlock.enable(desk.clock.now)
     stopped(desk)
-    assert desk.monitor.refusal() is not None
+    with pytest.raises(LinkError, match="enable"):
+        desk.motion()
+    assert desk.stops == 0  # what was not sent does not hurry it
     desk.state(0.1, paused=True)
     assert desk.stops == 1
 
@@ -386,9 +418,6 @@ def test_one_that_does_not_compile_does_not_replace_it(
     assert desk.stops == 0
     desk.exception("compile_error_name_not_found:no_such_function:")
     assert script.end.startswith("CompileError")
-    desk.state(0.1, paused=True)
-    assert desk.stops == 0  # the first state after it
-    desk.state(0.1, paused=True)
     assert desk.stops == 1
     assert caplog.messages == []
 
@@ -440,3 +469,132 @@ def test_one_that_ends_since_the_robot_does_not_run_is_not_stopped_later() -> No
     for _ in range(3):
         desk.state(0.1, runs=True)
     assert desk.stops == 0
+
+
+# -- given up after another was sent -------------------------------------------------------------------------
+
+
+def moving(desk: Programming) -> Run:
+    run = desk.motion()
+    run.begins()
+    desk.state(0.1, runs=True)
+    return run
+
+
+def refuse(desk: Programming, run: Run) -> None:
+    desk.exception("compile_error_name_not_found:no_such_function:")
+
+
+def give_up(desk: Programming, run: Run) -> None:
+    run.cancel()
+
+
+def close_all(desk: Programming, run: Run) -> None:
+    desk.programs.close(0.0)
+
+
+@pytest.mark.parametrize("end", [refuse, give_up, close_all])
+def test_it_is_stopped_once_where_the_other_ends_before_it_has_begun(
+    end: Callable[[Programming, Run], None], caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO", "urlink")
+    desk = Programming()
+    run, script = moving(desk), desk.script()
+    run.cancel()
+    assert desk.stops == 0
+    end(desk, script)
+    assert script.done
+    assert desk.stops == 1
+    assert caplog.messages == []
+
+
+def test_it_is_stopped_where_the_other_never_begins() -> None:
+    desk = Programming(start_timeout=1.0)
+    run, script = moving(desk), desk.script()
+    run.cancel()
+    desk.state(1.0, runs=True)
+    assert (script.done, desk.stops) == (False, 0)
+    desk.state(0.1, runs=True)
+    assert (script.done, desk.stops) == (True, 1)
+
+
+def test_where_the_other_begins_nothing_is_stopped() -> None:
+    desk = Programming()
+    run, script = moving(desk), desk.script()
+    run.cancel()
+    script.begins()
+    for _ in range(3):
+        desk.state(0.1, runs=True)
+    script.says("finished")
+    script.stops()
+    for _ in range(3):
+        desk.state(0.1, runs=True)
+    assert desk.stops == 0
+
+
+def test_where_the_other_has_begun_it_is_over() -> None:
+    desk = Programming()
+    run, script = moving(desk), desk.script()
+    script.begins()
+    assert run.end.startswith("Cancelled")
+    desk.programs.stop(run._life)
+    script.says("finished")
+    script.stops()
+    for _ in range(3):
+        desk.state(0.1, runs=True)
+    assert desk.stops == 0
+
+
+def test_nobody_stops_what_goes_on_and_was_not_given_up() -> None:
+    desk = Programming()
+    run, script = moving(desk), desk.script()
+    refuse(desk, script)
+    for _ in range(3):
+        desk.state(0.1, runs=True)
+    assert (run.done, desk.stops) == (False, 0)
+
+
+def test_a_program_beside_it_that_is_given_up_stops_nothing() -> None:
+    desk = Programming()
+    beside, script = desk.script("sec blink():\n  set_flag(1, True)\nend"), desk.script()
+    beside.cancel()
+    refuse(desk, script)
+    for _ in range(3):
+        desk.state(0.1, runs=True)
+    assert desk.stops == 0
+
+
+def test_a_program_beside_it_that_ends_does_not_hurry_the_stop() -> None:
+    """As a state does, it may come before the report of which program runs."""
+    desk = Programming()
+    beside = desk.script("sec blink():\n  set_flag(1, True)\nend")
+    stopped(desk)
+    beside.says("finished")
+    assert beside.done
+    assert desk.stops == 0
+
+
+def test_a_program_beside_it_that_is_given_up_does_not_forget_it() -> None:
+    desk = Programming()
+    beside = desk.script("sec blink():\n  set_flag(1, True)\nend")
+    stopped(desk)
+    script = desk.script()
+    beside.cancel()
+    refuse(desk, script)
+    assert desk.stops == 1
+
+
+def test_during_a_stop_it_is_stopped_after_it(caplog: pytest.LogCaptureFixture) -> None:
+    """The stop ends what waits for its permission, and takes no program."""
+    caplog.set_level("INFO", "urlink")
+    desk = Programming()
+    run, script = moving(desk), desk.script()
+    run.cancel()
+    desk.realtime.tell(fast(SafetyMode.PROTECTIVE_STOP))
+    assert script.end.startswith("SafetyStop")
+    assert desk.stops == 0
+    desk.realtime.tell(fast())
+    for _ in range(2):
+        desk.state(0.1, paused=True)
+    assert desk.stops == 1
+    assert caplog.messages == []
