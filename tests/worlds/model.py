@@ -20,8 +20,8 @@ from linkcore.handle import TRANSITIONS, Event, Phase
 __all__ = ["DEFECTS", "ENDS", "INVARIANTS", "Explored", "State", "begin", "explore", "place"]
 
 T = TypeVar("T")
-#: A text is "program", "grant" or "stop", and a report "asks", "finished", "ended", "expired", each with its handle; a
-#: report without a handle is "stop" or "clear".
+#: A text is "program", "grant" or "stop", and a report "asks", "finished", "ended", "expired", "refused", each with its
+#: handle; a report without a handle is "stop" or "clear".
 Message = tuple[str, int]
 
 # Phases by their values, since members of an enumeration are slow to hash. What has not been asked for has none.
@@ -36,10 +36,12 @@ class State(NamedTuple):
 
     Attributes:
         owners: the client that asks for each handle; the last is a program of the user's own, the others are motions.
+            The user's may not compile, and is refused then.
         phases: None before it is asked for.
         asked_anew: its client knew, when it asked, that the stop had come and was over.
         granted: whether it was wanted when it was granted; None if it was not.
         unstopped: handles that were cancelled just now, and whose stop has not been sent.
+        left: handles that were cancelled, and whose stop was left to what was sent after them.
         is_cut: the connection is cut, and the client has not noticed it.
         is_closed: the interlock is, by a stop.
         texts, reports: under way to the controller and from it.
@@ -55,6 +57,7 @@ class State(NamedTuple):
     asked_anew: tuple[bool, ...]
     granted: tuple[bool | None, ...]
     unstopped: tuple[int, ...] = ()
+    left: tuple[int, ...] = ()
     is_cut: tuple[bool, ...] = (False, False)
     is_closed: tuple[bool, ...] = (False, False)
     texts: tuple[tuple[Message, ...], ...] = ((), ())
@@ -73,6 +76,8 @@ class State(NamedTuple):
             for kind, handle in self.texts[client][:1]:
                 rest = self._replace(texts=_with(self.texts, client, self.texts[client][1:]))
                 yield f"controller reads: {kind} {handle}", rest._received(kind, handle)
+                if kind == "program" and handle == len(self.owners) - 1:
+                    yield f"controller refuses {handle}", rest._report(client, "refused", handle)
             if self.cut is None:
                 yield f"fault: client {client} is cut off", self._cut(client, ())
                 for kind, handle in self.texts[client]:
@@ -105,7 +110,8 @@ class State(NamedTuple):
         mine = self._handles(client)
         for handle in mine:
             if self.phases[handle] == Phase.SENT.value:
-                yield f"client gives up {handle}, which has not begun in time", self._fire(Event.FAIL, handle)
+                given_up = self._fire(Event.FAIL, handle)._stop_left(client)
+                yield f"client gives up {handle}, which has not begun in time", given_up
         for handle in self.unstopped:
             if handle in mine:
                 done = self._replace(unstopped=tuple(each for each in self.unstopped if each != handle))
@@ -115,15 +121,18 @@ class State(NamedTuple):
                 if self.is_closed[client] or defect == "gives up without a stop":
                     yield f"client sends no stop of {handle}", done
                 elif is_newest or defect == "stops what comes next":
-                    yield f"client sends the stop of {handle}", done._send("stop", handle)
-                else:
+                    yield f"client sends the stop of {handle}", done._without_left(client)._send("stop", handle)
+                elif defect == "leaves the motion to what is refused":
                     yield f"client has sent what stops {handle} anyway", done
+                else:
+                    left = done._replace(left=(*done.left, handle))
+                    yield f"client has sent what stops {handle} by beginning", left
         for kind, handle in self.reports[client][:1]:
             rest = self._replace(reports=_with(self.reports, client, self.reports[client][1:]))
             name = kind if handle == _GONE else f"{handle} {kind}"
             yield f"client {client} reads: {name}", rest._read(client, kind, handle, defect)
         if self.is_cut[client] and defect != "does not notice a lost connection":
-            lost = self._fire(Event.FAIL, *mine)
+            lost = self._without_left(client)._fire(Event.FAIL, *mine)
             yield (
                 f"client {client} notices the loss, and connects again",
                 lost._replace(
@@ -139,15 +148,19 @@ class State(NamedTuple):
             ends = [each for each in mine if self.phases[each] != begun or each != script]
             if defect == "a stop leaves what has not begun":
                 ends = [each for each in ends if self.phases[each] == begun]
-            return self._fire(Event.FAIL, *ends)._replace(is_closed=_with(self.is_closed, client, True))
+            stopped = self._without_left(client)._fire(Event.FAIL, *ends)
+            return stopped._replace(is_closed=_with(self.is_closed, client, True))
         if kind == "clear":
             return self._replace(is_closed=_with(self.is_closed, client, False))
+        if kind == "refused":
+            return self._fire(Event.FAIL, handle)._stop_left(client)
         if kind != "asks":
             return self._fire(Event.FINISH if kind == "finished" else Event.FAIL, handle)
         is_wanted = self.phases[handle] in _LIVE
         if not is_wanted and defect != "grants what was given up":
             return self
-        begun_now = self._fire(Event.BEGIN, handle)._fire(Event.CANCEL, *(each for each in mine if each < handle))
+        begun_now = self._without_left(client)._fire(Event.BEGIN, handle)
+        begun_now = begun_now._fire(Event.CANCEL, *(each for each in mine if each < handle))
         if self.is_closed[client]:
             return begun_now._fire(Event.FAIL, handle)
         if self.granted[handle] is None and not self.is_cut[client]:
@@ -221,6 +234,17 @@ class State(NamedTuple):
     def _handles(self, client: int) -> list[int]:
         return [handle for handle, owner in enumerate(self.owners) if owner == client]
 
+    def _without_left(self, client: int) -> State:
+        return self._replace(left=tuple(each for each in self.left if self.owners[each] != client))
+
+    def _stop_left(self, client: int) -> State:
+        """Something has not begun; what was left to it is stopped, unless another was sent that stops it."""
+        mine = self._handles(client)
+        left = [each for each in mine if each in self.left]
+        if not left or any(self.phases[each] in _LIVE or each in self.unstopped for each in mine if each > left[0]):
+            return self
+        return self._without_left(client)._send("stop", left[-1])
+
     def _fire(self, event: Event, *handles: int) -> State:
         """What the table of `linkcore.handle` has for it."""
         phases = self.phases
@@ -250,6 +274,7 @@ class State(NamedTuple):
             phases=tuple([ended if over else phase for phase, over in zip(self.phases, is_over, strict=True)]),
             asked_anew=tuple([anew and handle not in gone for handle, anew in enumerate(self.asked_anew)]),
             granted=tuple([None if handle in gone else granted for handle, granted in enumerate(self.granted)]),
+            left=tuple([handle for handle in self.left if handle not in gone]) if self.left else (),
             texts=tuple([without_gone(texts) for texts in self.texts]),
             late=without_gone(self.late),
             reports=reports,
@@ -292,9 +317,12 @@ def _ends_with_its_handle(state: State) -> bool:
     if moving is None:
         return True
     handle, client = moving[0], state.owners[moving[0]]
-    if state.phases[handle] in _LIVE or state.cut == client or handle in state.unstopped:
+    if state.phases[handle] in _LIVE or state.cut == client:
         return True
-    return any(kind in ("stop", "program") and other >= handle for kind, other in state.texts[client])
+    if any(state.owners[other] == client and other >= handle for other in state.unstopped):
+        return True  # its own stop, or that of what was sent after it
+    under_way = *state.texts[client], *state.reports[client]
+    return any(kind == "stop" or (kind in ("program", "refused") and other >= handle) for kind, other in under_way)
 
 
 def _stops_in_order(state: State) -> bool:
@@ -327,6 +355,7 @@ DEFECTS: Mapping[str, tuple[tuple[int, ...], str]] = {
     "one flag for all programs": ((0, 1), "no program is let go by the grant of another"),
     "grants what was given up": ((0, 1), "what moves was wanted when it was granted"),
     "gives up without a stop": ((0, 1), "what was given up does not go on"),
+    "leaves the motion to what is refused": ((0, 0), "what was given up does not go on"),
     "stops what comes next": ((0, 0), "no stop is sent after the next motion"),
     "a stop leaves what has not begun": ((0, 1), "after a stop moves only what was asked for anew"),
     "does not notice a lost connection": ((0,), ENDS),
