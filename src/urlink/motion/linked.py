@@ -131,8 +131,8 @@ class LinkedProgram:
         self._controller = ControllerClock(self._cycle)
         #: s on the controller's clock from the first state to the newest one
         self._passed = 0.0
-        #: when the newest state was looked at, monotonic s
-        self._seen = self._clock()
+        #: when the newest state was looked at, monotonic s; from the first one on
+        self._seen: float
         self._owes_farewell = False  # of the link: what it still has to deliver when it is closed
 
     def begin(self) -> None:

@@ -140,9 +140,9 @@ class SetpointStream:
         self._limit = SpeedLimit(model, self.cycle, late=servoing.late)
         self.q: list[float] = []
         self.qd: list[float] = []
-        #: s since the last set-point, on the controller's clock and for the program
-        self._since = 0.0
-        self._since_scaled = 0.0
+        #: s since the last set-point, on the controller's clock and for the program; from `begin` on
+        self._since: float
+        self._since_scaled: float
 
     def begin(self, q: Sequence[float]) -> None:
         """The arm rests at `q` (6, rad)."""

@@ -218,7 +218,6 @@ class Trajectory:
         self._times: list[float] = time.tolist()
         self._rows: list[list[list[float]]] = self._coefficients.transpose(0, 2, 1).tolist()
         self._ends: list[list[float]] = [q[0].tolist(), q[-1].tolist()]
-        self._end_speeds: list[list[float]] = [qd[0].tolist(), qd[-1].tolist()]
 
     @property
     def duration(self) -> float:

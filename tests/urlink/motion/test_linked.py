@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
 from linkcore.errors import BadAddress, ConnectFailed, ConnectionLost, LinkError, LocalError
 from linkcore.handle import Motion, Phase
-from tests.fakes.rehearsal import TIMEOUT, Rehearsal
+from tests.fakes.rehearsal import FOLLOW, TIMEOUT, WAIT, Rehearsal
 from tests.waiting import until
 from urlink.errors import NotRunning, ProgramStopped, SafetyStop, ToleranceExceeded
-from urlink.interfaces.enums import SafetyMode
+from urlink.interfaces.enums import ProgramState, SafetyMode
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.motion.linked import LinkedProgram
+from urlink.motion.setpoints import setpoint
 from urlink.urscript.links import InputRegisters, ReverseSocket
 
 pytestmark = pytest.mark.simulated_time
@@ -170,7 +172,7 @@ def test_one_that_does_not_come(talk: Talk) -> None:
 
 @pytest.mark.parametrize("is_told", [True, False])
 def test_has_a_second_to_end_once_it_was_told_to(talk: Talk, is_told: bool) -> None:
-    talk.begin()
+    talk.begin().look(3.0)
     assert not talk.program.is_finishing
     talk.is_over = True
     talk.robot.until(lambda: talk.program.is_finishing)
@@ -375,3 +377,71 @@ def test_nothing_is_said_after_its_end(talk: Talk) -> None:
         talk.program.say(b"late")
     talk.robot.show()
     assert len(talk.said) == said
+
+
+def test_each_message_says_in_which_cycle_and_how_many_pauses_there_were(
+    talk: Talk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    talk.answer = setpoint([0.0] * 6, [0.0] * 6)
+    sent: list[bytes] = []
+    monkeypatch.setattr(talk, "send", sent.append)
+    talk.begin()
+    assert sent[0][-4:] == bytes(4)
+    for pauses in range(3):
+        talk.program._pause.count = pauses
+        before = int.from_bytes(sent[-1][-4:], "big")
+        talk.look(0.1)
+        date = int.from_bytes(sent[-1][-4:], "big")
+        assert 0.1 / talk.robot.cycle <= date - before < 0.1 / talk.robot.cycle + 10  # states come meanwhile
+        assert int.from_bytes(sent[-1][-8:-4], "big") == (WAIT + pauses if pauses else FOLLOW)
+
+
+@pytest.mark.parametrize(("silence", "says"), [(0.125, True), (0.126, False), (0.25, False), (0.251, None)])
+def test_what_a_loop_sends_after_a_silence(talk: Talk, silence: float, says: bool | None) -> None:
+    """It is too old for the program after the time of its watchdog, and after twice as long the motion is over."""
+    talk.begin()
+    said = len(talk.said)
+    talk.program._seen = talk.now - silence
+    if says is None:
+        with pytest.raises(ConnectionLost, match=r"no state for 0\.25 s"):
+            talk.program.feed(b"mine", 0.125)
+        talk.fails(ConnectionLost, "brakes by itself")
+        assert talk.said[said:] == [b"bye"]
+    else:
+        talk.program.feed(b"mine", 0.125)
+        assert talk.said[said:] == ([b"mine"] if says else [])
+
+
+@pytest.mark.parametrize("state", [ProgramState.PAUSING, ProgramState.PAUSED, ProgramState.PLAYING])
+def test_is_paused_by_a_state_that_was_not_looked_at_yet(talk: Talk, state: ProgramState) -> None:
+    """A loop of the user may have it before the thread that answers states."""
+    talk.begin()
+    assert not talk.program.is_paused
+    newest = SimpleNamespace(latest=SimpleNamespace(program_state=state))
+    context = talk.program._context
+    talk.program._context = replace(context, realtime=newest)  # type: ignore[arg-type]
+    assert talk.program.is_paused == (state is not ProgramState.PLAYING)
+    talk.program._context = replace(context, realtime=SimpleNamespace(latest=None))  # type: ignore[arg-type]
+    assert not talk.program.is_paused
+    talk.program._pause.holds = True
+    assert talk.program.is_paused
+    talk.program._pause.holds, talk.program._context = False, context
+
+
+def test_after_a_pause_the_dialogue_goes_on_once(talk: Talk, monkeypatch: pytest.MonkeyPatch) -> None:
+    resumed: list[float] = []
+    monkeypatch.setattr(talk, "resume", lambda state: resumed.append(len(talk.steps)))
+    talk.begin()
+    talk.program._pause.is_over = True
+    talk.look()
+    talk.look()
+    assert len(resumed) == 1
+    assert not talk.program._pause.is_over
+
+
+def test_who_waited_until_it_was_linked_is_let_go_of_at_its_end(talk: Talk) -> None:
+    """It refers to the handle, and this to the program."""
+    talk.begin().motion.cancel()
+    linked = talk.linked
+    talk.program._on_linked()
+    assert talk.linked == linked

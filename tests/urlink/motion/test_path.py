@@ -216,6 +216,7 @@ def test_how_long_a_movement_takes_from_rest_to_rest() -> None:
     assert Rates(0.5, 2.0).seconds(1.0) == pytest.approx(2.0 + 0.25)
     assert Rates(0.5, 2.0).seconds(0.08) == pytest.approx(2.0 * 0.2)
     assert Rates(2.0, 1.0).seconds(3.0) == pytest.approx(2.0 * math.sqrt(3.0))
+    assert Rates(1.0, 2.0).seconds(0.6) == pytest.approx(0.6 + 0.5, rel=1e-9)
     joints = planned([Joint(np.add(READY, [0.1, -0.8, 0.2, 0.0, 0.0, 0.0]))])
     assert joints.sections[0].seconds == pytest.approx(JOINT_RATES.seconds(0.8))
 

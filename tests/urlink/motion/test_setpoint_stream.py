@@ -15,7 +15,15 @@ from urlink.firmware import Firmware
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.models import model
 from urlink.motion.paced import PacedSetpoints
-from urlink.motion.setpoints import STOP_MESSAGE, WAIT_MESSAGE, Servoing, SetpointStream, read_message
+from urlink.motion.setpoints import (
+    STOP_MESSAGE,
+    WAIT_MESSAGE,
+    Servoing,
+    SetpointStream,
+    dated,
+    read_message,
+    setpoint,
+)
 from urlink.motion.speed_limit import EARLY, largest_speeds
 from urlink.urscript.links import STOP, WAIT
 
@@ -36,6 +44,15 @@ def at(angle: float) -> list[float]:
 def test_a_message_without_a_set_point_has_no_numbers() -> None:
     assert read_message(STOP_MESSAGE) == (REST, REST, STOP)
     assert read_message(WAIT_MESSAGE) == (REST, REST, WAIT)
+
+
+@pytest.mark.parametrize("last", [0.0, 3e-6, 0.5])
+def test_after_a_pause_a_set_point_says_how_many_there_were(last: float) -> None:
+    message = setpoint(at(0.3), at(last))
+    assert dated(message, 7) == message + bytes([0, 0, 0, 7])
+    assert dated(message, 7, 2) == message[:-4] + (WAIT + 2).to_bytes(4, "big") + bytes([0, 0, 0, 7])
+    for other in (WAIT_MESSAGE, STOP_MESSAGE, dated(message, 6)):
+        assert dated(other, 7, 2) == other + bytes([0, 0, 0, 7])
 
 
 # -- the stream ------------------------------------------------------------------------------------------

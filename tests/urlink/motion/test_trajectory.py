@@ -267,6 +267,18 @@ def test_a_long_trajectory_is_looked_at_to_its_end() -> None:
         Trajectory.from_arrays(time, q).check(UR5E)
 
 
+def test_the_first_segment_of_a_second_block_is_looked_at() -> None:
+    q = np.zeros((4098, 6))
+    q[-1, 1] = 9.0
+    with pytest.raises(BadValue, match="between points 4096 and 4097"):
+        Trajectory.from_arrays(4.0 * np.arange(4098.0), q).check(UR5E)
+
+
+def test_what_is_beyond_its_limit_may_be_in_degrees() -> None:
+    with pytest.raises(BadValue, match=r"position of wrist 3 .* is 45\.0000 rad; .* rad \(in degrees\?\)"):
+        Trajectory.from_arrays([0.0, 90.0], [[0.0] * 5 + [45.0]] * 2).check(UR5E)
+
+
 def test_first_point_is_near() -> None:
     with pytest.raises(BadValue, match=r"shoulder \(joint 1\) at 0\.2000 rad, to begin at 0\.0000 rad; at most 0\.05"):
         tool(0, 1).check(near=[0, 0.2, 0.1, 0, 0, 0])
