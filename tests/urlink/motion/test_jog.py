@@ -4,24 +4,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from typing import Any
+from contextlib import contextmanager, nullcontext
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
-from linkcore.errors import BadValue, Cancelled, LocalError
+from linkcore.errors import BadValue, Cancelled, LinkError, LocalError
 from linkcore.handle import Motion, Phase
 from tests.fakes.rehearsal import FOLLOW, HOME, STOP, TIMEOUT, WAIT, Rehearsal
 from tests.urlink.motion.bench import Bench
 from tests.urlink.motion.test_servo import Beside
 from tests.waiting import until
-from urlink.errors import SafetyStop
+from urlink.errors import ProgramStopped, SafetyStop
 from urlink.firmware import Firmware
 from urlink.interfaces.enums import SafetyMode
+from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.kinematics import Arm
 from urlink.models import model
 from urlink.motion import Jog
+from urlink.motion.jog import FULL_SPEED, FrameName, _Holding
 from urlink.motion.setpoints import STOP_MESSAGE, WAIT_MESSAGE, read_message, setpoint
 from urlink.poses import rotvec_to_matrix
 from urlink.urscript.links import LINK_ENDED, STARVED, ReverseSocket
@@ -232,6 +234,53 @@ class TestHeldSpeeds:
         until(lambda: motion.done)
         with pytest.raises(SafetyStop):
             robot.motion.speed_joints([0.3, 0, 0, 0, 0, 0], duration=5.0)
+
+
+    @pytest.mark.simulated_time
+    def test_it_is_refused_where_motions_have_to_be_enabled_anew(self, robot: Rehearsal) -> None:
+        motion = robot.motion.speed_joints([0.3, 0, 0, 0, 0, 0], duration=5.0)
+        robot.safety.policy = "always"
+        with pytest.raises(LinkError, match="enable"):
+            robot.motion.speed_joints([0.0, 0.3, 0, 0, 0, 0], duration=5.0)
+        motion.cancel()
+
+    @pytest.mark.simulated_time
+    def test_a_program_that_ends_before_its_time_fails_it(self, robot: Rehearsal) -> None:
+        motion = robot.motion.speed_joints([0.3, 0, 0, 0, 0, 0], duration=5.0)
+        robot.connect()
+        robot.finish()
+        with pytest.raises(ProgramStopped, match="before its time"):
+            motion.wait(TIMEOUT)
+
+
+def test_a_speed_is_over_once_it_was_held_for_its_time() -> None:
+    holding = _Holding(nullcontext(), lambda link: [], np.array([0.3] * 6), 0.5)  # type: ignore[arg-type]
+    state = cast(RealtimeState, None)
+    for now, is_over in ((10.0, False), (10.25, False), (10.499, False), (10.5, True)):
+        assert read_message(holding.step(b"", state, now))[0] == [0.3] * 6
+        assert holding.is_over is is_over
+    assert holding.change(np.array([0.1] * 6), 2.0) is False
+    assert read_message(holding.step(b"", state, 10.5))[0] == [0.3] * 6
+
+
+def test_a_speed_that_is_changed_begins_its_time_anew() -> None:
+    holding = _Holding(nullcontext(), lambda link: [], np.array([0.3] * 6), 0.5)  # type: ignore[arg-type]
+    state = cast(RealtimeState, None)
+    assert holding.part(9.0) == 0.0
+    holding.step(b"", state, 10.0)
+    assert holding.part(10.25) == 0.5
+    assert holding.change(np.array([0.1] * 6), 2.0) is True
+    assert holding.part(10.25) == 0.0
+    assert read_message(holding.step(b"", state, 11.0))[0] == [0.1] * 6
+    assert holding.part(12.0) == 0.5
+
+
+def test_the_whole_speed_is_what_the_vendor_moves_at_by_default() -> None:
+    """Of `movej` rad/s of the leading joint, of `movel` m/s; to turn the tool the vendor has none."""
+    assert FULL_SPEED["joints"] == (1.05,) * 6
+    frames: list[FrameName] = ["base", "tool"]
+    for frame in frames:
+        assert FULL_SPEED[frame] == (0.25, 0.25, 0.25, 0.8, 0.8, 0.8)
 
 
 def bench(firmware: Firmware, is_tool: bool = False) -> Bench:

@@ -13,6 +13,7 @@ from linkcore.errors import BadValue, Cancelled, Closed, ConnectionLost, LinkTim
 from linkcore.handle import Motion, Phase
 from tests.fakes.rehearsal import HOME, TIMEOUT, Rehearsal, turned
 from tests.waiting import until
+from urlink import Joint
 from urlink.errors import CompileError, NotEnabled, NotRunning, ProgramStopped, SafetyStop, ScriptFailed
 from urlink.interfaces.enums import RobotMode, SafetyMode
 from urlink.kinematics import Arm
@@ -430,3 +431,19 @@ def test_closed(robot: Rehearsal) -> None:
     assert "stopj" in robot.sent[-1]
     with pytest.raises(Closed):
         robot.motion.stop()
+
+
+def test_which_motions_end_where_the_arm_is_moved_in_a_pause(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those with a goal: the controller would lead the arm back onto the path to it."""
+    watched: list[str] = []
+    monkeypatch.setattr("urlink.motion.motions.end_where_moved", lambda life, realtime: watched.append(life.name))
+    motion, pose = robot.motion, robot.pose
+    motion.move_joints(HOME)
+    motion.move_linear(pose)
+    motion.move_circular(pose + [0.1, 0.1, 0.0, 0, 0, 0], pose + [0.2, 0.0, 0.0, 0, 0, 0])
+    motion.path([Joint(HOME)])
+    motion.until_contact([0, 0, 1])
+    assert watched == ["move_joints", "move_linear", "move_circular", "path", "until_contact"]
+    motion.speed_joints([0.1] * 6, duration=0.1)
+    motion.stop()
+    assert len(watched) == 5

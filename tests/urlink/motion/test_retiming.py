@@ -254,3 +254,11 @@ def test_poses_that_cannot_be_followed() -> None:
     turned = arm.forward([*near[:3], near[3] - 1.4, 0.05, 2.0])
     with pytest.raises(BadValue, match=r"between points 1 and 2 wrist \d \(joint \d\) leaps"):
         Trajectory.from_poses([0.0, 1.0, 2.0], [arm.forward(near), tilted, turned], arm, near)
+
+
+def test_a_place_after_which_there_is_little_way_left_is_passed_slowly() -> None:
+    """Also the first one behind the beginning: one joint, 1 rad/s² at most, at rest at both ends."""
+    ones, most = np.ones((2, 1)), np.ones((2, 1))
+    rests = np.array([True, False, True])
+    squares = retiming._squares(np.array([1.0, 0.1]), ones, ones, rests, np.array([10.0]), most)
+    assert squares == pytest.approx([0.0, 0.2, 0.0])
