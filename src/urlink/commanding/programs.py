@@ -474,7 +474,7 @@ class Programs:
             _log.info("%s, which was given up, was not stopped yet: %s", self._kept, error)
 
     def _may_stop_kept(self) -> bool:
-        """It is there, no stop holds, and no other was sent that replaces it by beginning: that one would be stopped."""
+        """It is there, no stop holds, and no other was sent, which would be stopped instead of it."""
         is_replaced = self._newest() is not None
         return self._kept is not None and not is_replaced and self._monitor.refusal(is_stop=True) is None
 

@@ -175,10 +175,11 @@ class Servo(LinkedBlock):
         else:
             if self._program.is_paused:
                 return
+            before = None if self._dialogue.begins_anew else self._last
             passed = self._dialogue.program_time(now)
-            self._check_step(values, passed)
-            self._say(setpoint(values, self._speeds(values, now)), self._servoing.watchdog)
-            self._limit.take(self._last if self._last is not None and not self._begins else values, values, passed)
+            self._check_step(before, values, passed)
+            self._say(setpoint(values, self._speeds(before, values, now)), self._servoing.watchdog)
+            self._limit.take(before or values, values, passed)
             self._dialogue.begins_anew = False
         self._count_one(values, now)
 
@@ -305,14 +306,14 @@ class Servo(LinkedBlock):
         mean = (self._sent_at - self._began) / (self._count - 1)
         return ServoStatistics(self._count, mean, p50, p99, float(deviations.max()), self._late)
 
-    def _speeds(self, values: list[float], now: float) -> list[float]:
-        """(6,) rad/s since the last set-point: the program goes on at these if the next one is late.
+    def _speeds(self, before: list[float] | None, values: list[float], now: float) -> list[float]:
+        """(6,) rad/s since the set-point `before`, if any: the program goes on at these if the next one is late.
 
         No faster than over the last `LONGEST_PERIOD`, and in no other direction: after this computer was held up, an
         old set-point may be followed at once by a current one, and their difference is not a speed.
         """
         recent = self._recent
-        if self._begins:
+        if before is None:
             recent.clear()
         recent.append((now, values))
         while len(recent) > 2 and now - recent[1][0] >= LONGEST_PERIOD:
@@ -327,11 +328,6 @@ class Servo(LinkedBlock):
         seconds = max(now - at, self._cycle)
         return [(there - here) / seconds for here, there in zip(q, values, strict=True)]
 
-    @property
-    def _begins(self) -> bool:
-        """Whether the next set-point is the first, or the first after a pause."""
-        return self._last is None or self._dialogue.begins_anew
-
     def _in_range(self, q: Numbers) -> list[float]:
         values = six(q, "q")
         if self._model is not None:
@@ -339,9 +335,10 @@ class Servo(LinkedBlock):
         plain: list[float] = values.tolist()
         return plain
 
-    def _check_step(self, values: list[float], now: float) -> None:
-        if self._last is not None and not self._begins:
-            excess = self._limit.excess(self._last, values, now)
+    def _check_step(self, last: list[float] | None, values: list[float], now: float) -> None:
+        """Refuse what is too far from the last set-point; the first one, also after a pause, from where the arm is."""
+        if last is not None:
+            excess = self._limit.excess(last, values, now)
             if excess is not None:
                 raise BadValue(excess)
             return

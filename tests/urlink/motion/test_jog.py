@@ -235,7 +235,6 @@ class TestHeldSpeeds:
         with pytest.raises(SafetyStop):
             robot.motion.speed_joints([0.3, 0, 0, 0, 0, 0], duration=5.0)
 
-
     @pytest.mark.simulated_time
     def test_it_is_refused_where_motions_have_to_be_enabled_anew(self, robot: Rehearsal) -> None:
         motion = robot.motion.speed_joints([0.3, 0, 0, 0, 0, 0], duration=5.0)
@@ -267,6 +266,7 @@ def test_a_speed_that_is_changed_begins_its_time_anew() -> None:
     holding = _Holding(nullcontext(), lambda link: [], np.array([0.3] * 6), 0.5)  # type: ignore[arg-type]
     state = cast(RealtimeState, None)
     assert holding.part(9.0) == 0.0
+    assert holding.change(np.array([0.3] * 6), 0.5) is True
     holding.step(b"", state, 10.0)
     assert holding.part(10.25) == 0.5
     assert holding.change(np.array([0.1] * 6), 2.0) is True

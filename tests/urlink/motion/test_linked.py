@@ -415,17 +415,12 @@ def test_what_a_loop_sends_after_a_silence(talk: Talk, silence: float, says: boo
 @pytest.mark.parametrize("state", [ProgramState.PAUSING, ProgramState.PAUSED, ProgramState.PLAYING])
 def test_is_paused_by_a_state_that_was_not_looked_at_yet(talk: Talk, state: ProgramState) -> None:
     """A loop of the user may have it before the thread that answers states."""
-    talk.begin()
-    assert not talk.program.is_paused
-    newest = SimpleNamespace(latest=SimpleNamespace(program_state=state))
-    context = talk.program._context
-    talk.program._context = replace(context, realtime=newest)  # type: ignore[arg-type]
-    assert talk.program.is_paused == (state is not ProgramState.PLAYING)
-    talk.program._context = replace(context, realtime=SimpleNamespace(latest=None))  # type: ignore[arg-type]
-    assert not talk.program.is_paused
-    talk.program._pause.holds = True
-    assert talk.program.is_paused
-    talk.program._pause.holds, talk.program._context = False, context
+    context, found = talk.program._context, []
+    for latest, holds in ((None, False), (SimpleNamespace(program_state=state), False), (None, True)):
+        talk.program._context = replace(context, realtime=SimpleNamespace(latest=latest))  # type: ignore[arg-type]
+        talk.program._pause.holds = holds
+        found.append(talk.program.is_paused)
+    assert found == [False, state is not ProgramState.PLAYING, True]
 
 
 def test_after_a_pause_the_dialogue_goes_on_once(talk: Talk, monkeypatch: pytest.MonkeyPatch) -> None:

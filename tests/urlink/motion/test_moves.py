@@ -440,7 +440,7 @@ def test_which_motions_end_where_the_arm_is_moved_in_a_pause(robot: Rehearsal, m
     motion, pose = robot.motion, robot.pose
     motion.move_joints(HOME)
     motion.move_linear(pose)
-    motion.move_circular(pose + [0.1, 0.1, 0.0, 0, 0, 0], pose + [0.2, 0.0, 0.0, 0, 0, 0])
+    motion.move_circular(pose + 0.1 * np.eye(6)[0], pose + 0.1 * np.eye(6)[1])
     motion.path([Joint(HOME)])
     motion.until_contact([0, 0, 1])
     assert watched == ["move_joints", "move_linear", "move_circular", "path", "until_contact"]

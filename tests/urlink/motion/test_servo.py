@@ -5,7 +5,8 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -13,10 +14,18 @@ import pytest
 from linkcore.errors import BadValue, Cancelled, Closed, ConnectFailed, ConnectionLost, LocalError
 from linkcore.handle import Phase
 from tests.fakes.rehearsal import FOLLOW, HOME, STOP, Rehearsal, turned
+from tests.urlink.motion.bench import PLAYING
 from tests.waiting import until
 from urlink.errors import ProgramStopped, SafetyStop
+from urlink.firmware import Firmware
 from urlink.interfaces.enums import SafetyMode
+from urlink.interfaces.realtime.packets import RealtimeState
+from urlink.models import model
 from urlink.motion import Servo, ServoStatistics
+from urlink.motion.paced import PacedSetpoints
+from urlink.motion.servo import _Leading
+from urlink.motion.setpoints import WAIT_MESSAGE, Servoing
+from urlink.motion.speed_limit import largest_speeds
 from urlink.motion.trajectory import Trajectory
 
 pytestmark = pytest.mark.simulated_time
@@ -129,6 +138,15 @@ def test_an_interval_is_late_beyond_one_and_a_half_periods(robot: Rehearsal) -> 
     assert 0.25 < stats.p99 < 0.3125
 
 
+def test_half_of_the_intervals_deviate_by_less(robot: Rehearsal) -> None:
+    with opened(robot, rate=2.0, watchdog=5.0) as servo:
+        for interval in (0.5, 0.625, 0.75, 0.875):
+            servo.send(HOME)
+            robot.time += interval
+        servo.send(HOME)
+        assert servo.stats.p50 == pytest.approx(0.1875)
+
+
 def test_statistics_of_a_loop_that_goes_on_for_long(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("urlink.motion.servo._REMEMBERED", 2)
     with opened(robot, rate=2.0, watchdog=5.0) as servo:
@@ -163,6 +181,104 @@ def test_the_way_between_two_set_points_at_once_after_a_hold_up_is_no_speed(led:
     assert speeds[:29] == pytest.approx([0.0, *[0.15] * 28], abs=1e-6)
     assert min(speeds[29:]) > 0.0
     assert max(speeds[29:]) < 0.151
+
+
+def test_speeds_are_of_the_last_set_points_only(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("urlink.motion.servo.LONGEST_PERIOD", 0.25)
+    servo = robot.motion.servo()
+
+    def speeds(*sent: tuple[float, float]) -> list[float]:
+        found, before = [], None
+        for at, q in sent:
+            found.append(servo._speeds(before, turned(q), at)[5])
+            before = turned(q)
+        return found
+
+    # Those since 0.25 s, and one before them where the others are less.
+    assert speeds((0.0, 0.0), (0.125, 0.1), (0.25, 0.2), (0.375, 0.4)) == pytest.approx([0.0, 0.8, 0.8, 0.3 / 0.25])
+    assert speeds((0.0, 0.0), (0.125, 0.0), (0.5, 0.3)) == pytest.approx([0.0, 0.0, 0.3 / 0.375])
+
+
+def leading(paced: PacedSetpoints | None = None) -> _Leading:
+    return _Leading(Servoing(Firmware.parse("5.11"), largest_speeds(model("UR5e")), 0.1, 0.03, 300.0), paced)
+
+
+def seen(time: float, scaling: float = 1.0, q: float = 0.0) -> RealtimeState:
+    state = SimpleNamespace(**{**PLAYING, "time": time, "speed_scaling": scaling, "q_target": np.array(turned(q))})
+    return cast(RealtimeState, state)
+
+
+def test_until_the_loop_sends_something_the_program_is_told_to_wait() -> None:
+    servo = leading()
+    assert servo.step(b"", seen(50.0, q=0.3), 1000.0) == WAIT_MESSAGE
+    assert servo.here == turned(0.3)
+    servo.has_begun = True
+    assert servo.step(b"", seen(50.002, q=0.4), 1000.002) == b""
+    assert servo.here == turned(0.3)
+
+
+def test_the_time_of_a_program_that_is_executed_slowly() -> None:
+    servo = leading()
+    assert servo.program_time(999.0) == 999.0
+    servo.step(b"", seen(50.0), 1000.0)
+    servo.step(b"", seen(50.25, 0.5), 1000.25)  # three quarters on the average
+    assert servo.program_time(1000.25) == pytest.approx(1000.25 - 0.0625)
+    assert servo.program_time(1000.5) == pytest.approx(1000.5 - 0.0625 - 0.125)
+    assert servo.program_time(1000.0) == pytest.approx(1000.0 - 0.0625)  # no time passes backwards
+    servo.step(b"", seen(50.75, 0.5), 1000.75)
+    assert servo.program_time(1000.75) == pytest.approx(1000.75 - 0.0625 - 0.25)
+    # A state from the past is one cycle later, of which the program has half.
+    servo.step(b"", seen(40.0, 0.5), 1000.75)
+    assert servo.program_time(1000.75) == pytest.approx(1000.75 - 0.0625 - 0.25 - 0.001)
+
+
+def test_after_a_pause_the_time_of_the_program_begins_slowly() -> None:
+    servo = leading()
+    servo.step(b"", seen(50.0), 1000.0)
+    servo.resume(seen(60.0, q=0.2))
+    assert not servo.begins_anew  # it had not begun
+    servo.has_begun = True
+    servo.resume(seen(60.0, q=0.3))
+    assert (servo.here, servo.begins_anew) == (turned(0.3), True)
+    servo.step(b"", seen(60.0), 1010.0)
+    assert servo.program_time(1010.0) == pytest.approx(1000.0)
+    assert servo.program_time(1011.0) == pytest.approx(1000.0)  # by the first state it stands
+    servo.step(b"", seen(60.08), 1010.08)
+    assert servo.program_time(1010.08) == pytest.approx(1000.0 + 0.5 * 0.5 * 0.08)
+
+
+def test_what_makes_the_set_points_is_told_of_a_pause() -> None:
+    resumed: list[RealtimeState] = []
+    paced = SimpleNamespace(resume=resumed.append)
+    servo, state = leading(cast(PacedSetpoints, paced)), seen(60.0)
+    servo.has_begun = True
+    servo.resume(state)
+    assert resumed == [state]
+    assert not servo.begins_anew
+
+
+def test_a_loop_begins_anew_after_a_pause(robot: Rehearsal) -> None:
+    with opened(robot) as servo:
+        for n in range(5):
+            servo.send(turned(0.001 * n))
+            assert next_set_point(robot) == pytest.approx(turned(0.001 * n))
+            robot.time += 0.002
+        servo._dialogue.resume(seen(robot.time, q=0.3))
+        with pytest.raises(BadValue, match=r"from where the arm is; at most 0\.0500 rad"):
+            servo.send(turned(0.005))
+        for q, speed in ((0.3, 0.0), (0.301, 0.5)):
+            servo.send(turned(q))
+            assert next_set_point(robot) == pytest.approx(turned(q))
+            assert robot.speeds[5] == pytest.approx(speed, abs=1e-6)
+            robot.time += 0.002
+
+
+def test_the_scaling_is_that_of_the_newest_state(robot: Rehearsal) -> None:
+    servo = robot.motion.servo()
+    for scaling in (0.4, 1.0):
+        robot.scaling = scaling
+        robot.tick()
+        until(lambda scaling=scaling: servo.scaling == scaling)  # type: ignore[misc]
 
 
 def test_the_first_set_point_is_near_and_all_are_in_range(led: Rehearsal) -> None:
