@@ -85,7 +85,8 @@ class GroupStream(GroupMotion):
         self, life: Lifecycle, streams: Sequence[PointStream], names: Sequence[str], stopping: CallbackThread
     ) -> None:
         super().__init__(life, streams, names, stopping)
-        self._block = contextlib.ExitStack()
+        #: of all streams; from `__enter__` on
+        self._block: contextlib.ExitStack
         #: points are handed to all arms, or taken from all; re-entrant, for signal handlers
         self._handing = threading.RLock()
 

@@ -12,12 +12,8 @@ from tests.urlink.motion.test_impedance import READY
 from tests.urlink.motion.test_tool_impedance import STIFFNESS, SoftTool, place
 from tests.urlink.motion.test_yielding_programs import LINK
 from urlink import poses
-from urlink.motion.impedance import _Messages
-from urlink.motion.setpoints import read_message
-from urlink.packets import RealtimeState
 from urlink.simulator import Controller, Plane, Still
-from urlink.urscript.links import FOLLOW
-from urlink.urscript.springs import GAINS, POSTURE, ToolSprings, admittance
+from urlink.urscript.springs import ToolSprings, admittance
 from urlink.urscript.wrapping import program
 
 
@@ -204,14 +200,3 @@ def test_what_cannot_act_is_refused() -> None:
         for given in ({"force": 10.0}, {"posture_stiffness": 1.0}):
             with pytest.raises(urlink.BadValue, match="springs of the tool"):
                 robot.motion.impedance(**given)  # type: ignore[arg-type]
-
-
-def test_gains_and_posture_are_repeated_among_the_targets() -> None:
-    """A message may be lost: a register holds the newest only."""
-    messages = _Messages(lambda link: [], [100.0] * 6, [1.0] * 6, has_posture=True)
-    messages.lead([0.3] * 6, list(READY))
-    sent = [read_message(messages.step(b"", RealtimeState((5, 25)), 0.0)) for _ in range(100)]
-    kinds = [mode for *_, mode in sent]
-    assert [kinds.count(mode) for mode in (FOLLOW, GAINS, POSTURE)] == pytest.approx([75, 12, 12], abs=2)
-    postures = [first for first, _, mode in sent if mode == POSTURE]
-    np.testing.assert_allclose(postures, [READY] * len(postures), atol=1e-6)

@@ -724,3 +724,23 @@ def test_what_is_beside_the_path_at_its_end_is_faded_out_after_it() -> None:
     for _ in range(400):
         feeding.state()
     assert feeding.q == pytest.approx(turned(0.3), abs=1e-3)
+
+
+def test_after_a_pause_the_place_is_looked_for_from_a_little_before_to_a_second_after() -> None:
+    """In steps of 4 ms."""
+    trajectory = Trajectory.from_arrays([0, 4], [turned(0), turned(2.0)])
+    led = follower(trajectory=trajectory)
+    for place, found in ((2.004, 2.004), (2.9, 2.9), (3.5, 2.996), (1.9, 1.9), (1.5, 1.8)):
+        assert led._nearest(trajectory.sample(place)[0], 2.0) == pytest.approx(found, abs=1e-9)
+
+
+def test_an_arm_that_lags_is_compared_with_where_it_should_be_by_then() -> None:
+    """The lag that was measured, without the cycles in it that a set-point takes to arrive."""
+    led = Follower(WAVE, LOOSE, servoing(NEWEST), arm(NEWEST), 0.1)
+    feeding = Feeding(led)
+    for _ in range(100):
+        feeding.state()
+        assert led.progress * 2.0 == pytest.approx(led._s - 0.1)
+    passed, t = led.times(50.2) or (0.0, 0.0)
+    assert passed == pytest.approx(t)
+    assert t == pytest.approx(led._s - 0.1)

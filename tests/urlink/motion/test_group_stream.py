@@ -13,7 +13,7 @@ from typing import Any, cast
 
 import pytest
 
-from linkcore.errors import BadValue, Cancelled, ConnectionLost, LinkTimeout
+from linkcore.errors import BadValue, Cancelled, ConnectionLost, LinkTimeout, LocalError
 from linkcore.handle import Handle, Lifecycle, Phase
 from linkcore.threads import CallbackThread
 from urlink.motion.group_motion import GroupStream
@@ -334,3 +334,47 @@ def test_an_error_of_a_call_ends_nothing(streams: Streams) -> None:
         with pytest.raises(LinkTimeout):
             streams.group.wait_until_dry(1.0)
         assert not streams.group.done
+
+
+def test_it_waits_for_its_end_and_for_the_reason_of_it(streams: Streams, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which another thread reports; not where a call has failed and no stream is over."""
+    waited: list[float] = []
+
+    def wait(timeout: float) -> bool:
+        waited.append(timeout)
+        return True
+
+    monkeypatch.setattr(streams.group._life, "wait", wait)
+    with streams.group:
+        streams.left.raises["open"] = LocalError("not within its block")
+        with pytest.raises(LocalError):
+            streams.group.clear()
+        assert waited == []
+        monkeypatch.setattr(Stream, "done", property(lambda stream: stream is streams.right))
+        with pytest.raises(LocalError):
+            streams.group.clear()
+        assert waited == [1.0]
+    assert waited == [1.0, 1.0]
+
+
+def test_what_is_over_is_not_cleared(streams: Streams, monkeypatch: pytest.MonkeyPatch) -> None:
+    def over() -> Any:
+        raise ConnectionLost("it is away")
+
+    monkeypatch.setattr(streams.right, "_mark", over)
+    with pytest.raises(ConnectionLost, match="it is away"):
+        streams.group.clear()
+    assert streams.called("put") == []
+
+
+def test_all_arms_are_waited_for_in_one_time(streams: Streams, monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [100.0]
+    monkeypatch.setattr("urlink.motion.group_motion.time", SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr(streams.left, "_await_room", lambda handed, seconds: now.__setitem__(0, now[0] + 45.0))
+    streams.group.append(cast("list[Points]", [[1.0], [1.0]]))
+    streams.group.append(cast("list[Points]", [[2.0], [2.0]]), wait=30.0)
+    assert [seconds for _, _, seconds in streams.called("room")] == [15, 0]
+    monkeypatch.setattr(streams.left, "wait_until_dry", lambda seconds: now.__setitem__(0, now[0] + 45.0))
+    streams.group.wait_until_dry()
+    streams.group.wait_until_dry(30.0)
+    assert streams.called("dry") == [("right", 15), ("right", 0)]

@@ -14,7 +14,7 @@ from tests.urlink.motion.streamed import Streamed
 from tests.urlink.motion.test_register_link import FIRMWARES, Inputs, write
 from tests.urlink.motion.test_stream import BESIDE, E_SERIES, wave, waves
 from urlink.firmware import Firmware
-from urlink.motion.point_registers import INPUTS, OUTPUTS, PointRegisterLink
+from urlink.motion.point_registers import INPUTS, OUTPUTS, PointLinks, PointRegisterLink
 from urlink.motion.setpoints import dated
 from urlink.motion.stream_feed import StreamFeed
 from urlink.motion.trajectory import Trajectory
@@ -98,6 +98,57 @@ def test_a_tail_is_replaced_and_cleared() -> None:
     stream.clear()
     stream.run_dry()
     assert stream.feed.starved == 0
+
+
+def test_which_registers_it_has() -> None:
+    """Integers from 24 to 29 are left to users, and so are outputs below 30 and above 36."""
+    assert [name for name in INPUTS if "int" in name] == [f"input_int_register_{i}" for i in range(30, 44)]
+    assert [name for name in INPUTS if "double" in name] == [f"input_double_register_{i}" for i in range(24, 36)]
+    assert [*OUTPUTS] == [f"output_int_register_{i}" for i in range(30, 37)]
+    endpoint = PointRegisterLink(Inputs(lambda package: None), lambda: None).endpoint
+    assert (endpoint.first_float, endpoint.first_integer, endpoint.first_output) == (24, 30, 30)
+
+
+def test_the_outputs_are_asked_for_once() -> None:
+    """They are started with each link: the connection may have been closed meanwhile."""
+    asked: list[tuple[str, ...]] = []
+    started: list[None] = []
+    stream = SimpleNamespace(latest="newest", start=lambda: started.append(None))
+
+    def outputs(*names: str) -> Any:
+        asked.append(names)
+        return stream
+
+    links = PointLinks(outputs)
+    for count in (1, 2):
+        link = links(Inputs(lambda package: None))
+        assert link._outputs() == "newest"
+        assert len(started) == count
+    assert asked == [OUTPUTS]
+
+
+def test_the_number_of_a_message_has_an_end() -> None:
+    packages: list[dict[str, float]] = []
+    link = PointRegisterLink(Inputs(packages.append), lambda: None)
+    link._count = 0x7FFF_FFFE
+    for _ in range(2):
+        link.send(StreamFeed.farewell + bytes(4))
+    assert [list(package.values())[12] for package in packages] == [0x7FFF_FFFF] * 2
+
+
+def test_outputs_may_stay_away_for_a_second() -> None:
+    there: list[Any] = [None]
+    now = [8.0]
+    link = PointRegisterLink(Inputs(lambda package: None), lambda: there[0], lambda: now[0])
+    now[0] = 9.0
+    assert link.received() == b""
+    there[0], now[0] = SimpleNamespace(**dict.fromkeys(OUTPUTS, 0)), 16.0
+    link.received()
+    there[0], now[0] = None, 17.0
+    assert link.received() == b""
+    now[0] = 17.25
+    with pytest.raises(ConnectionLost, match=r"have not come for 1\.2 s"):
+        link.received()
 
 
 def test_what_is_written_and_what_is_heard() -> None:

@@ -14,7 +14,8 @@ from tests.urlink.motion.bench import PLAYING
 from urlink.firmware import Firmware
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.models import model
-from urlink.motion.paced import PacedSetpoints
+from urlink.motion.jerk_limited import TargetFilter, joint_limits
+from urlink.motion.paced import FilteredTargets, PacedSetpoints
 from urlink.motion.setpoints import (
     STOP_MESSAGE,
     WAIT_MESSAGE,
@@ -269,3 +270,26 @@ def test_cycles_that_cannot_have_passed_here_were_not_missed(fed: Fed) -> None:
     fed.led(CYCLE)
     assert fed.state(0.09, now=2 * CYCLE) == b""
     assert fed.source.called == [("accept", 50.0 + CYCLE)]
+
+
+# -- targets ---------------------------------------------------------------------------------------------
+
+
+def test_targets_are_filtered_from_where_the_arm_is() -> None:
+    """At the pace of the program; after cycles that were missed, and after a pause, from where it has come to."""
+    limits = joint_limits(UR5E, 2.0, 10.0, 200.0)
+    targets, alone = FilteredTargets(limits, CYCLE), TargetFilter(at(0.1), limits)
+    found = [targets.has_targets]
+    targets.newest = at(0.5)
+    assert [*found, targets.has_targets] == [False, True]
+    targets.begin(50.0, at(0.1))
+    alone.aim(at(0.5))
+    for rate in (1.0, 0.5):
+        assert targets.at(50.0, rate) == alone.after(rate * CYCLE)
+        targets.accept(50.0, rate)
+        alone.advance(rate * CYCLE)
+        assert targets.skip(50.0, 0.01)[0] == pytest.approx(alone.after(0.01)[0])
+        alone.advance(0.01)
+    targets.restart(51.0, at(0.3), at(0.2))
+    alone.restart(at(0.3), at(0.2))
+    assert targets.at(51.0, 1.0) == alone.after(CYCLE)

@@ -266,3 +266,37 @@ def test_a_pause_before_it_has_begun_skips_nothing() -> None:
     served.server.resume(state)
     assert served.step(b"-3\n") == [[1.0]]
     assert served.server.desired(0.0)[0] == pytest.approx(PATH.sample(0.0)[0])
+
+
+def test_a_pause_may_be_long_and_the_time_after_it_begins_slowly() -> None:
+    served = Served()
+    for said in (b"0\n", b"1\n", b"2\n"):
+        served.step(said)
+    served.step(seconds=0.1)
+    before = served.server.progress
+    served.seconds += 60.0
+    served.angle = float(PATH.sample(0.1)[0][5])
+    state: Any = SimpleNamespace(time=served.BEGIN + served.seconds, q_target=np.array(turned(served.angle)), **PLAYING)
+    served.server.resume(state)
+    served.step()
+    served.step(seconds=0.08)
+    assert served.server.progress == pytest.approx(before + 0.5 * 0.5 * 0.08 / 2.0, abs=2e-3)
+
+
+def test_which_points_it_has_passed_is_known_by_what_it_asks_for() -> None:
+    """It moves to the last but one of the points that it has asked for, whatever the time is here."""
+    served = Served(Trajectory.from_arrays([0.0, 0.5, 1.0, 1.5, 2.0], [turned(0.05 * n) for n in range(5)]))
+    for said in (b"0\n", b"1\n", b"2\n"):
+        served.step(said)
+    served.angle = 0.05
+    served.step(b"3\n4\n", seconds=0.1)
+    served.step()
+    assert served.server.progress == pytest.approx(0.25)
+    _, t = served.server.times(served.BEGIN + served.seconds + 3.0) or (0.0, 0.0)
+    assert t == 1.0  # it has not asked for the next one, so it has not passed the one that it moves to
+    served.step(b"5\n")
+    served.angle = 0.1
+    served.step()
+    assert served.server.progress == pytest.approx(0.5)
+    _, t = served.server.times(served.BEGIN + served.seconds + 3.0) or (0.0, 0.0)
+    assert t == pytest.approx(1.0 + 3.0)  # the last one is asked for by nobody

@@ -1,0 +1,106 @@
+"""What an impedance tells its program, state by state: targets, and among them gains and the posture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from linkcore.errors import BadValue, LocalError
+from tests.fakes.rehearsal import HOME, TIMEOUT, Rehearsal
+from tests.urlink.motion.test_servo import Beside
+from urlink.errors import ProgramStopped
+from urlink.interfaces.realtime.packets import RealtimeState
+from urlink.models import model
+from urlink.motion.impedance import _checked, _Messages
+from urlink.motion.setpoints import read_message
+from urlink.urscript.links import FOLLOW
+from urlink.urscript.springs import GAINS, POSTURE
+
+READY = [0.0, -1.57, 1.57, -1.57, -1.57, 0.0]
+GIVEN = [100.0, 200.0, 300.0, 400.0, 500.0, 600.0]
+RATIOS = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
+
+
+def made(*, has_posture: bool = True) -> _Messages:
+    return _Messages(lambda link: [], GIVEN, RATIOS, has_posture=has_posture)
+
+
+def sent(messages: _Messages, count: int = 100) -> list[tuple[list[float], list[float], int]]:
+    return [read_message(messages.step(b"", RealtimeState((5, 25)), 0.0)) for _ in range(count)]
+
+
+def test_gains_and_posture_are_repeated_among_the_targets() -> None:
+    """A message may be lost: a register holds the newest only."""
+    messages = made()
+    messages.lead([0.3] * 6, READY)
+    told = sent(messages)
+    kinds = [mode for *_, mode in told]
+    assert [kinds.count(mode) for mode in (FOLLOW, GAINS, POSTURE)] == pytest.approx([75, 12, 12], abs=2)
+    number = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    for first, second, mode in told:
+        expected = {FOLLOW: ([0.3] * 6, number), POSTURE: (READY, number), GAINS: ([x / 1e3 for x in GIVEN], RATIOS)}
+        assert [*first, *second] == pytest.approx([*expected[mode][0], *expected[mode][1]])
+
+
+@pytest.mark.parametrize("has_posture", [False, True])
+def test_without_a_posture_only_gains_are_among_the_targets(has_posture: bool) -> None:
+    """Before the first target, or where the program takes none."""
+    messages = made(has_posture=has_posture)
+    if not has_posture:
+        messages.lead([0.3] * 6, READY)
+    kinds = [mode for *_, mode in sent(messages)]
+    assert [kinds.count(mode) for mode in (FOLLOW, GAINS)] == pytest.approx([75, 25], abs=2)
+
+
+def test_targets_are_numbered_from_one_to_a_thousand() -> None:
+    """By its number the program knows a new one; 0 is none."""
+    messages = made(has_posture=False)
+    assert (messages.target, messages.posture) == (None, None)
+    numbers = {second[0] for _, second, mode in sent(messages) if mode == FOLLOW}
+    assert numbers == {0.0}
+    for count in range(1, 1003):
+        messages.lead([count / 1000.0] * 6, None)
+        assert messages.target == [count / 1000.0] * 6
+        told = next(each for each in sent(messages, 3) if each[2] == FOLLOW)
+        assert told[1][0] == (count - 1) % 1000 + 1
+
+
+@pytest.mark.parametrize(("arm", "is_taken"), [("UR5e", False), (None, True)])
+def test_a_target_is_in_the_range_of_the_joints_of_an_arm_that_is_known(arm: str | None, is_taken: bool) -> None:
+    known = None if arm is None else model(arm)
+    assert _checked(known, READY, "target") == READY
+    far = [*READY[:5], 7.0]
+    if is_taken:
+        assert _checked(known, far, "target") == far
+    else:
+        with pytest.raises(BadValue, match="wrist 3"):
+            _checked(known, far, "target")
+
+
+@pytest.mark.simulated_time
+def test_outside_of_its_block(rehearsal: Callable[..., Rehearsal]) -> None:
+    impedance = rehearsal("5.25").motion.impedance()
+    with pytest.raises(LocalError, match="within its block"):
+        impedance.send(HOME)
+    with pytest.raises(LocalError, match="within its block"):
+        impedance.set_gains()
+    assert impedance.target is None
+
+
+@pytest.mark.simulated_time
+def test_what_it_was_given_can_be_read(rehearsal: Callable[..., Rehearsal]) -> None:
+    robot = rehearsal("5.25")
+    impedance = robot.motion.impedance(stiffness=50.0, damping=0.5)
+    with Beside(robot):
+        impedance.__enter__()
+    assert (impedance.stiffness.tolist(), impedance.damping.tolist()) == ([50.0] * 6, [0.5] * 6)
+    impedance.set_gains(60.0)
+    impedance.set_gains(damping=[0.7] * 6)
+    assert (impedance.stiffness.tolist(), impedance.damping.tolist()) == ([60.0] * 6, [0.7] * 6)
+    impedance.send(HOME)
+    assert impedance.target is not None
+    assert impedance.target.tolist() == list(HOME)
+    robot.finish()
+    with pytest.raises(ProgramStopped, match="before its time"):
+        impedance.wait(TIMEOUT)
