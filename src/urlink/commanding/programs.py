@@ -229,9 +229,8 @@ class Programs:
                 raise Cancelled(f"{life.name} was preempted by {newest.life.name}")
 
         def end() -> None:
-            was_sent = self._runs.pop(run.name, None) is run
             self.ended = self._clock()
-            if was_sent and not wrapped.is_secondary:
+            if self._runs.pop(run.name, None) is run and not wrapped.is_secondary:
                 self._stop_kept()  # where this one has not begun, it has replaced nothing
 
         life.fire(Event.SEND)
@@ -257,17 +256,9 @@ class Programs:
         run = next((run for run in self._pending() if run.life is life), None)
         if run is None or run.wrapped.is_secondary:
             return
-
-        def claim() -> None:
-            """Once more when the channel has waited for news: another thread may send one meanwhile."""
-            newest = self._newest()
-            if newest is not None and newest is not run:
-                raise Cancelled(f"{newest.life.name} was sent after it")
-
+        self._stopping, self._stop_sent = run.name, self._clock()
         try:
-            claim()
-            self._stopping, self._stop_sent = run.name, self._clock()
-            self._send_stop(claim)
+            self._send_stop(lambda: self._newest() in (None, run))
             self._kept = None  # whichever ran is stopped
         except Cancelled:
             self._kept = run.name
@@ -275,7 +266,12 @@ class Programs:
             self._kept = run.name
             raise
 
-    def _send_stop(self, claim: Callable[[], object], *, wait: bool = True) -> None:
+    def _send_stop(self, is_wanted: Callable[[], bool], *, wait: bool = True) -> None:
+        def claim() -> None:
+            if not is_wanted():
+                raise Cancelled("it has ended, or another was sent after it")
+
+        claim()  # and once more when the channel has waited for news: another thread may send one meanwhile
         text = wrapping.program(self._name("urlink_stop"), programs.stop(_DECELERATION)).text
         self._channel.motion(text, is_stop=True, claim=claim, wait=wait)
 
@@ -459,24 +455,17 @@ class Programs:
 
     def _stop_kept(self) -> None:
         """Where it cannot be sent now, the next state asks again."""
-
-        def claim() -> None:
-            if not self._may_stop_kept():
-                raise Cancelled("it has ended, or another was sent")
-
         if not self._may_stop_kept():
             return
         try:
-            self._send_stop(claim, wait=False)  # this may be the reader thread
-            stopping = self._kept if self._has_keys else None
-            self._stopping, self._kept, self._stop_sent = stopping, None, self._clock()
+            self._send_stop(self._may_stop_kept, wait=False)  # this may be the reader thread
+            self._stopping, self._kept, self._stop_sent = self._kept if self._has_keys else None, None, self._clock()
         except LinkError as error:
             _log.info("%s, which was given up, was not stopped yet: %s", self._kept, error)
 
     def _may_stop_kept(self) -> bool:
         """It is there, no stop holds, and no other was sent, which would be stopped instead of it."""
-        is_replaced = self._newest() is not None
-        return self._kept is not None and not is_replaced and self._monitor.refusal(is_stop=True) is None
+        return self._kept is not None and self._newest() is None and self._monitor.refusal(is_stop=True) is None
 
     def _check_time(self) -> None:
         now = self._clock()
