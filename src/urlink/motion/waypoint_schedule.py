@@ -110,12 +110,12 @@ class Schedule:
         with self._section:
             return self._sample(time + self._delay - self._cycle)
 
-    def at(self, time: float, rate: float = 1.0) -> tuple[list[float], list[float]]:
+    def at(self, time: float, rate: float) -> tuple[list[float], list[float]]:
         """The set-point that answers the state of this time."""
         with self._section:
             return self._sample(time + self._delay)
 
-    def accept(self, time: float, rate: float = 1.0) -> None:
+    def accept(self, time: float, rate: float) -> None:
         """The set-point of this time was sent."""
         self._now = time + self._delay
 

@@ -96,6 +96,16 @@ def test_it_is_there_when_its_time_is_over_and_stays() -> None:
     assert led.q == led.target == [0.5] * 5 + [2.5]
 
 
+def test_before_the_first_target_it_rests() -> None:
+    targets = TargetFilter([0.3] * 6, [JointLimit(1.0, 2.0, 10.0)] * 6)
+    for _ in range(2):
+        targets.aim([0.3] * 6)
+        for seconds in (0.0, 0.5, 2.0):
+            assert targets.after(seconds) == ([0.3] * 6, [0.0] * 6)
+        targets.advance(0.5)
+    assert (targets.q, targets.qd, targets.qdd) == ([0.3] * 6, [0.0] * 6, [0.0] * 6)
+
+
 def test_going_on_from_elsewhere_no_limit_is_exceeded() -> None:
     """At the largest speed and beyond it, the acceleration that leads there is gone; what the limit allows is kept."""
     limit = JointLimit(1.0, 4.0, 60.0)

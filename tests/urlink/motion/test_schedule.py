@@ -201,15 +201,15 @@ def test_a_waypoint_is_over_when_the_set_point_for_it_was_sent() -> None:
         assert made.last == list(HOME)
         made.begin(51.0, HOME)
         assert made.add(turned(0.1), 51.5 + delay, 60.0, turned(9.0)) == 51.5 + delay
-        made.accept(51.25)
+        made.accept(51.25, 1.0)
         assert made.add(turned(0.1), 51.25 + delay, 51.0, HOME) is None
         for time, q in ((51.1, 0.0), (51.3, 0.05), (51.5, 0.1), (60.0, 0.1)):
-            assert made.at(time)[0] == pytest.approx(turned(q))
-        assert made.skip(51.25 + 1 / 128, 0.2)[0] == made.at(51.25)[0]
+            assert made.at(time, 1.0)[0] == pytest.approx(turned(q))
+        assert made.skip(51.25 + 1 / 128, 0.2)[0] == made.at(51.25, 1.0)[0]
         # One that is reached right now is where the next curve begins, and no point of it.
-        made.accept(51.5)
+        made.accept(51.5, 1.0)
         assert made.add(turned(0.2), 52.0 + delay, 60.0, HOME) == 52.0 + delay
-        assert made.at(51.5)[0] == pytest.approx(turned(0.1))
+        assert made.at(51.5, 1.0)[0] == pytest.approx(turned(0.1))
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.125])
@@ -221,14 +221,14 @@ def test_it_goes_on_from_where_it_is_led(delay: float) -> None:
     made.restart(50.75, turned(0.3), [0.0] * 5 + [0.25])
     # That is where the set-point before led.
     for time, q in ((50.75 - 1 / 128, 0.3), (51.0, 0.2), (51.5, 0.0)):
-        assert made.at(time)[0] == pytest.approx(turned(q), abs=1e-9)
-    assert made.at(50.75 - 1 / 128)[1] == pytest.approx([0.0] * 5 + [0.25])
+        assert made.at(time, 1.0)[0] == pytest.approx(turned(q), abs=1e-9)
+    assert made.at(50.75 - 1 / 128, 1.0)[1] == pytest.approx([0.0] * 5 + [0.25])
     # Beyond the last, and within a cycle of it, there is a tenth of a second for what is left.
     for time in (51.5, 53.0):
         made.restart(time, turned(0.01), [0.0] * 6)
         begin = time - 1 / 128
         for seconds, q in ((0.0, 0.01), (0.05, 0.005), (0.1, 0.0)):
-            assert made.at(begin + seconds)[0] == pytest.approx(turned(q), abs=1e-9)
+            assert made.at(begin + seconds, 1.0)[0] == pytest.approx(turned(q), abs=1e-9)
 
 
 @pytest.mark.parametrize("speed", [-2.0, 0.0, 2.0])
@@ -256,7 +256,7 @@ def test_waypoints_less_than_a_millisecond_apart_are_one(apart: float, is_one: b
     for at in (51.0, 51.0 + apart):
         assert made.add(turned(0.1), at, 50.0, HOME) == at
     # The last is reached with the speed going to zero, so it is not quite reached before.
-    assert (abs(made.at(51.0)[0][5] - 0.1) > 1e-8) == is_one
+    assert (abs(made.at(51.0, 1.0)[0][5] - 0.1) > 1e-8) == is_one
 
 
 class Lagging:
