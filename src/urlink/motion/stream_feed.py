@@ -174,8 +174,8 @@ class StreamFeed:
         self._messages = self._last_answered = self._epoch = self._head = 0
         #: s on the steps since the first state, as far as states show it, and at the last report
         self._passed = self._reported = 0.0
-        #: s of which no state came, before the newest
-        self._unseen = 0.0
+        #: s of which no state came, before the newest; from the first one on
+        self._unseen: float
         self._report = _Report(0, 0, 0, 0, 0.0, RESTING)
         #: the steps from the present one on that were sent
         self._steps: deque[_Sent] = deque()

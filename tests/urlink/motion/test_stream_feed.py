@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import struct
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -15,12 +16,13 @@ from tests.fakes.rehearsal import HOME, turned
 from tests.urlink.motion.streamed import ACCELERATION, JERK, Streamed
 from tests.urlink.motion.test_stream import E_SERIES, FIRMWARES, wave, waves
 from urlink.firmware import Firmware
+from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.motion.common_time import MemberPace
 from urlink.motion.stream_feed import StreamFeed
 from urlink.motion.stream_steps import Handed, Mark
 from urlink.motion.trajectory import TrajectoryPoint
-from urlink.urscript.buffering import BRAKING, POINT
-from urlink.urscript.links import WAIT
+from urlink.urscript.buffering import BRAKING, CUT, MESSAGE, POINT
+from urlink.urscript.links import SCALE, STOP, WAIT
 
 
 def moves(stream: Streamed, since: float = 0.5) -> Streamed:
@@ -65,6 +67,73 @@ def test_before_the_arm_rests_there_is_nothing() -> None:
     feed = StreamFeed(lambda link: [], contextlib.nullcontext(), Streamed(E_SERIES).bounds, 0.002, 10, 0.3)
     feed.skip(2.0)
     assert (feed.time, feed.mark, feed.begun.done()) == (0.0, None, False)
+
+
+def messages_of(stream: Streamed) -> list[tuple[int, ...]]:
+    """Those that are sent from now on, as their numbers."""
+    found: list[tuple[int, ...]] = []
+    step = stream.feed.step
+
+    def watched(received: bytes, state: RealtimeState, now: float) -> bytes:
+        message = step(received, state, now)
+        found.append(struct.unpack(f">{MESSAGE}i", message))
+        return message
+
+    stream.feed.step = watched  # type: ignore[method-assign]
+    return found
+
+
+def test_points_may_come_before_the_first_report() -> None:
+    """The first epoch is opened at point 0, where the arm stands, by a message whose number is counted from 1."""
+    stream = Streamed(E_SERIES, way=10)
+    messages = messages_of(stream)
+    stream.run()
+    assert messages == [(WAIT, 0, SCALE, *[0] * (MESSAGE - 3))]
+    stream.append(waves(0.05, 0.5))
+    stream.run()
+    assert messages[-1][:3] == (CUT, 1, 0)
+    assert stream.feed._cut is not None
+    assert stream.feed._cut.message == 5
+    stream.run()
+    assert messages[-1][:3] == (POINT, 1, 2)
+    stream.run_dry()
+    assert stream.path[-1] == pytest.approx(wave(0.5).q, abs=2e-2)
+
+
+def test_it_ends_with_a_message_of_nothing_else() -> None:
+    """Its program does not come to an end of its own."""
+    assert struct.unpack(f">{MESSAGE}i", StreamFeed.farewell) == (STOP, *[0] * (MESSAGE - 1))
+    assert not StreamFeed.survives_its_program
+
+
+def test_a_pace_takes_three_cycles_to_get_to_the_program() -> None:
+    """So long as a message that answers a state, and one for the state in which it is seen."""
+    stream, paces = Streamed(E_SERIES), Paces()
+    stream.feed.pace = cast(MemberPace, paces)
+    paces.change = 0.125
+    found: list[float] = []
+    for _ in range(6):
+        stream.run()
+        found.append(stream.feed._pace)
+    assert found == [1.0, 1.0, 1.0, 0.875, 0.75, 0.625]
+
+
+@pytest.mark.parametrize("cycles", [0, 2, 10])
+def test_how_long_no_state_came(cycles: int) -> None:
+    """From three cycles on, a report may be older than the state that comes with it."""
+    stream = moves(Streamed(E_SERIES))
+    stream.run(cycles, is_frozen=True)
+    stream.run()
+    passed = (cycles + 1) * stream.period
+    assert stream.feed._unseen == pytest.approx(passed if cycles > 1 else 0.0)
+
+
+def test_what_was_never_appended_leaves_the_end_as_it_is() -> None:
+    stream = moves(Streamed(E_SERIES))
+    stream.feed.replace(0.67, ())
+    end = mark(stream)
+    stream.feed.forget(Handed())
+    assert mark(stream) is end
 
 
 def test_it_is_answered_once_no_cut_is_on_its_way() -> None:
