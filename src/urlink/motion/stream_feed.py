@@ -166,7 +166,7 @@ class StreamFeed:
         self._clock = ProgramClock(cycle)
         #: the pace of the program; those that it is to have, up to the newest; that which it was sent, by the last
         #: message
-        self._pace, self._paces = 1.0, deque([1.0] * (AHEAD + 1), AHEAD + 1)
+        self._pace, self._paces = 1.0, deque([1.0], AHEAD + 1)
         self._pace_sent, self._has_sent_pace = 1.0, True
         self._begin = Rest("the stream")
         self._is_lossy = False

@@ -21,8 +21,8 @@ from urlink.motion.common_time import MemberPace
 from urlink.motion.stream_feed import StreamFeed
 from urlink.motion.stream_steps import Handed, Mark
 from urlink.motion.trajectory import TrajectoryPoint
-from urlink.urscript.buffering import BRAKING, CUT, MESSAGE, POINT
-from urlink.urscript.links import SCALE, STOP, WAIT
+from urlink.urscript.buffering import BRAKING, CUT, MESSAGE, PACING, POINT, PointRegisters
+from urlink.urscript.links import SCALE, STOP, WAIT, ReverseSocket
 
 
 def moves(stream: Streamed, since: float = 0.5) -> Streamed:
@@ -116,6 +116,46 @@ def test_a_pace_takes_three_cycles_to_get_to_the_program() -> None:
         stream.run()
         found.append(stream.feed._pace)
     assert found == [1.0, 1.0, 1.0, 0.875, 0.75, 0.625]
+
+
+def test_a_pace_changes_no_faster_than_the_program_does_it() -> None:
+    """While the arm moves; where it brakes for want of points, it does so at its own pace."""
+    stream, paces = Streamed(E_SERIES), Paces()
+    stream.feed.pace = cast(MemberPace, paces)
+    stream.append(waves(0.05, 0.6))
+    stream.until(lambda: stream.feed.time > 0.3)
+    messages, found, change = messages_of(stream), [], PACING * stream.period
+    paces.wanted = 0.5
+    for _ in range(5):
+        stream.run()
+        found.append(stream.feed._pace)
+    assert (WAIT, 0, SCALE // 2, *[0] * (MESSAGE - 3)) in messages
+    assert found == pytest.approx([1.0, 1.0, 1.0, 1.0 - change, 1.0 - 2.0 * change])
+    stream.until(lambda: stream.feed._report.phase == BRAKING)
+    assert stream.feed._pace == pytest.approx(0.5)
+    stream.run(3)
+    assert stream.feed._pace == pytest.approx(0.5 + 3.0 * change)
+
+
+def test_without_reports_its_time_ends_with_what_was_sent() -> None:
+    stream = moves(Streamed(E_SERIES))
+    stream.way = 10_000
+    before = stream.feed.time
+    stream.run(50)
+    assert stream.feed.time == pytest.approx(before + 50 * stream.period)
+    stream.run(1000)
+    assert stream.feed.time == stream.feed.reach(100.0) == mark(stream).time
+
+
+@pytest.mark.parametrize("is_lossy", [False, True])
+def test_a_cut_is_sent_until_it_is_answered_where_messages_may_be_lost(is_lossy: bool) -> None:
+    stream = Streamed(E_SERIES, way=5)
+    stream.feed.body(PointRegisters(24, 30, 30, 7) if is_lossy else ReverseSocket("10.0.0.1", 50001, 7))
+    messages = messages_of(stream)
+    stream.append(waves(0.05, 0.5))
+    stream.run(9)
+    kinds = [what for what, *_ in messages]
+    assert kinds.count(CUT) == (9 if is_lossy else 1)
 
 
 @pytest.mark.parametrize("cycles", [0, 2, 10])
@@ -230,6 +270,17 @@ def test_its_end_is_told_to_all_that_wait() -> None:
     assert feed.begun.result() is None  # it had begun
     feed.end(LinkTimeout("later"))
     assert replaced[0].exception() is error
+
+
+def test_nothing_begins_after_the_end() -> None:
+    """Another thread has ended it since this one began to look."""
+    stream = Streamed(E_SERIES)
+    feed = StreamFeed(lambda link: [], contextlib.nullcontext(), stream.bounds, 0.002, 10, 0.3)
+    feed.end(ConnectionLost("it is away"))
+    for cycle in range(3):
+        message = feed.step(b"", stream.state(), 1000.0 + 0.002 * cycle)
+        assert message[:4] == WAIT.to_bytes(4, "big")
+    assert feed.mark is None
 
 
 def test_the_end_before_it_has_begun() -> None:
