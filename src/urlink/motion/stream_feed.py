@@ -478,7 +478,6 @@ class StreamFeed:
         if cut.request is not None:
             self._queue, self.mark = deque(cut.queue), cut.mark
             self._requests.appendleft(cut.request)
-            self._is_open = True
         else:
             self._queue.extendleft(reversed([aim for aim in new if aim not in self._queue]))
             self._is_open = False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import struct
 from types import SimpleNamespace
 from typing import Any, cast
@@ -21,7 +22,7 @@ from urlink.motion.common_time import MemberPace
 from urlink.motion.stream_feed import StreamFeed
 from urlink.motion.stream_steps import Handed, Mark
 from urlink.motion.trajectory import TrajectoryPoint
-from urlink.urscript.buffering import BRAKING, CUT, MESSAGE, PACING, POINT, PointRegisters
+from urlink.urscript.buffering import BRAKING, CUT, MESSAGE, PACING, POINT, RESTING, PointRegisters
 from urlink.urscript.links import SCALE, STOP, WAIT, ReverseSocket
 
 
@@ -135,6 +136,9 @@ def test_a_pace_changes_no_faster_than_the_program_does_it() -> None:
     assert stream.feed._pace == pytest.approx(0.5)
     stream.run(3)
     assert stream.feed._pace == pytest.approx(0.5 + 3.0 * change)
+    stream.run(12)
+    assert stream.feed._report.phase == BRAKING
+    assert stream.feed._pace == pytest.approx(1.0)
 
 
 def test_without_reports_its_time_ends_with_what_was_sent() -> None:
@@ -417,6 +421,97 @@ def test_points_that_come_while_it_brakes_for_want_of_them(way: int) -> None:
     assert np.abs(qddd).max() < JERK * 1.05
     slowest = float(np.linalg.norm(qd[: round(0.4 / stream.period)], axis=1).min())
     assert (slowest > 0.01) is (way < 10)
+
+
+@pytest.mark.parametrize(("cycles", "goes_on"), [(1.5, True), (0.5, False), (-0.5, False)])
+def test_where_it_rests_before_a_cut_could_reach_it_it_goes_on_from_rest(cycles: float, goes_on: bool) -> None:
+    stream = Streamed(E_SERIES)
+    feed = stream.feed
+    stream.append(waves(0.05, 0.6))
+    stream.until(lambda: feed._report.phase == BRAKING)
+    left = feed._brake.length - (feed._report.passed + feed._passed - feed._reported)
+    feed.margin = left - cycles * stream.period
+    feed._queue.extend(stream.reader.after([TrajectoryPoint(mark(stream).moment.q + 0.1, 2.0)], mark(stream)))
+    feed._resume()
+    assert feed.is_answered is not goes_on
+
+
+def test_an_arm_that_has_no_points_after_it_was_cleared_is_starved_later_only() -> None:
+    stream = moves(Streamed(E_SERIES))
+    stream.clear()
+    stream.run_dry()
+    assert stream.feed.starved == 0
+    end = mark(stream)
+    there = TrajectoryPoint(end.moment.q + 0.1, end.time + 1.0, [0.2] * 6)
+    stream.append(there)
+    stream.run_dry()
+    assert stream.feed.starved == 1
+    stream.feed.dry()
+    assert (stream.feed._dry, stream.feed._answered) == ([], [])
+
+
+# -- pauses ------------------------------------------------------------------------------------------------
+
+
+def paused(stream: Streamed, q: Any = None) -> int:
+    """It goes on after a pause, where the arm is or at `q`; how many messages were sent before."""
+    state = stream.state()
+    stream.feed.resume(state if q is None else cast(RealtimeState, SimpleNamespace(q_target=np.array(q))))
+    return stream.feed._messages
+
+
+def test_an_arm_that_was_led_away_in_a_pause_goes_on_from_there() -> None:
+    """At rest too; a report from before the pause says nothing of it."""
+    stream = Streamed(E_SERIES, way=3)
+    stream.append(waves(0.05, 0.3))
+    stream.run_dry()
+    rests, there = mark(stream), [*stream.path[-1][:5], stream.path[-1][5] + 0.02]
+    before = paused(stream, there)
+    while stream.feed._report.messages <= before:
+        assert mark(stream) is rests
+        stream.run()
+    assert mark(stream).time == stream.feed.time == rests.time
+    assert mark(stream).moment.q == pytest.approx(there)
+    assert not mark(stream).moment.qd.any()
+    assert stream.feed.starved == 1
+    stream.run(5)
+    end = mark(stream)
+    stream.run(5)
+    assert mark(stream) is end  # once
+
+
+def test_where_it_goes_on_with_its_points_the_arm_was_not_led_away() -> None:
+    """That is known after fifty messages, in which the program is slow at first."""
+    stream = moves(Streamed(E_SERIES))
+    before = paused(stream)
+    last = before
+    while stream.feed._found is not None:
+        last = stream.feed._report.messages
+        assert last <= before + 50
+        stream.run()
+    assert last >= before + 40  # reports come each 10 ms
+    assert stream.feed._report.messages > before + 50
+    stream.until(lambda: stream.feed.time > 2.4)
+    assert stream.path[-1] == pytest.approx(wave(stream.feed.time).q, abs=3e-3)
+
+
+def test_points_that_the_braking_before_a_pause_has_passed_are_left_out() -> None:
+    """Those that can be reached in their time are the first; here the program has been found at rest, further on."""
+    stream = moves(Streamed(E_SERIES))
+    time = stream.feed.time
+    paused(stream, wave(time + 0.2).q)
+    report = stream.feed._report
+    stream.feed._take(dataclasses.replace(report, messages=stream.feed._messages + 1, head=report.base, phase=RESTING))
+    assert stream.feed._found is None
+    assert (stream.feed._is_open, stream.feed._may_skip) == (False, True)
+    assert stream.feed._last.ends == stream.feed.time == pytest.approx(time, abs=0.005)
+    assert stream.feed._brake.end.q == pytest.approx(wave(time + 0.2).q)
+    waiting = [aim.time for aim in stream.feed._queue]
+    assert waiting == pytest.approx([0.05 * n for n in range(10, 51)])
+    stream.feed._resume()
+    assert not stream.feed._may_skip
+    assert stream.feed._queue[0].time == pytest.approx(0.8)
+    assert stream.feed._queue[0].step is not None
 
 
 # -- points that are given up ------------------------------------------------------------------------------
