@@ -121,7 +121,7 @@ class PointReader:
         if not aims:
             raise BadValue("there are no points; expected one at least")
         if steps:
-            self._bounds.check(steps, [aim.degree == 1 for aim in aims if aim.step is not None], names)
+            self._bounds.check(steps, names)
 
     def _check_time(self, name: str, time: float, before: float) -> None:
         if not before + self._shortest * (1.0 - 1e-6) <= time <= before + _LONGEST:

@@ -159,12 +159,10 @@ def _sampled(rows: FloatArray, lengths: FloatArray) -> tuple[FloatArray, FloatAr
     """(n, places, joints) positions, speeds, accelerations and jerks of n steps, rows (n, 6, 6)."""
     t = lengths[:, None] * _PLACES
     powers = t[..., None] ** _POWERS
-    factors = [np.ones(6), _POWERS, _POWERS[1:] * _POWERS[:-1], _POWERS[2:] * _POWERS[1:-1] * _POWERS[:-2]]
-    q = powers @ rows
-    qd = (factors[1][1:] * powers[..., :-1]) @ rows[:, 1:]
-    qdd = (factors[2][1:] * powers[..., :-2]) @ rows[:, 2:]
-    qddd = (factors[3][1:] * powers[..., :-3]) @ rows[:, 3:]
-    return q, qd, qdd, qddd
+    qd = (_POWERS[1:] * powers[..., :-1]) @ rows[:, 1:]
+    qdd = (_POWERS[2:] * _POWERS[1:-1] * powers[..., :-2]) @ rows[:, 2:]
+    qddd = (_POWERS[3:] * _POWERS[2:-1] * _POWERS[1:-2] * powers[..., :-3]) @ rows[:, 3:]
+    return powers @ rows, qd, qdd, qddd
 
 
 class Bounds:
@@ -191,11 +189,12 @@ class Bounds:
         """Where the arm rests if nothing follows."""
         return JointMoment.at_rest(Step.braking(moment, self.limits).end.q)
 
-    def check(self, steps: Sequence[Step], straight: Sequence[bool], names: Sequence[str]) -> None:
+    def check(self, steps: Sequence[Step], names: Sequence[str]) -> None:
         """Raise unless an arm can follow these steps, and stays within its range if it has to brake after one.
 
+        The corners between steps of degree 1 are no accelerations.
+
         Args:
-            straight: whether a step is of degree 1: its ends are corners.
             names: of each step, for messages.
 
         Raises:
@@ -204,7 +203,6 @@ class Bounds:
         rows = np.array([step.rows for step in steps])
         lengths = np.array([step.length for step in steps])
         q, qd, qdd, _ = _sampled(rows, lengths)
-        qdd[list(straight)] = 0.0
         low, high = self._low, self._high
         self._refuse(names, q, "position", "rad", np.where(q < low, low, high), (q < low) | (q > high))
         for values, limit, what, unit in (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -83,7 +84,27 @@ def test_a_first_point_where_the_arm_rests_has_no_step() -> None:
     assert (moves.moment.qd[5], moves.moment.qdd[5]) == (0.2, 0.3)
 
 
-@pytest.mark.parametrize(("away", "is_near"), [(0.0499, True), (-0.0499, True), (0.0501, False), (-0.0501, False)])
+def test_a_first_point_two_cycles_later_has_one() -> None:
+    (aim,) = reader().after(point(1e-4, SHORTEST), mark(0.0))
+    assert aim.step is not None
+    assert aim.step.length == SHORTEST
+
+
+def test_times_of_a_curve_of_its_own_are_as_far_apart() -> None:
+    points = [point(0.0, 2.5), point(0.0, 2.5 + 0.9 * SHORTEST)]
+    with pytest.raises(BadValue, match=r"point 1 .*: its time is .* s after the point before"):
+        reader().curve(points, 0.0, mark())
+
+
+@pytest.mark.parametrize("time", [math.inf, math.nan, -1.0])
+def test_the_time_of_a_pose(time: float) -> None:
+    with pytest.raises(BadValue, match="time"):
+        PosePoint([0.1, 0.2, 0.3, 0.0, 0.0, 0.0], time)
+
+
+@pytest.mark.parametrize(
+    ("away", "is_near"), [(0.05, True), (0.0499, True), (-0.0499, True), (0.0501, False), (-0.0501, False)]
+)
 def test_it_is_near_the_arm(away: float, is_near: bool) -> None:
     why = rf"point 0 \(t = 2 s\): wrist 3 \(joint 5\) is at {away:.4f} rad, 0\.0501 rad from .*; .* 0\.05 rad"
     with contextlib.nullcontext() if is_near else pytest.raises(BadValue, match=why):

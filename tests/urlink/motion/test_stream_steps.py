@@ -165,22 +165,27 @@ def test_the_first_limit_that_is_exceeded_is_told(joint: int, sign: float) -> No
     ]
     for step, message in cases:
         with pytest.raises(BadValue, match=message):
-            bounds().check([still, step], [False, False], ["one", "two"])
+            bounds().check([still, step], ["one", "two"])
 
 
 def test_what_rounding_exceeds_is_within() -> None:
     for excess, is_refused in ((1.0 + 0.9e-6, False), (1.0 + 1.2e-6, True)):
         step = Step.to(only(0, 0.0), only(0, 0.0, excess * SPEED), 1.0, 1)
         with pytest.raises(BadValue) if is_refused else contextlib.nullcontext():
-            bounds().check([step], [True], ["one"])
+            bounds().check([step], ["one"])
 
 
 def test_a_corner_has_no_acceleration() -> None:
-    """That of a straight step is none of the arm's: it is the program's that brakes."""
-    step = Step.to(only(0, 0.0, 0.0, 90.0), only(0, 0.0, 0.0, 90.0), 0.02, 5)
-    bounds().check([step], [True], ["one"])
-    with pytest.raises(BadValue, match="acceleration"):
-        bounds().check([step], [False], ["one"])
+    """Between straight steps speeds leap; it is the program that brakes there."""
+    there, back = only(0, 0.0, 0.02), only(0, 0.0, 0.0)
+    bounds().check([Step.to(back, there, 0.02, 1), Step.to(there, back, 0.02, 1)], ["one", "two"])
+    with pytest.raises(BadValue, match="one: acceleration"):
+        bounds().check([Step.to(back, there, 0.02, 3), Step.to(there, back, 0.02, 3)], ["one", "two"])
+
+
+def test_what_is_beyond_its_limit_may_be_in_degrees() -> None:
+    with pytest.raises(BadValue, match=r"position of base .* is 45\.0000 rad; .* rad \(in degrees\?\)"):
+        bounds().check([Step.to(only(0, 0.0, 45.0), only(0, 0.0, 45.0), 1.0, 5)], ["one"])
 
 
 def test_an_arm_that_is_not_known() -> None:
@@ -197,7 +202,7 @@ def test_an_arm_that_is_not_known() -> None:
         here = only(2, 0.0, q, acceleration)
         step = Step.to(here, only(2, 0.0, q, acceleration), 1e-3, 5)
         with pytest.raises(BadValue, match=message) if message else contextlib.nullcontext():
-            unknown.check([step], [False], ["one"])
+            unknown.check([step], ["one"])
 
 
 @pytest.mark.parametrize(
@@ -233,6 +238,33 @@ def test_a_way_takes_as_long_as_it_is_to_and_twenty_seconds_at_most() -> None:
     slow = Bounds(model("UR5e"), (0.1,) * 6, (JointLimit(0.1, ACCELERATION, JERK),) * 6)
     for q, is_there in ((0.9, True), (1.2, False)):  # 15 s/8 of its mean is the largest speed
         assert (slow.way(begin, only(0, 0.0, q), 0.004) is not None) is is_there
+
+
+@pytest.mark.parametrize("number", [0, 1, 15, 16, 17, 31, 32])
+def test_each_time_that_is_tried_is_an_eighth_longer(number: int) -> None:
+    """With a speed of 1 rad/s at most, of which the mean is 8 to 15."""
+    slow = Bounds(None, (1.0,) * 6, (JointLimit(1.0, 1e3, 1e6),) * 6)
+    least = 0.1
+    far = only(0, 0.0, least * 1.125 ** (number - 0.5) / 1.875)
+    way = slow.way(only(0, 0.0), far, least)
+    assert way is not None
+    assert way.length == pytest.approx(least * 1.125**number)
+
+
+@pytest.mark.parametrize(("least", "way"), [(25.0, 14.5), (19.9, 10.8)])
+def test_no_time_above_twenty_seconds_is_tried_but_the_least(least: float, way: float) -> None:
+    slow = Bounds(None, (1.0,) * 6, (JointLimit(1.0, 1e3, 1e6),) * 6)
+    begin, end = only(0, 0.0), only(0, 0.0, way)
+    assert slow.way(begin, end, least) is None
+    assert slow.way(begin, end, 1.125 * least) is not None
+
+
+def test_what_rounding_exceeds_of_a_limit_of_the_stream_is_within() -> None:
+    for size, is_within in ((1.0 + 0.9e-6, True), (1.0 + 1.2e-6, False)):
+        even, hard = np.zeros((6, 6)), np.zeros((6, 6))
+        even[1, 0], hard[3, 0] = size * SPEED, size * JERK / 6.0
+        for rows in (even, hard):
+            assert (bounds().first_within([Step(rows, 0.01)]) == 0) is is_within
 
 
 @pytest.mark.parametrize("joint", range(6))
