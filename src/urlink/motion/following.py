@@ -145,8 +145,8 @@ class Following(ABC):
         self._trajectory = trajectory
         self._tolerances = tolerances
         self._clock = clock
-        #: s: since it began on the controller's clock
-        self._passed = 0.0
+        #: s: since it began on the controller's clock; from the first comparison on
+        self._passed: float
         #: s: the time of a state, those since it began, and those on the trajectory
         self._times: deque[tuple[float, float, float]] = deque(maxlen=_REMEMBERED)
         #: s on the trajectory: the point that the program has not passed yet, as far as it reports them

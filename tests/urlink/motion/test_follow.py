@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from linkcore.errors import BadAddress, BadValue, Cancelled, ConnectFailed, ConnectionLost, LinkTimeout, LocalError
 from linkcore.handle import Motion, Phase
 from linkcore.pending_call import PendingCall
+from linkcore.streaming.subscription import Subscription
 from tests.fakes.rehearsal import FOLLOW, STOP, TIMEOUT, WAIT, Rehearsal, turned
 from tests.waiting import until
 from urlink.errors import NotEnabled, NotRunning, ProgramStopped, SafetyStop, ToleranceExceeded
@@ -94,6 +95,22 @@ def test_streams_each_set_point_for_its_own_cycle(rehearsal: Callable[..., Rehea
     assert len(robot.sent) == 1
 
 
+def test_a_state_from_the_past_counts_as_one_cycle(robot: Rehearsal) -> None:
+    motion = robot.motion.follow(PATH)
+    robot.connect()
+    way: list[float] = []
+    while len(way) < 60:
+        if len(way) == 50:
+            robot.time -= 0.25
+        message = robot.obey()
+        assert message is not None
+        if message[1] == FOLLOW:
+            way.append(message[0][5])
+    steps = np.diff(way)
+    assert steps[45:] / steps[44] == pytest.approx(1.0, abs=0.05 * 3)
+    motion.cancel()
+
+
 def test_waits_until_the_arm_stands(led: Rehearsal) -> None:
     led.qd = [0.0, 0.0, 0.0, 0.0, 0.0, 0.5]
     motion = led.motion.follow(PATH)
@@ -151,6 +168,21 @@ def test_feedback_may_be_slow_and_may_raise(led: Rehearsal) -> None:
     assert told[0].q_desired - told[0].q_actual == pytest.approx(told[0].error)
     assert told[0].time >= 0
     assert told[0].qd_actual.shape == told[0].qd_desired.shape == (6,)
+
+
+def test_its_end_does_not_wait_for_feedback(led: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who ends it may be the thread that gives it."""
+    waits: list[float] = []
+    close = Subscription.close
+
+    def watched(subscription: Subscription, timeout: float) -> None:
+        waits.append(timeout)
+        close(subscription, timeout)
+
+    motion = begun(led, feedback=lambda each: None)
+    monkeypatch.setattr(Subscription, "close", watched)
+    motion.cancel()
+    assert waits == [0, 0]  # of its states, and of the feedback
 
 
 def test_feedback_is_told_from_the_beginning_to_the_end() -> None:

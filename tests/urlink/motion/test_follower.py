@@ -110,6 +110,10 @@ def test_one_that_begins_late_is_where_one_is_that_missed_as_much() -> None:
         for _ in range(20):
             feeding.state()
     assert late.q == pytest.approx(missed.q, abs=5e-4)
+    # Nine cycles of coasting, at 98 % and less of the speed, are 8.1; one before them, and one and a tenth after them.
+    begins = Feeding(Follower(WAVE, LOOSE, servoing(NEWEST), arm(NEWEST), clock=LateClock(0.002)))
+    begins.state(0)
+    assert begins.follower._s == pytest.approx((1.0 + 8.1 + 1.0 + 1.1) * 0.002)
 
 
 # -- the controller's clock ------------------------------------------------------------------------------

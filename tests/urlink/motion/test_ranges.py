@@ -134,7 +134,9 @@ def test_what_the_delay_is_measured_with(robot: Rehearsal, monkeypatch: pytest.M
         for name, call, least, most in ranges:
             call(servo, least)
             call(servo, most)
-            for refused in (least - 1 if name == "joint" else np.nextafter(least, -9), np.nextafter(most, 99), None):
+            by_one = name == "joint"
+            beyond = (least - 1, most + 1) if by_one else (np.nextafter(least, -9), np.nextafter(most, 99))
+            for refused in (*beyond, np.nextafter(most, 99), None):
                 with pytest.raises(BadValue, match=f"^{name} is "):
                     call(servo, refused)
         servo.measure_delay()

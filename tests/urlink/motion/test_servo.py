@@ -229,7 +229,7 @@ def test_the_time_of_a_program_that_is_executed_slowly() -> None:
     assert servo.program_time(1000.75) == pytest.approx(1000.75 - 0.0625 - 0.25)
     # A state from the past is one cycle later, of which the program has half.
     servo.step(b"", seen(40.0, 0.5), 1000.75)
-    assert servo.program_time(1000.75) == pytest.approx(1000.75 - 0.0625 - 0.25 - 0.001)
+    assert servo.program_time(1000.75) == pytest.approx(1000.75 - 0.0625 - 0.25 - 0.001, abs=1e-9)
 
 
 def test_after_a_pause_the_time_of_the_program_begins_slowly() -> None:
