@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import itertools
 import struct
+from concurrent.futures import Future
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -16,6 +18,7 @@ from linkcore.pending_call import PendingCall
 from tests.fakes.rehearsal import HOME, turned
 from tests.urlink.motion.streamed import ACCELERATION, JERK, Streamed
 from tests.urlink.motion.test_stream import E_SERIES, FIRMWARES, wave, waves
+from urlink.errors import ToleranceExceeded
 from urlink.firmware import Firmware
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.motion.common_time import MemberPace
@@ -302,7 +305,16 @@ def is_consistent(stream: Streamed) -> bool:
     return bool(stream.feed.ahead == pytest.approx(stream.feed.reach(100.0) - stream.feed.time, abs=1e-9))
 
 
-@pytest.mark.parametrize("since", [0.0, 0.62, 1.2])
+def is_chained(stream: Streamed) -> bool:
+    """Of the steps that were sent each begins when the one before ends, and has the number after it."""
+    steps = [stream.feed._last, *stream.feed._steps]
+    return all(
+        sent.number == before.number + 1 and sent.until - before.until == pytest.approx(sent.step.length)
+        for before, sent in itertools.pairwise(steps)
+    )
+
+
+@pytest.mark.parametrize("since", [0.0, 0.62, 1.2, 1.22])
 def test_what_was_handed_over_and_not_sent_is_given_up_where_it_is_replaced(since: float) -> None:
     stream = Streamed(E_SERIES)
     one, two = stream.append(waves(0.05, 0.6)), stream.append(waves(0.65, 2.0))
@@ -322,6 +334,9 @@ def test_what_was_handed_over_and_not_sent_is_given_up_where_it_is_replaced(sinc
     for _ in range(100):
         stream.run()
         assert is_consistent(stream)
+        assert is_chained(stream)
+    stream.until(lambda: stream.feed.time >= since)
+    assert stream.path[-1] == pytest.approx(wave(stream.feed.time).q, abs=3e-3)
     stream.until(lambda: stream.feed.time > 2.4)
     assert stream.path[-1] == pytest.approx(wave(stream.feed.time).q, abs=3e-3)
     assert two.future.done()
@@ -353,7 +368,9 @@ def test_points_are_replaced_onto_which_it_has_just_gone_from_braking(cycles: in
     there = end.moment.q + 0.1
     stream.append([TrajectoryPoint(there, end.time + t, [0] * 6, [0] * 6) for t in (0.5, 0.7)])
     stream.until(lambda: stream.feed._report.phase != BRAKING)
+    assert is_chained(stream)
     stream.run(cycles)
+    assert is_chained(stream)
     assert is_consistent(stream) is (cycles >= 20)
     still = [TrajectoryPoint(there - 0.03, end.time + 0.1 * i, [0] * 6, [0] * 6) for i in range(3, 14)]
     stream.replace(0.0, still)
@@ -363,6 +380,33 @@ def test_points_are_replaced_onto_which_it_has_just_gone_from_braking(cycles: in
     _, qdd, qddd = stream.derivatives(begin - 5)
     assert np.abs(qdd).max() < ACCELERATION
     assert np.abs(qddd).max() < JERK * 1.05
+
+
+def test_the_end_of_what_was_sent_is_where_it_is_replaced() -> None:
+    stream = moves(Streamed(E_SERIES))
+    end = stream.feed.reach(100.0)
+    assert end < mark(stream).time
+    assert stream.replace(end, waves(end + 0.3, 2.5)) == end
+    stream.until(lambda: stream.feed.time > 2.4)
+    assert stream.path[-1] == pytest.approx(wave(stream.feed.time).q, abs=3e-3)
+
+
+def test_at_rest_a_point_of_now_is_past() -> None:
+    stream = Streamed(E_SERIES)
+    stream.replace(0.0, [TrajectoryPoint(turned(0.1 * t), t, [0] * 6) for t in (0.0, 0.5, 1.0)])
+    assert [aim.time for aim in stream.feed._queue] == [0.5, 1.0]
+
+
+@pytest.mark.parametrize(("acceleration", "lands"), [(0.3, 0.3), (1000.0, 0.0)])
+def test_it_lands_with_the_acceleration_of_the_point_where_the_limits_let_it(acceleration: float, lands: float) -> None:
+    stream = Streamed(E_SERIES)
+    still = [0.0] * 6
+    stream.replace(0.0, [TrajectoryPoint(turned(0.05), 0.5, still, [*still[:5], acceleration])])
+    messages = messages_of(stream)
+    stream.run(2)
+    assert [what for what, *_ in messages] == [CUT, POINT]
+    assert messages[-1][-1] == pytest.approx(lands * SCALE, abs=1)
+    stream.run_dry()
 
 
 def test_at_rest_it_goes_onto_the_first_points_that_it_can_reach_in_their_time() -> None:
@@ -398,6 +442,59 @@ def test_points_that_came_too_late_are_sent_again(buffer: float, cycles: int, st
     assert stream.path[-1] == pytest.approx(wave(stream.feed.time).q, abs=3e-3)
     _, qdd, _ = stream.derivatives(begin)
     assert np.abs(qdd).max() < ACCELERATION
+
+
+def cutting(stream: Streamed) -> tuple[Future[float], int]:
+    """A cut is sent, and not answered; the number of its message."""
+    done = stream.feed.replace(0.65, stream.reader.curve(waves(0.65, 2.5), 0.65, mark(stream)))
+    stream.run()
+    assert stream.feed._cut is not None
+    assert stream.feed._cut.message == stream.feed._messages
+    return done, stream.feed._messages
+
+
+def test_a_cut_is_answered_by_the_first_report_that_has_seen_it() -> None:
+    stream = moves(Streamed(E_SERIES, way=30))
+    done, number = cutting(stream)
+    report = dataclasses.replace(stream.feed._report, epoch=stream.feed._epoch)
+    stream.feed._take(dataclasses.replace(report, messages=number - 1))
+    assert not done.done()
+    stream.feed._take(dataclasses.replace(report, messages=number))
+    assert done.result(0.0) == pytest.approx(0.65)
+
+
+def test_after_a_cut_that_came_too_late_the_next_one_has_twice_the_time() -> None:
+    stream = moves(Streamed(E_SERIES, way=30))
+    margin, before = stream.feed.margin, mark(stream)
+    done, number = cutting(stream)
+    stream.feed._take(dataclasses.replace(stream.feed._report, messages=number))
+    assert stream.feed.margin == 2.0 * margin
+    assert mark(stream) is before
+    assert not done.done()  # it is asked for again
+    assert not stream.feed.is_answered
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_points_whose_messages_were_too_old_are_refused_and_sent_again(count: int) -> None:
+    stream = moves(Streamed(E_SERIES))
+    feed = stream.feed
+    sent = list(feed._steps)[-count:]
+    waiting = len(feed._queue)
+    report = dataclasses.replace(feed._report, head=sent[0].number - 1)
+    feed._take(dataclasses.replace(report, messages=sent[0].message - 1))
+    assert len(feed._queue) == waiting
+    feed._take(dataclasses.replace(report, messages=sent[-1].message))
+    assert list(feed._queue)[:count] == [each.aim for each in sent]
+    assert len(feed._queue) == waiting + count
+    assert feed._head == feed._steps[-1].number == sent[0].number - 1
+
+
+def test_a_report_corrects_its_time() -> None:
+    stream = moves(Streamed(E_SERIES))
+    before, begin = stream.feed.time, stream.bench.cycle
+    stream.feed._passed += 0.01
+    stream.run(20)
+    assert stream.feed.time == pytest.approx(before + (stream.bench.cycle - begin) * stream.period)
 
 
 @pytest.mark.parametrize("way", [0, 5, 10, 15, 30])
@@ -512,6 +609,16 @@ def test_points_that_the_braking_before_a_pause_has_passed_are_left_out() -> Non
     assert not stream.feed._may_skip
     assert stream.feed._queue[0].time == pytest.approx(0.8)
     assert stream.feed._queue[0].step is not None
+
+
+def test_where_no_way_leads_back_it_ends() -> None:
+    """The arm was led beyond the range of a joint."""
+    stream = moves(Streamed(E_SERIES))
+    paused(stream, turned(6.4))
+    report = stream.feed._report
+    stream.feed._take(dataclasses.replace(report, messages=stream.feed._messages + 1, head=report.base, phase=RESTING))
+    with pytest.raises(ToleranceExceeded, match=r"no way within the limits leads from .* onto the point at 0\.5 s"):
+        stream.feed._resume()
 
 
 # -- points that are given up ------------------------------------------------------------------------------
