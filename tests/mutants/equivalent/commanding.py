@@ -16,9 +16,9 @@ EQUIVALENT: tuple[Equivalent, ...] = (
     Equivalent(PROGRAMS, "__init__", "4", "5", "the number with which tokens begin is random with either"),
     Equivalent(
         PROGRAMS,
-        "_stop_kept",
-        "now - self._stop_sent > _IGNORED",
-        "now - self._stop_sent >= _IGNORED",
+        "_after_stop",
+        "self._clock() - self._stop_sent > _IGNORED",
+        "self._clock() - self._stop_sent >= _IGNORED",
         "a state that comes exactly then, or the next",
     ),
 )

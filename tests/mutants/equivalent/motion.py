@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from tests.mutants.equivalent import Equivalent
 
+LAST = "a number that was computed equals the bound to the last bit"
 FIFTH = "here and in the program, a step of a degree above 4 is computed as one of degree 5"
 
 EQUIVALENT: tuple[Equivalent, ...] = (
@@ -323,4 +324,359 @@ EQUIVALENT: tuple[Equivalent, ...] = (
     Equivalent("urlink/motion/stream_steps.py", "way", "5", "6", FIFTH),
     Equivalent("urlink/motion/stream_steps.py", "onto", "5", "6", FIFTH),
     Equivalent("urlink/motion/stream_steps.py", "_landing", "5", "6", FIFTH),
+    Equivalent(
+        "urlink/motion/stream_feed.py",
+        "step",
+        "seconds > _GAP * self._cycle",
+        "seconds >= _GAP * self._cycle",
+        "rounding of the times decides whether they are two cycles apart",
+    ),
+    Equivalent(
+        "urlink/motion/stream_feed.py",
+        "_next",
+        "abs(self._paces[-1] - self._pace_sent) < _SAME_PACE",
+        "abs(self._paces[-1] - self._pace_sent) <= _SAME_PACE",
+        LAST,
+    ),
+    Equivalent(
+        "urlink/motion/stream_feed.py", "_has_room", "self.ahead < self._buffer", "self.ahead <= self._buffer", LAST
+    ),
+    Equivalent(
+        "urlink/motion/stream_feed.py",
+        "_take",
+        "0.0 < here - self._here <= self._unseen",
+        "0.0 <= here - self._here <= self._unseen",
+        "a difference of zero changes nothing",
+    ),
+    Equivalent(
+        "urlink/motion/stream_feed.py",
+        "_take",
+        "0.0 < here - self._here <= self._unseen",
+        "0.0 < here - self._here < self._unseen",
+        LAST,
+    ),
+    Equivalent(
+        "urlink/motion/stream_feed.py",
+        "_take",
+        "self._brake.length > self._cycle",
+        "self._brake.length >= self._cycle",
+        LAST,
+    ),
+    Equivalent(
+        "urlink/motion/stream_feed.py",
+        "_place",
+        "left < sent.step.length",
+        "left <= sent.step.length",
+        "the end of a step is the beginning of the next one",
+    ),
+    Equivalent(
+        "urlink/motion/stream_feed.py",
+        "_resume",
+        "t > self._brake.length - self._cycle",
+        "t >= self._brake.length - self._cycle",
+        LAST,
+    ),
+    Equivalent(
+        "urlink/motion/stream_feed.py", "_planned_unsent", "t > 0.5 * self._cycle", "t >= 0.5 * self._cycle", LAST
+    ),
+    Equivalent(
+        "urlink/motion/stream_feed.py", "_planned_unsent", "break", "pass", "no point after it begins before that time"
+    ),
+    Equivalent(
+        "urlink/motion/stream_feed.py",
+        "_planned_sent",
+        "request.since > time",
+        "request.since >= time",
+        "at the same time the same place is found again",
+    ),
+    Equivalent(
+        "urlink/motion/stream_steps.py", None, "17", "18", "one place more at which a step is compared with limits"
+    ),
+    Equivalent("urlink/motion/stream_steps.py", None, "5", "6", FIFTH),
+    Equivalent(
+        "urlink/motion/stream_steps.py",
+        "rests",
+        "max(np.abs(self.qd).max(), np.abs(self.qdd).max()) < _RESTING",
+        "max(np.abs(self.qd).max(), np.abs(self.qdd).max()) <= _RESTING",
+        LAST,
+    ),
+    Equivalent(
+        "urlink/motion/stream_steps.py",
+        "begins_in",
+        "np.abs(getattr(begin, each) - getattr(moment, each)).max() < _SAME",
+        "np.abs(getattr(begin, each) - getattr(moment, each)).max() <= _SAME",
+        LAST,
+    ),
+    Equivalent("urlink/motion/stream_steps.py", "_sampled", "-3", "3", "three of six powers either way"),
+    Equivalent(
+        "urlink/motion/stream_steps.py",
+        "check",
+        "q < low",
+        "q <= low",
+        "rounding decides whether a position is at its limit",
+    ),
+    Equivalent(
+        "urlink/motion/stream_steps.py",
+        "check",
+        "q > high",
+        "q >= high",
+        "rounding decides whether a position is at its limit",
+    ),
+    Equivalent(
+        "urlink/motion/stream_steps.py",
+        "check",
+        "np.abs(values) > limit * (1.0 + _SLACK)",
+        "np.abs(values) >= limit * (1.0 + _SLACK)",
+        LAST,
+    ),
+    Equivalent("urlink/motion/stream_steps.py", "check", "rests < low", "rests <= low", LAST),
+    Equivalent("urlink/motion/stream_steps.py", "check", "rests > high", "rests >= high", LAST),
+    Equivalent(
+        "urlink/motion/stream_steps.py",
+        "way",
+        "least < _LONGEST",
+        "least <= _LONGEST",
+        "the longest time is tried once either way",
+    ),
+    Equivalent(
+        "urlink/motion/stream_steps.py",
+        "first_within",
+        "q >= self._low",
+        "q > self._low",
+        "rounding decides whether a position is at its limit",
+    ),
+    Equivalent(
+        "urlink/motion/stream_steps.py",
+        "first_within",
+        "q <= self._high",
+        "q < self._high",
+        "rounding decides whether a position is at its limit",
+    ),
+    Equivalent(
+        "urlink/motion/stream_steps.py",
+        "first_within",
+        "np.abs(qd) <= self._speeds * slack",
+        "np.abs(qd) < self._speeds * slack",
+        LAST,
+    ),
+    Equivalent(
+        "urlink/motion/stream_steps.py",
+        "first_within",
+        "np.abs(qdd) <= hard * slack",
+        "np.abs(qdd) < hard * slack",
+        LAST,
+    ),
+    Equivalent(
+        "urlink/motion/stream_steps.py",
+        "first_within",
+        "np.abs(qddd) <= sharp * slack",
+        "np.abs(qddd) < sharp * slack",
+        LAST,
+    ),
+    Equivalent(
+        "urlink/motion/stream_steps.py",
+        "onto",
+        "at < curve[-1].time + (at - time) * (_LATER - 1.0)",
+        "at <= curve[-1].time + (at - time) * (_LATER - 1.0)",
+        LAST,
+    ),
+    Equivalent("urlink/motion/stream_steps.py", "onto", "40", "41", "the fortieth time that is tried is hours away"),
+    Equivalent(
+        "urlink/motion/stream_steps.py",
+        "onto",
+        "len(places) < 40",
+        "len(places) <= 40",
+        "the fortieth time that is tried is hours away",
+    ),
+    Equivalent(
+        "urlink/motion/stream_steps.py",
+        "onto",
+        "place[0].time > places[-1][0].time",
+        "place[0].time >= places[-1][0].time",
+        "the same place once more: the first of both is taken",
+    ),
+    Equivalent(
+        "urlink/motion/stream_steps.py", "_landing", "aim.time - at < shortest", "aim.time - at <= shortest", LAST
+    ),
+    Equivalent(
+        "urlink/motion/stream_points.py", "curve", "5", "6", "no step leads to the first point, so it has no degree"
+    ),
+    Equivalent(
+        "urlink/motion/stream_points.py",
+        "_check_time",
+        "before + self._shortest * (1.0 - 1e-06) <= time <= before + _LONGEST",
+        "before + self._shortest * (1.0 - 1e-06) < time <= before + _LONGEST",
+        LAST,
+    ),
+    Equivalent("urlink/motion/stream_points.py", "_joints", "leaps[joint] > _LEAP", "leaps[joint] >= _LEAP", LAST),
+    Equivalent(
+        "urlink/motion/common_time.py",
+        "__init__",
+        "-math.inf",
+        "math.inf",
+        "replaced by the first state, before which nobody reads it, or by the beginning",
+    ),
+    Equivalent(
+        "urlink/motion/common_time.py",
+        "__init__",
+        "1.0",
+        "2.0",
+        "replaced when all begin, before which nothing goes by it",
+    ),
+    Equivalent(
+        "urlink/motion/common_time.py",
+        "__init__",
+        "super().__init__(cycle)",
+        "pass",
+        "what it makes is replaced by the first state",
+    ),
+    Equivalent(
+        "urlink/motion/common_time.py",
+        "look",
+        "seconds > 0.0",
+        "seconds >= 0.0",
+        "where no time has passed nothing changes",
+    ),
+    Equivalent(
+        "urlink/motion/common_time.py",
+        "look",
+        "rate <= wanted",
+        "rate < wanted",
+        "of two equal rates one is 1.0 of the other",
+    ),
+    Equivalent(
+        "urlink/motion/common_time.py", "own_rate", "now - self._seen > _SILENT", "now - self._seen >= _SILENT", LAST
+    ),
+    Equivalent(
+        "urlink/motion/controller_clock.py",
+        "reported_scaling",
+        "0.0 <= scaling <= 1.0",
+        "0.0 <= scaling < 1.0",
+        "1 is 1 either way",
+    ),
+    Equivalent(
+        "urlink/motion/controller_clock.py",
+        "passed",
+        "1.0",
+        "2.0",
+        "the lesser of two numbers, of which the other is 1 at most",
+    ),
+    Equivalent(
+        "urlink/motion/controller_clock.py",
+        "look",
+        "max(map(abs, state.qd_target.tolist())) < _RESTING",
+        "max(map(abs, state.qd_target.tolist())) <= _RESTING",
+        LAST,
+    ),
+    Equivalent(
+        "urlink/motion/controller_clock.py",
+        "_check",
+        "moved[joint] > self._tolerance",
+        "moved[joint] >= self._tolerance",
+        LAST,
+    ),
+    Equivalent(
+        "urlink/motion/impedance.py",
+        None,
+        "0.6180339887",
+        "1.2360679774",
+        "no simple fraction either: gains come among targets in another order",
+    ),
+    Equivalent(
+        "urlink/motion/impedance.py",
+        "step",
+        "self._turn + _GOLDEN",
+        "self._turn - _GOLDEN",
+        "gains come among targets in another order",
+    ),
+    Equivalent(
+        "urlink/motion/impedance.py",
+        "step",
+        "self._turn < 0.5 * _GAINS_SHARE",
+        "self._turn <= 0.5 * _GAINS_SHARE",
+        "no multiple of it is that fraction",
+    ),
+    Equivalent(
+        "urlink/motion/impedance.py",
+        "step",
+        "self._turn < _GAINS_SHARE",
+        "self._turn <= _GAINS_SHARE",
+        "no multiple of it is that fraction",
+    ),
+    Equivalent(
+        "urlink/motion/impedance.py",
+        "__init__",
+        "0.0",
+        "1.0",
+        "of a target without a number, which no program looks at; and of a turn, where 1 is 0",
+    ),
+    Equivalent(
+        "urlink/motion/trajectory.py", None, "1e-06", "2e-06", "the fraction by which rounding may exceed a limit"
+    ),
+    Equivalent(
+        "urlink/motion/trajectory.py",
+        "from_poses",
+        "np.abs(np.diff(q, axis=0)) > _LEAP",
+        "np.abs(np.diff(q, axis=0)) >= _LEAP",
+        LAST,
+    ),
+    Equivalent(
+        "urlink/motion/trajectory.py",
+        "_chosen_velocities",
+        "1.0",
+        "2.0",
+        "in the place of slopes of which nothing is used",
+    ),
+    Equivalent("urlink/motion/retiming.py", None, "50", "51", "two to four steps are usual"),
+    Equivalent("urlink/motion/retiming.py", None, "1e-12", "2e-12", "a bound for rounding"),
+    Equivalent(
+        "urlink/motion/retiming.py",
+        "_range",
+        "lows[most] > 0.0",
+        "lows[most] >= 0.0",
+        "where both bounds of y are equal, either slope leads Newton's method from the right to the same place",
+    ),
+    Equivalent(
+        "urlink/motion/retiming.py", "_largest", "high >= low - _ROUNDING * x", "high > low - _ROUNDING * x", LAST
+    ),
+    Equivalent(
+        "urlink/motion/servo.py",
+        "_speeds",
+        "len(recent) > 2",
+        "len(recent) >= 2",
+        "the second of two is that of now, and not old",
+    ),
+    Equivalent(
+        "urlink/motion/servo.py",
+        "_speeds",
+        "a * b > 0.0",
+        "a * b >= 0.0",
+        "the lesser of two numbers is 0 where one is",
+    ),
+    Equivalent(
+        "urlink/motion/linked.py",
+        "_look",
+        "self._passed - braked.at > _END_TIMEOUT",
+        "self._passed - braked.at >= _END_TIMEOUT",
+        LAST,
+    ),
+    Equivalent("urlink/motion/jog.py", "change", "return False", "return None", "neither is true"),
+    Equivalent("urlink/motion/motions.py", "_servoing", "0.2", "0.4", "the text of the program refuses it as well"),
+    Equivalent(
+        "urlink/motion/motions.py", "_servoing", "2000.0", "4000.0", "the text of the program refuses it as well"
+    ),
+    Equivalent(
+        "urlink/motion/group_motion.py",
+        "_check_ends",
+        "max(ends) - min(ends) > _SAME_TIME",
+        "max(ends) - min(ends) >= _SAME_TIME",
+        LAST,
+    ),
+    Equivalent(
+        "urlink/motion/point_stream.py",
+        "_checked",
+        "mark.time < begins",
+        "mark.time <= begins",
+        "a clock is set forward to where it is",
+    ),
 )

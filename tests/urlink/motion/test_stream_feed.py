@@ -382,6 +382,13 @@ def test_points_are_replaced_onto_which_it_has_just_gone_from_braking(cycles: in
     assert np.abs(qddd).max() < JERK * 1.05
 
 
+def test_none_of_the_first_points_is_left_out() -> None:
+    stream = Streamed(E_SERIES)
+    stream.append([TrajectoryPoint(turned(angle), t) for angle, t in ((0.05, 0.05), (0.0, 2.0))])
+    stream.run(1)
+    assert [aim.time for aim in stream.feed._queue] == [0.05, 2.0]
+
+
 def test_the_end_of_what_was_sent_is_where_it_is_replaced() -> None:
     stream = moves(Streamed(E_SERIES))
     end = stream.feed.reach(100.0)
