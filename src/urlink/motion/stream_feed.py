@@ -465,14 +465,16 @@ class StreamFeed:
                 if not self._queue:  # it was cleared, or is past its last point
                     self.mark = Mark(time, found)
             self._brake = Step.braking(found or self._last.step.end, self._bounds.limits)
-            # Where it had gone on from braking and reached no point since, it is the same braking.
-            if self._brake.length > self._cycle and not self._is_cleared and self._last.number != self._resumed:
+            if self._last.number == self._resumed:
+                # It had gone on from braking, and its points came too late after the cut: it is the same braking.
+                self._reach_later()
+            elif self._brake.length > self._cycle and not self._is_cleared:
                 self.starved += 1
             self._is_cleared = False
 
     def _take_back(self, cut: _Cut) -> None:
         """The cut came too late."""
-        self.margin = min(2.0 * self.margin, _LONGEST_WAY)
+        self._reach_later()
         new = [sent.aim for sent in self._steps if sent.number > cut.head and sent.aim is not None]
         self._head, self._steps = cut.head, deque(cut.steps)
         if cut.request is not None:
@@ -481,6 +483,9 @@ class StreamFeed:
         else:
             self._queue.extendleft(reversed([aim for aim in new if aim not in self._queue]))
             self._is_open = False
+
+    def _reach_later(self) -> None:
+        self.margin = min(2.0 * self.margin, _LONGEST_WAY)
 
     def _settle(self) -> None:
         for waiting, is_so in ((self._answered, self.is_answered), (self._dry, self.is_dry)):

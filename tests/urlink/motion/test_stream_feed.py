@@ -28,6 +28,8 @@ from urlink.motion.trajectory import TrajectoryPoint
 from urlink.urscript.buffering import BRAKING, CUT, MESSAGE, PACING, POINT, RESTING, PointRegisters
 from urlink.urscript.links import SCALE, STOP, WAIT, ReverseSocket
 
+STILL = [0.0] * 6
+
 
 def moves(stream: Streamed, since: float = 0.5) -> Streamed:
     """Points are left for two seconds."""
@@ -552,6 +554,23 @@ def test_an_arm_that_has_no_points_after_it_was_cleared_is_starved_later_only() 
     assert stream.feed.starved == 1
     stream.feed.dry()
     assert (stream.feed._dry, stream.feed._answered) == ([], [])
+
+
+@pytest.mark.parametrize("way", [5, 9, 10, 11, 20])
+def test_however_long_messages_take_it_comes_to_rest_at_most_once(way: int) -> None:
+    """Also where the cut comes in time, and the first point a cycle after it does not."""
+    stream = Streamed(E_SERIES, way=way)
+    stream.append(waves(0.05, 0.6))
+    slowest: list[float] = []
+    for _ in range(3):
+        stream.until(lambda: stream.feed._report.phase == BRAKING)
+        begin, end = len(stream.path), mark(stream)
+        there = end.moment.q + np.array([*STILL[:5], 0.2])
+        stream.append(TrajectoryPoint(there, end.time + 0.5, [*STILL[:5], 0.4], STILL))
+        stream.until(lambda end=end: stream.feed.time > end.time + 0.3)
+        slowest.append(float(np.linalg.norm(stream.derivatives(begin - 5)[0], axis=1).min()))
+    assert min(slowest[1:]) > 0.04
+    assert stream.feed.starved == 3
 
 
 # -- pauses ------------------------------------------------------------------------------------------------
