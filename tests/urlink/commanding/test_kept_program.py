@@ -17,7 +17,7 @@ from linkcore.handle import Handle, Phase
 from linkcore.streaming.connection_life import ConnectionState
 from tests.fakes.line import STARTED, STOPPED, Programming, Run, Subscriber, fast
 from tests.waiting import until
-from urlink.errors import CompileError
+from urlink.errors import CompileError, NotRunning
 from urlink.interfaces.enums import RobotMode, SafetyMode
 from urlink.simulator import Controller, Still
 from urlink.urscript.wrapping import StartPlace
@@ -598,3 +598,46 @@ def test_during_a_stop_it_is_stopped_after_it(caplog: pytest.LogCaptureFixture) 
         desk.state(0.1, paused=True)
     assert desk.stops == 1
     assert caplog.messages == []
+
+
+def test_it_is_left_to_the_other_also_while_nothing_is_known_of_the_robot(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is not asked whether it may be stopped."""
+
+    def unknown(is_stop: bool) -> None:
+        raise NotRunning("nothing is known")
+
+    desk = Programming()
+    run, script = moving(desk), desk.script()
+    with monkeypatch.context() as patched:
+        patched.setattr(desk.monitor, "require", unknown)
+        run.cancel()
+    refuse(desk, script)
+    assert desk.stops == 1
+
+
+# -- closed ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("is_stopped", "state", "warns"),
+    [(True, {"paused": True}, True), (True, {"runs": True}, False), (False, {"paused": True}, False)],
+)
+def test_closing_tells_of_a_program_that_stays_paused(
+    is_stopped: bool, state: dict[str, bool], warns: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    desk = Programming()
+    moving(desk)
+    if is_stopped:
+        desk.realtime.tell(fast(SafetyMode.PROTECTIVE_STOP))
+    desk.state(0.1, **state)
+    desk.programs.close(0.0)
+    assert ("closed during a stop: the controller has" in caplog.text) is warns
+
+
+def test_closing_before_a_state_has_come(caplog: pytest.LogCaptureFixture) -> None:
+    desk = Programming()
+    desk.motion().begins()
+    desk.realtime.tell(fast(SafetyMode.PROTECTIVE_STOP))
+    desk.programs._mode = None
+    desk.programs.close(0.0)
+    assert "closed during a stop" not in caplog.text
