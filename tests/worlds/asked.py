@@ -92,6 +92,9 @@ MOTION: dict[str, Callable[[Any, Ask], Handle]] = {
         f"def p():\n  movej({(READY + 0.2 * ask.size).tolist()}, v=0.5)\n  textmsg(1)\nend\n"
     ),
     "misspelt_script": lambda robot, ask: robot.script.run(f"def p():\n  movj({READY.tolist()})\nend\n"),
+    "failing_script": lambda robot, ask: robot.script.run(
+        f"def p():\n  movej({(READY + 0.2 * ask.size).tolist()}, v=0.5)\n  movej([1, 2], v=0.5)\nend\n"
+    ),
     "statements": lambda robot, ask: robot.script.run(
         f"movej({(READY + 0.2 * ask.size).tolist()}, v=0.5)\nsleep({ask.patience})\nmovej({READY.tolist()}, v=0.5)"
     ),

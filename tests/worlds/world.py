@@ -29,6 +29,7 @@ MOTIONS = (
     "follow_low_bandwidth",
     "script",
     "misspelt_script",
+    "failing_script",
     "statements",
 )
 BLOCKS = (
