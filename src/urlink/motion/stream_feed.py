@@ -183,8 +183,8 @@ class StreamFeed:
         self._last: _Sent
         self._brake: Step
         self._is_open = False
-        #: number of the step with which it went on from braking: of what was left of that
-        self._resumed = 0
+        #: number of the step with which it went on from braking, of what was left of that; -1 before
+        self._resumed = -1
         self._queue: deque[Aim] = deque()
         self._cut: _Cut | None = None
         #: those that wait for the answer to the cut

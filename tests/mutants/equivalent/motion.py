@@ -679,4 +679,11 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "mark.time <= begins",
         "a clock is set forward to where it is",
     ),
+    Equivalent(
+        "urlink/motion/stream_steps.py",
+        "braking",
+        "a * by_jerk ** 2 > 12.0 * STRAY",
+        "a * by_jerk ** 2 >= 12.0 * STRAY",
+        "there both lengths are the same",
+    ),
 )

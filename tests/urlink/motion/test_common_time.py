@@ -170,6 +170,19 @@ def test_an_arm_that_goes_on_after_a_pause_is_slow_at_first() -> None:
     assert clocks.members[1].own_rate(clocks.now) == pytest.approx(RAMP * CYCLE)
 
 
+def test_a_state_of_the_moment_in_which_all_begin_is_the_beginning() -> None:
+    clocks = Clocks()
+    clocks.step(1.0, 1.0)
+    one, other = clocks.members
+    assert [one.beginning(), other.beginning()] == [None, None]
+    clocks.step(1.0, 1.0)
+    began = clocks.common.began
+    assert began is not None
+    one.passed(state(1.0, time=began + OFFSETS[0]), began)
+    one._local = began
+    assert one.beginning() == 0.0
+
+
 # -- of streams --------------------------------------------------------------------------------------------
 
 

@@ -100,6 +100,7 @@ def test_points_may_come_before_the_first_report() -> None:
     assert messages[-1][:3] == (CUT, 1, 0)
     assert stream.feed._cut is not None
     assert stream.feed._cut.message == 5
+    assert is_chained(stream)
     stream.run()
     assert messages[-1][:3] == (POINT, 1, 2)
     stream.run_dry()
@@ -333,7 +334,7 @@ def test_what_was_handed_over_and_not_sent_is_given_up_where_it_is_replaced(sinc
     if since < 0.65:
         with pytest.raises(Cancelled, match="were replaced or cleared before the robot had room"):
             two.future.result()
-    for _ in range(100):
+    for _ in range(100 + round(since / stream.period)):
         stream.run()
         assert is_consistent(stream)
         assert is_chained(stream)
@@ -398,6 +399,15 @@ def test_the_end_of_what_was_sent_is_where_it_is_replaced() -> None:
     assert stream.replace(end, waves(end + 0.3, 2.5)) == end
     stream.until(lambda: stream.feed.time > 2.4)
     assert stream.path[-1] == pytest.approx(wave(stream.feed.time).q, abs=3e-3)
+
+
+def test_it_goes_over_onto_the_same_points_four_cycles_later() -> None:
+    """A step takes two cycles at least, and the first one twice that."""
+    stream = moves(Streamed(E_SERIES))
+    curve = stream.reader.curve(waves(0.05, 2.5), 0.0, mark(stream))
+    begin = stream.feed.reach(0.0)
+    stream.feed.replace(0.0, curve)
+    assert stream.feed._queue[0].time == pytest.approx(begin + 4 * stream.period)
 
 
 def test_at_rest_a_point_of_now_is_past() -> None:
@@ -607,6 +617,8 @@ def test_where_it_goes_on_with_its_points_the_arm_was_not_led_away() -> None:
     """That is known after fifty messages, in which the program is slow at first."""
     stream = moves(Streamed(E_SERIES))
     before = paused(stream)
+    stream.run()
+    assert stream.feed._clock.rate == 0.0
     last = before
     while stream.feed._found is not None:
         last = stream.feed._report.messages
@@ -622,9 +634,9 @@ def test_points_that_the_braking_before_a_pause_has_passed_are_left_out() -> Non
     """Those that can be reached in their time are the first; here the program has been found at rest, further on."""
     stream = moves(Streamed(E_SERIES))
     time = stream.feed.time
-    paused(stream, wave(time + 0.2).q)
+    before = paused(stream, wave(time + 0.2).q)
     report = stream.feed._report
-    stream.feed._take(dataclasses.replace(report, messages=stream.feed._messages + 1, head=report.base, phase=RESTING))
+    stream.feed._take(dataclasses.replace(report, messages=before + 1, head=report.base, phase=RESTING))
     assert stream.feed._found is None
     assert (stream.feed._is_open, stream.feed._may_skip) == (False, True)
     assert stream.feed._last.ends == stream.feed.time == pytest.approx(time, abs=0.005)
@@ -635,6 +647,17 @@ def test_points_that_the_braking_before_a_pause_has_passed_are_left_out() -> Non
     assert not stream.feed._may_skip
     assert stream.feed._queue[0].time == pytest.approx(0.8)
     assert stream.feed._queue[0].step is not None
+
+
+def test_a_pause_before_the_first_point_changes_nothing_but_where_it_begins() -> None:
+    stream = Streamed(E_SERIES)
+    margin = stream.feed.margin
+    rests, before = mark(stream), paused(stream, turned(0.02))
+    stream.feed._take(dataclasses.replace(stream.feed._report, messages=before))
+    assert mark(stream) is rests  # it was sent before the pause was over
+    stream.until(lambda: stream.feed._report.messages > before)
+    assert mark(stream).moment.q == pytest.approx(turned(0.02))
+    assert (stream.feed.margin, stream.feed.starved) == (margin, 0)
 
 
 def test_where_no_way_leads_back_it_ends() -> None:

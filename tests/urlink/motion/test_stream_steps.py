@@ -12,7 +12,7 @@ import pytest
 from linkcore.errors import BadValue
 from urlink.models import model
 from urlink.motion.jerk_limited import JointLimit
-from urlink.motion.stream_steps import Aim, Bounds, JointMoment, Step, onto
+from urlink.motion.stream_steps import Aim, Bounds, JointMoment, Step, _sampled, onto
 from urlink.urscript.buffering import BRAKING_FACTOR, STRAY
 
 LIMITS = (JointLimit(3.0, 2.0, 50.0),) * 6
@@ -81,6 +81,18 @@ def test_speeds_and_accelerations_are_derivatives(degree: int) -> None:
         before, here, after = step.at(t - 1e-5), step.at(t), step.at(t + 1e-5)
         assert here.qd == pytest.approx((after.q - before.q) / 2e-5, rel=1e-6, abs=1e-6)
         assert here.qdd == pytest.approx((after.qd - before.qd) / 2e-5, rel=1e-6, abs=1e-6)
+
+
+def test_many_steps_are_looked_at_as_each_is_by_itself() -> None:
+    rng = np.random.default_rng(4)
+    steps = [Step(rng.uniform(-1.0, 1.0, (6, 6)), length) for length in (0.5, 1.0, 2.0)]
+    sampled = _sampled(np.array([step.rows for step in steps]), np.array([step.length for step in steps]))
+    for number, step in enumerate(steps):
+        for place, t in enumerate(np.linspace(0.0, step.length, 17)):
+            there, beside = step.at(t), [step.at(t + off).qdd for off in (0.0, 1e-6)]
+            expected = (there.q, there.qd, there.qdd, (beside[1] - beside[0]) / 1e-6)
+            for values, each in zip(sampled, expected, strict=True):
+                np.testing.assert_allclose(values[number, place], each, rtol=1e-3, atol=1e-3)
 
 
 @pytest.mark.parametrize("degree", [1, 3, 5])
