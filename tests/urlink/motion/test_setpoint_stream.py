@@ -292,4 +292,7 @@ def test_targets_are_filtered_from_where_the_arm_is() -> None:
         alone.advance(0.01)
     targets.restart(51.0, at(0.3), at(0.2))
     alone.restart(at(0.3), at(0.2))
-    assert targets.at(51.0, 1.0) == alone.after(CYCLE)
+    q, qd = targets.at(51.0, 1.0)
+    assert (q, qd) == alone.after(CYCLE)
+    assert q[5] == pytest.approx(0.3 + 0.2 * CYCLE, abs=1e-4)
+    assert qd[5] == pytest.approx(0.2, abs=0.05)
