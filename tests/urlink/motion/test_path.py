@@ -148,7 +148,7 @@ def test_a_joint_that_would_leave_its_range_on_the_way(sign: float) -> None:
 @pytest.mark.parametrize(("rates", "name"), [(Rates(3.2, 1.0), "speed"), (Rates(1.0, 40.1), "acceleration")])
 def test_a_joint_movement_is_no_faster_than_the_arm(rates: Rates, name: str) -> None:
     state = RealtimeState("5.11", q_target=READY, q_actual=READY, tool_vector_actual=POSE)
-    with pytest.raises(BadValue, match=f"^{name} is .* UR5e"):
+    with pytest.raises(BadValue, match=f"^waypoint 0: {name} is .* UR5e$"):
         plan([Joint(READY + 0.1)], rates, TOOL_RATES, ARM, state)
 
 
