@@ -465,7 +465,7 @@ class StreamFeed:
                 if not self._queue:  # it was cleared, or is past its last point
                     self.mark = Mark(time, found)
             self._brake = Step.braking(found or self._last.step.end, self._bounds.limits)
-            if self._last.number == self._resumed:
+            if self._last.number == self._resumed and not self._is_cleared:
                 # It had gone on from braking, and its points came too late after the cut: it is the same braking.
                 self._reach_later()
             elif self._brake.length > self._cycle and not self._is_cleared:

@@ -583,6 +583,20 @@ def test_however_long_messages_take_it_comes_to_rest_at_most_once(way: int) -> N
     assert stream.feed.starved == 3
 
 
+def test_where_it_is_cleared_as_it_goes_on_from_braking_no_point_came_too_late() -> None:
+    stream = Streamed(E_SERIES)
+    stream.append(waves(0.05, 0.6))
+    stream.until(lambda: stream.feed._report.phase == BRAKING)
+    end = mark(stream)
+    stream.append(TrajectoryPoint(end.moment.q + 0.1, end.time + 1.0, STILL, STILL))
+    stream.until(lambda: stream.feed._report.phase != BRAKING)
+    stream.feed.margin = 0.006  # within what is left of the braking
+    stream.clear()
+    stream.run_dry()
+    assert stream.feed._last.number == stream.feed._resumed
+    assert (stream.feed.margin, stream.feed.starved) == (0.006, 1)
+
+
 # -- pauses ------------------------------------------------------------------------------------------------
 
 
