@@ -52,7 +52,8 @@ def at_the_robot(event: Event, controller: Controller, watch: Watch, number: int
         watch.is_led = False
         watch.end(number, None)
     elif what == "slider":
-        call(lambda: setattr(controller, "speed_fraction", event.size))
+        # At less, a motion of some seconds takes longer than a client has to come to its end.
+        call(lambda: setattr(controller, "speed_fraction", max(event.size, 0.02)))
     elif what in ("local_control", "teach_button"):
         name, value = ("remote_control", False) if what == "local_control" else ("teach_button", True)
         call(lambda: setattr(controller, name, value))
