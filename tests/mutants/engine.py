@@ -85,7 +85,10 @@ class Measured(NamedTuple):
     lines: dict[str, dict[int, list[str]]]
 
     def choose(self, job: Job, budget: float, killers: Killers) -> list[str]:
-        """The fastest tests that execute the mutated lines, for `budget` seconds at most; `killers` first."""
+        """The fastest tests that execute the mutated lines, for `budget` seconds at most; `killers` first.
+
+        Outside of functions, those that execute any line of the file, or are in the test file of its name.
+        """
         lines = self.lines.get(str(job.path), {})
         numbers = range(job.mutation.line, job.mutation.end + 1) if job.mutation.function else lines
         names = {name for number in numbers for name in lines.get(number, ())} & self.seconds.keys()

@@ -485,6 +485,7 @@ class StreamFeed:
             self._is_open = False
 
     def _reach_later(self) -> None:
+        """Plan cuts further ahead from now on."""
         self.margin = min(2.0 * self.margin, _LONGEST_WAY)
 
     def _settle(self) -> None:

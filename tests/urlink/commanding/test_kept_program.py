@@ -105,6 +105,9 @@ def test_it_does_not_go_on_after_a_script_that_does_not_compile(controller: Cont
     assert not moves(controller)
 
 
+#: Runs beside another program.
+BESIDE = "sec blink():\n  set_flag(1, True)\nend"
+#: Does not compile.
 REFUSED = "def p():\n  no_such_function()\nend\n"
 
 
@@ -194,6 +197,12 @@ def test_closing_during_a_stop_waits_for_three_states(
 # -- state by state, without a controller ----------------------------------------------------------------
 
 
+def states(desk: Programming, count: int, **shown: bool) -> None:
+    """So many, each a tenth of a second after the one before."""
+    for _ in range(count):
+        desk.state(0.1, **shown)
+
+
 def short_stop(desk: Programming) -> None:
     """It is over before the primary interface has reported it."""
     desk.realtime.tell(fast(SafetyMode.PROTECTIVE_STOP))
@@ -256,8 +265,7 @@ def test_a_program_that_was_sent_before_the_stop_and_begins_after_it_is_left_alo
     desk.motion(asks=False).says("started")
     script = desk.script()
     short_stop(desk)
-    for _ in range(4):
-        desk.state(0.1, runs=True)
+    states(desk, 4, runs=True)
     assert desk.stops == 0
     assert not script.done
 
@@ -313,8 +321,7 @@ def test_a_lost_connection_forgets_it() -> None:
     stopped(desk)
     desk.event(desk.primary, ConnectionState.LOST)
     desk.event(desk.primary, ConnectionState.CONNECTED)
-    for _ in range(4):
-        desk.state(0.1, paused=True)
+    states(desk, 4, paused=True)
     assert desk.stops == 0
 
 
@@ -323,8 +330,7 @@ def test_once_it_has_ended_or_was_replaced_what_runs_is_left_alone(title: str, n
     desk = Programming()
     run = stopped(desk)
     desk.key(title, name or run.program)
-    for _ in range(4):
-        desk.state(0.1, runs=True)
+    states(desk, 4, runs=True)
     assert desk.stops == 0
 
 
@@ -357,8 +363,7 @@ def test_its_stop_is_sent_again_where_its_end_would_be_reported(firmware: str, s
     run.begins() if firmware == "5.11" else run.says("started")
     desk.state(0.1, runs=True)
     short_stop(desk)
-    for _ in range(6):
-        desk.state(0.1, runs=True)
+    states(desk, 6, runs=True)
     assert desk.stops == stops
 
 
@@ -371,8 +376,7 @@ def test_one_that_was_sent_a_stop_just_before_is_sent_it_again() -> None:
     run.cancel()
     assert desk.stops == 1
     short_stop(desk)
-    for _ in range(3):
-        desk.state(0.1, paused=True)
+    states(desk, 3, paused=True)
     assert desk.stops == 2
 
 
@@ -385,8 +389,7 @@ def test_a_script_that_is_cancelled_during_a_stop_is_stopped_after_it() -> None:
     script.cancel()
     assert desk.stops == 0
     desk.realtime.tell(fast())
-    for _ in range(3):
-        desk.state(0.1, paused=True)
+    states(desk, 3, paused=True)
     assert desk.stops == 1
 
 
@@ -398,8 +401,7 @@ def test_a_later_program_replaces_it_where_none_is_reported_by_name(caplog: pyte
     desk.state(0.1, runs=True)
     short_stop(desk)
     desk.motion(asks=False).says("started")
-    for _ in range(3):
-        desk.state(0.1, runs=True)
+    states(desk, 3, runs=True)
     assert desk.stops == 0
     assert caplog.messages == []
 
@@ -413,8 +415,7 @@ def test_one_that_does_not_compile_does_not_replace_it(
     desk = Programming(firmware=firmware)
     stopped(desk, begins)
     script = desk.script("no_such_function()")
-    for _ in range(3):
-        desk.state(0.1, paused=True)
+    states(desk, 3, paused=True)
     assert desk.stops == 0
     desk.exception("compile_error_name_not_found:no_such_function:")
     assert script.end.startswith("CompileError")
@@ -427,12 +428,10 @@ def test_the_next_stop_does_not_forget_it() -> None:
     desk = Programming()
     stopped(desk)
     desk.realtime.tell(fast(SafetyMode.PROTECTIVE_STOP))
-    for _ in range(3):
-        desk.state(0.1, paused=True)
+    states(desk, 3, paused=True)
     assert desk.stops == 0
     desk.realtime.tell(fast())
-    for _ in range(2):
-        desk.state(0.1, paused=True)
+    states(desk, 2, paused=True)
     assert desk.stops == 1
 
 
@@ -443,15 +442,14 @@ def test_one_that_begins_while_it_is_sent_a_stop_is_sent_it_again() -> None:
     run.cancel()
     assert desk.stops == 1
     run.begins()
-    for _ in range(4):
-        desk.state(0.1, runs=True)
+    states(desk, 4, runs=True)
     assert desk.stops == 2
 
 
 def test_a_program_beside_it_does_not_replace_it() -> None:
     desk = Programming()
     stopped(desk)
-    beside = desk.script("sec blink():\n  set_flag(1, True)\nend")
+    beside = desk.script(BESIDE)
     beside.says("started")
     desk.state(0.1, paused=True)
     assert desk.stops == 1
@@ -466,8 +464,7 @@ def test_one_that_ends_since_the_robot_does_not_run_is_not_stopped_later() -> No
     desk.realtime.tell(fast(mode=RobotMode.POWER_OFF))
     assert run.end.startswith("NotRunning")
     desk.realtime.tell(fast())
-    for _ in range(3):
-        desk.state(0.1, runs=True)
+    states(desk, 3, runs=True)
     assert desk.stops == 0
 
 
@@ -491,6 +488,14 @@ def give_up(desk: Programming, run: Run) -> None:
 
 def close_all(desk: Programming, run: Run) -> None:
     desk.programs.close(0.0)
+
+
+def ends_by_itself(desk: Programming, run: Run) -> None:
+    """Nothing is stopped then, nor later."""
+    run.says("finished")
+    run.stops()
+    states(desk, 3, runs=True)
+    assert desk.stops == 0
 
 
 @pytest.mark.parametrize("end", [refuse, give_up, close_all])
@@ -523,13 +528,8 @@ def test_where_the_other_begins_nothing_is_stopped() -> None:
     run, script = moving(desk), desk.script()
     run.cancel()
     script.begins()
-    for _ in range(3):
-        desk.state(0.1, runs=True)
-    script.says("finished")
-    script.stops()
-    for _ in range(3):
-        desk.state(0.1, runs=True)
-    assert desk.stops == 0
+    states(desk, 3, runs=True)
+    ends_by_itself(desk, script)
 
 
 def test_where_the_other_has_begun_it_is_over() -> None:
@@ -538,36 +538,30 @@ def test_where_the_other_has_begun_it_is_over() -> None:
     script.begins()
     assert run.end.startswith("Cancelled")
     desk.programs.stop(run._life)
-    script.says("finished")
-    script.stops()
-    for _ in range(3):
-        desk.state(0.1, runs=True)
-    assert desk.stops == 0
+    ends_by_itself(desk, script)
 
 
 def test_nobody_stops_what_goes_on_and_was_not_given_up() -> None:
     desk = Programming()
     run, script = moving(desk), desk.script()
     refuse(desk, script)
-    for _ in range(3):
-        desk.state(0.1, runs=True)
+    states(desk, 3, runs=True)
     assert (run.done, desk.stops) == (False, 0)
 
 
 def test_a_program_beside_it_that_is_given_up_stops_nothing() -> None:
     desk = Programming()
-    beside, script = desk.script("sec blink():\n  set_flag(1, True)\nend"), desk.script()
+    beside, script = desk.script(BESIDE), desk.script()
     beside.cancel()
     refuse(desk, script)
-    for _ in range(3):
-        desk.state(0.1, runs=True)
+    states(desk, 3, runs=True)
     assert desk.stops == 0
 
 
 def test_a_program_beside_it_that_ends_does_not_hurry_the_stop() -> None:
     """As a state does, it may come before the report of which program runs."""
     desk = Programming()
-    beside = desk.script("sec blink():\n  set_flag(1, True)\nend")
+    beside = desk.script(BESIDE)
     stopped(desk)
     beside.says("finished")
     assert beside.done
@@ -576,7 +570,7 @@ def test_a_program_beside_it_that_ends_does_not_hurry_the_stop() -> None:
 
 def test_a_program_beside_it_that_is_given_up_does_not_forget_it() -> None:
     desk = Programming()
-    beside = desk.script("sec blink():\n  set_flag(1, True)\nend")
+    beside = desk.script(BESIDE)
     stopped(desk)
     script = desk.script()
     beside.cancel()
@@ -594,8 +588,7 @@ def test_during_a_stop_it_is_stopped_after_it(caplog: pytest.LogCaptureFixture) 
     assert script.end.startswith("SafetyStop")
     assert desk.stops == 0
     desk.realtime.tell(fast())
-    for _ in range(2):
-        desk.state(0.1, paused=True)
+    states(desk, 2, paused=True)
     assert desk.stops == 1
     assert caplog.messages == []
 

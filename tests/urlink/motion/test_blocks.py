@@ -343,22 +343,3 @@ def test_nothing_was_touched(robot: Rehearsal) -> None:
     with pytest.raises(NoContact, match=r"nothing was touched within 0\.25 m"):
         motion.wait(TIMEOUT)
     assert motion.contact is None
-
-
-def test_without_a_state_a_message_is_not_sent_and_then_the_motion_is_over(robot: Rehearsal) -> None:
-    """Read at once, after a controller has hung, it would be where the arm has to go with all its speed."""
-    with entered(robot, robot.motion.servo(watchdog=0.1)) as servo:
-        program, sent = servo._program, list[bytes]()
-        program.say = sent.append  # type: ignore[method-assign,assignment]
-        for silence, count in ((0.0, 1), (0.0999, 2), (0.1001, 2), (0.1999, 2)):
-            program._seen = program._clock() - silence
-            program.feed(b"set-point", 0.1)
-            assert len(sent) == count
-        program._pause.holds = True
-        program._seen = program._clock()
-        program.feed(b"set-point", 0.1)
-        assert len(sent) == 2  # the program takes none while it is paused
-        program._seen = program._clock() - 0.2001
-        with pytest.raises(ConnectionLost, match=r"has sent no state for 0\.20 s, so its program takes no message"):
-            program.feed(b"set-point", 0.1)
-        assert isinstance(servo.error, ConnectionLost)

@@ -396,20 +396,34 @@ def test_each_message_says_in_which_cycle_and_how_many_pauses_there_were(
         assert int.from_bytes(sent[-1][-8:-4], "big") == (WAIT + pauses if pauses else FOLLOW)
 
 
-@pytest.mark.parametrize(("silence", "says"), [(0.125, True), (0.126, False), (0.25, False), (0.251, None)])
+@pytest.mark.parametrize(
+    ("silence", "says"), [(0.0, True), (0.125, True), (0.126, False), (0.25, False), (0.251, None)]
+)
 def test_what_a_loop_sends_after_a_silence(talk: Talk, silence: float, says: bool | None) -> None:
-    """It is too old for the program after the time of its watchdog, and after twice as long the motion is over."""
+    """Read at once, after a controller has hung, it would be where the arm has to go with all its speed.
+
+    So it is not sent after the time of the watchdog, and after twice that time the motion is over.
+    """
     talk.begin()
     said = len(talk.said)
     talk.program._seen = talk.now - silence
     if says is None:
-        with pytest.raises(ConnectionLost, match=r"no state for 0\.25 s"):
+        with pytest.raises(ConnectionLost, match=r"has sent no state for 0\.25 s, so its program takes no message"):
             talk.program.feed(b"mine", 0.125)
         talk.fails(ConnectionLost, "brakes by itself")
         assert talk.said[said:] == [b"bye"]
     else:
         talk.program.feed(b"mine", 0.125)
         assert talk.said[said:] == ([b"mine"] if says else [])
+
+
+def test_a_program_that_is_paused_is_sent_nothing_by_a_loop(talk: Talk) -> None:
+    talk.begin()
+    said = len(talk.said)
+    talk.program._pause.holds = True
+    talk.program._seen = talk.now
+    talk.program.feed(b"mine", 0.125)
+    assert len(talk.said) == said
 
 
 @pytest.mark.parametrize("state", [ProgramState.PAUSING, ProgramState.PAUSED, ProgramState.PLAYING])

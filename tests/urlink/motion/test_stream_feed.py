@@ -419,8 +419,7 @@ def test_at_rest_a_point_of_now_is_past() -> None:
 @pytest.mark.parametrize(("acceleration", "lands"), [(0.3, 0.3), (1000.0, 0.0)])
 def test_it_lands_with_the_acceleration_of_the_point_where_the_limits_let_it(acceleration: float, lands: float) -> None:
     stream = Streamed(E_SERIES)
-    still = [0.0] * 6
-    stream.replace(0.0, [TrajectoryPoint(turned(0.05), 0.5, still, [*still[:5], acceleration])])
+    stream.replace(0.0, [TrajectoryPoint(turned(0.05), 0.5, STILL, [*STILL[:5], acceleration])])
     messages = messages_of(stream)
     stream.run(2)
     assert [what for what, *_ in messages] == [CUT, POINT]
@@ -607,6 +606,12 @@ def paused(stream: Streamed, q: Any = None) -> int:
     return stream.feed._messages
 
 
+def found_at(stream: Streamed, q: Any) -> None:
+    """After a pause the program has found the arm at `q`, dropped its points, and reports that it rests."""
+    before, report = paused(stream, q), stream.feed._report
+    stream.feed._take(dataclasses.replace(report, messages=before + 1, head=report.base, phase=RESTING))
+
+
 def test_an_arm_that_was_led_away_in_a_pause_goes_on_from_there() -> None:
     """At rest too; a report from before the pause says nothing of it."""
     stream = Streamed(E_SERIES, way=3)
@@ -648,9 +653,7 @@ def test_points_that_the_braking_before_a_pause_has_passed_are_left_out() -> Non
     """Those that can be reached in their time are the first; here the program has been found at rest, further on."""
     stream = moves(Streamed(E_SERIES))
     time = stream.feed.time
-    before = paused(stream, wave(time + 0.2).q)
-    report = stream.feed._report
-    stream.feed._take(dataclasses.replace(report, messages=before + 1, head=report.base, phase=RESTING))
+    found_at(stream, wave(time + 0.2).q)
     assert stream.feed._found is None
     assert (stream.feed._is_open, stream.feed._may_skip) == (False, True)
     assert stream.feed._last.ends == stream.feed.time == pytest.approx(time, abs=0.005)
@@ -677,9 +680,7 @@ def test_a_pause_before_the_first_point_changes_nothing_but_where_it_begins() ->
 def test_where_no_way_leads_back_it_ends() -> None:
     """The arm was led beyond the range of a joint."""
     stream = moves(Streamed(E_SERIES))
-    paused(stream, turned(6.4))
-    report = stream.feed._report
-    stream.feed._take(dataclasses.replace(report, messages=stream.feed._messages + 1, head=report.base, phase=RESTING))
+    found_at(stream, turned(6.4))
     with pytest.raises(ToleranceExceeded, match=r"no way within the limits leads from .* onto the point at 0\.5 s"):
         stream.feed._resume()
 
@@ -766,15 +767,13 @@ def test_a_pace_is_sent_before_a_point_where_it_has_changed_by_a_thousandth(chan
     stream, pace = Streamed(E_SERIES), Paces()
     stream.feed.pace = cast(MemberPace, pace)
     stream.run(5)
-    messages: list[bytes] = []
-    step = stream.feed.step
-    stream.feed.step = lambda *what: messages.append(step(*what)) or messages[-1]  # type: ignore[func-returns-value,method-assign]
+    messages = messages_of(stream)
     stream.append(waves(0.05, 1.0))
     stream.run(2)  # the cut by which it begins, and the first point
     pace.change = change
     messages.clear()
     stream.run(6)
-    kinds = [int.from_bytes(message[:4], "big") for message in messages]
+    kinds = [what for what, *_ in messages]
     assert (kinds.count(WAIT), kinds.count(POINT)) == (paces, 6 - paces)
 
 

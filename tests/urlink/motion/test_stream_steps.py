@@ -254,7 +254,7 @@ def test_a_way_takes_as_long_as_it_is_to_and_twenty_seconds_at_most() -> None:
 
 @pytest.mark.parametrize("number", [0, 1, 15, 16, 17, 31, 32])
 def test_each_time_that_is_tried_is_an_eighth_longer(number: int) -> None:
-    """With a speed of 1 rad/s at most, of which the mean is 8 to 15."""
+    """The largest speed of such a step is 15/8 of its mean; 1 rad/s is allowed."""
     slow = Bounds(None, (1.0,) * 6, (JointLimit(1.0, 1e3, 1e6),) * 6)
     least = 0.1
     far = only(0, 0.0, least * 1.125 ** (number - 0.5) / 1.875)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 from linkcore.errors import BadValue, ConnectionLost, LinkTimeout
 from tests.fakes.rehearsal import HOME, turned
@@ -48,6 +49,17 @@ class Served:
         )
         answers = self.server.step(said, state, 1000.0 + self.seconds).decode().splitlines()
         return [[float(each) for each in answer.strip("()").split(",")] for answer in answers]
+
+    def set_out(self) -> None:
+        """It has the first point to go to, and moves."""
+        for said in (b"0\n", b"1\n", b"2\n"):
+            self.step(said)
+
+    def resume(self, q: ArrayLike | None = None) -> None:
+        """It goes on after a pause, from joint positions; from where the arm is, if none are given."""
+        there = np.array(turned(self.angle) if q is None else q)
+        state: Any = SimpleNamespace(time=self.BEGIN + self.seconds, q_target=there, **PLAYING)
+        self.server.resume(state)
 
 
 def test_points_are_handed_over_as_they_are_asked_for() -> None:
@@ -221,17 +233,14 @@ def test_a_program_that_speaks_no_numbers() -> None:
 def test_after_a_pause_the_program_asks_how_far_on_the_arm_is(braked: float, skipped: float) -> None:
     """Along its path; never back."""
     served = Served()
-    served.step(b"0\n")
-    served.step(b"1\n")
-    served.step(b"2\n")
+    served.set_out()
     for n in range(1, 6):
         served.angle = float(PATH.sample(0.05 * n)[0][5])
         served.step(seconds=0.05)
     before = served.server.progress * 2.0
     assert before == pytest.approx(0.25)
     served.angle = float(PATH.sample(before + braked)[0][5])
-    state: Any = SimpleNamespace(time=served.BEGIN + served.seconds, q_target=np.array(turned(served.angle)), **PLAYING)
-    served.server.resume(state)
+    served.resume()
     ((seconds,),) = served.step(b"-3\n")
     assert seconds == pytest.approx(1.0 + skipped, abs=0.005)
     assert served.step(b"-3\n") == [[1.0]]  # once
@@ -240,19 +249,17 @@ def test_after_a_pause_the_program_asks_how_far_on_the_arm_is(braked: float, ski
 
 def test_what_the_arm_is_beside_its_path_is_faded_out_in_its_path() -> None:
     served = Served()
-    for said in (b"0\n", b"1\n", b"2\n"):
-        served.step(said)
+    served.set_out()
     for n in range(1, 5):
         served.angle = float(PATH.sample(0.05 * n)[0][5])
         served.step(seconds=0.05)
     aside = 0.04
     q = np.array(PATH.sample(0.2)[0])
     q[0] += aside
-    state: Any = SimpleNamespace(time=served.BEGIN + served.seconds, q_target=q, **PLAYING)
     server = served.server
     before = server.desired(0.2)[0]
     assert before == pytest.approx(PATH.sample(0.2)[0])
-    server.resume(state)
+    served.resume(q)
     began = 0.2
     for after, left in ((0.0, 1.0), (0.2, 0.5), (0.3, 1.0 - 0.75**2 * 1.5), (0.4, 0.0), (0.8, 0.0)):
         off = server.desired(began + after)[0][0] - PATH.sample(began + after)[0][0]
@@ -262,22 +269,19 @@ def test_what_the_arm_is_beside_its_path_is_faded_out_in_its_path() -> None:
 def test_a_pause_before_it_has_begun_skips_nothing() -> None:
     served = Served()
     served.step(b"0\n")
-    state: Any = SimpleNamespace(time=served.BEGIN, q_target=np.array(turned(0.1)), **PLAYING)
-    served.server.resume(state)
+    served.resume(turned(0.1))
     assert served.step(b"-3\n") == [[1.0]]
     assert served.server.desired(0.0)[0] == pytest.approx(PATH.sample(0.0)[0])
 
 
 def test_a_pause_may_be_long_and_the_time_after_it_begins_slowly() -> None:
     served = Served()
-    for said in (b"0\n", b"1\n", b"2\n"):
-        served.step(said)
+    served.set_out()
     served.step(seconds=0.1)
     before = served.server.progress
     served.seconds += 60.0
     served.angle = float(PATH.sample(0.1)[0][5])
-    state: Any = SimpleNamespace(time=served.BEGIN + served.seconds, q_target=np.array(turned(served.angle)), **PLAYING)
-    served.server.resume(state)
+    served.resume()
     served.step()
     served.step(seconds=0.08)
     assert served.server.progress == pytest.approx(before + 0.5 * 0.5 * 0.08 / 2.0, abs=2e-3)
@@ -286,8 +290,7 @@ def test_a_pause_may_be_long_and_the_time_after_it_begins_slowly() -> None:
 def test_which_points_it_has_passed_is_known_by_what_it_asks_for() -> None:
     """It moves to the last but one of the points that it has asked for, whatever the time is here."""
     served = Served(Trajectory.from_arrays([0.0, 0.5, 1.0, 1.5, 2.0], [turned(0.05 * n) for n in range(5)]))
-    for said in (b"0\n", b"1\n", b"2\n"):
-        served.step(said)
+    served.set_out()
     served.angle = 0.05
     served.step(b"3\n4\n", seconds=0.1)
     served.step()
