@@ -216,7 +216,6 @@ def _read_in_place(place: Place, column: NDArray[Any]) -> None:
         # A mask may be held as an IEEE double of the same value; see `Mask64`.
         if column.max() >> np.uint64(48):
             odd = np.flatnonzero(column >> np.uint64(48))
-            assert Mask64.read is not None, "it is a mask because it is read so"
             column[odd] = [Mask64.read(each) for each in column[odd].tolist()]
     elif _is_code_in_float(place, column):
         numbers = column.view(NATIVE_DOUBLE)

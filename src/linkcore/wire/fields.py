@@ -161,26 +161,24 @@ class _Mask64(Shape):
     64 bits.
     """
 
-    def __init__(self) -> None:
-        self.number = Int64ub
-        self.read = _read_mask
+    number = Int64ub
 
     def __repr__(self) -> str:
         return "Mask64"
+
+    @staticmethod
+    def read(raw: int) -> int:
+        if raw >> 48:
+            (value,) = struct.unpack("=d", struct.pack("=Q", raw))
+            if 0.0 <= value < 2.0**48 and value == int(value):
+                return int(value)
+        return raw
 
     def write(self, value: Any) -> int:
         mask = int(value)
         if not 0 <= mask < 1 << 64:
             raise OverflowError("a mask has 64 bits")
         return mask
-
-
-def _read_mask(raw: int) -> int:
-    if raw >> 48:
-        (value,) = struct.unpack("=d", struct.pack("=Q", raw))
-        if 0.0 <= value < 2.0**48 and value == int(value):
-            return int(value)
-    return raw
 
 
 Mask64 = _Mask64()
@@ -193,8 +191,9 @@ class Raw(Shape):
     does not fit.
     """
 
+    number = None
+
     def __init__(self, prefix: Number | None = None, least: int = 0) -> None:
-        self.number = None
         self.prefix = prefix
         self.least = least
 
@@ -208,16 +207,12 @@ class Raw(Shape):
 class Text(Raw):
     """UTF-8 text. Bytes that are not UTF-8 read as backslash escapes, so that text never fails."""
 
-    def __init__(self, prefix: Number | None = None, least: int = 0) -> None:
-        super().__init__(prefix, least)
-        self.read = _read_text
+    @staticmethod
+    def read(raw: bytes) -> str:
+        return raw.decode("utf-8", "backslashreplace")
 
     def write(self, value: Any) -> bytes:
         return str(value).encode("utf-8", "backslashreplace")
-
-
-def _read_text(raw: bytes) -> str:
-    return raw.decode("utf-8", "backslashreplace")
 
 
 #: ``(major, minor, ...)``; longer tuples compare as tuples do, so any NamedTuple of integers will do.
@@ -275,7 +270,7 @@ class Since:
 
 
 class Header:
-    """Numbers that precede the fields of a packet; `size`, the bytes of the whole packet, is one of them.
+    """Numbers that precede the fields of a packet; the first of them is `size`, the bytes of the whole packet.
 
     ``Header(size=Int32sb, type=Int8ub)``
 

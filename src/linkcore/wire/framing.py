@@ -172,12 +172,8 @@ class Framer:
         self.skipped += 1
 
 
-class PacketProtocol(Protocol):
-    """The protocol of one connection, sans-IO; a stream makes a new one each time it connects."""
-
-    framer: Framer
-    #: counts the cycles that are missing; None as long as the packets have no time of the peer's clock
-    cycles: MissedCycles | None
+class Counting(Protocol):
+    """Decodes, and counts what it does not know."""
 
     @property
     def unknown(self) -> int:
@@ -195,6 +191,14 @@ class PacketProtocol(Protocol):
         """
 
 
+class PacketProtocol(Counting, Protocol):
+    """The protocol of one connection, sans-IO; a stream makes a new one each time it connects."""
+
+    framer: Framer
+    #: counts the cycles that are missing; None as long as the packets have no time of the peer's clock
+    cycles: MissedCycles | None
+
+
 #: Whether it was asked for.
 _STRICT = os.environ.get("URLINK_STRICT", "") not in ("", "0")
 
@@ -202,22 +206,6 @@ _STRICT = os.environ.get("URLINK_STRICT", "") not in ("", "0")
 def is_strict() -> bool:
     """Whether bytes that no layout explains are errors."""
     return _STRICT
-
-
-class Counting(Protocol):
-    """Decodes, and counts what it does not know."""
-
-    @property
-    def unknown(self) -> int:
-        """Packets, or parts of one, of a type that no layout is known for."""
-
-    @property
-    def tails(self) -> int:
-        """Packets, or parts of one, that end in bytes which no known layout explains."""
-
-    @property
-    def decode(self) -> Callable[..., Any]:
-        """The packet in one frame."""
 
 
 def check_explained(packet: Any, unknown: int, tails: int) -> None:

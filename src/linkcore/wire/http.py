@@ -87,11 +87,8 @@ class HttpResponse:
 
 
 def _encoded(start: str, headers: Mapping[str, str], body: bytes) -> bytes:
-    lines = [start]
-    lines += [
-        f"{name}: {value}"
-        for name, value in ({**headers, "Content-Length": str(len(body)), "Connection": "close"}).items()
-    ]
+    every = {**headers, "Content-Length": str(len(body)), "Connection": "close"}
+    lines = [start, *(f"{name}: {value}" for name, value in every.items())]
     for line in lines:
         if not _PLAIN.fullmatch(line):
             raise BadValue(f"{line[:80]!r} cannot be a line of HTTP")

@@ -402,7 +402,7 @@ class Layout:
         """
         if self.has_text:
             raise BadValue(f"{self.name} has text in it, so it has no numpy dtype")
-        names, offsets = ["message_size"], [self._offset_of_size()]
+        names, offsets = ["message_size"], [0]
         formats: list[Any] = [_wire_dtype(self.header.parts["size"])]
         for run in self.runs:
             key = run[0].field.interleave
@@ -416,14 +416,6 @@ class Layout:
                 formats.append(np.dtype((element, (run[0].count,))))
             offsets.append(run[0].offset)
         return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": self.size})
-
-    def _offset_of_size(self) -> int:
-        offset = 0
-        for name, number in self.header.parts.items():
-            if name == "size":
-                break
-            offset += number.width
-        return offset
 
 
 def indices(fields: Sequence[tuple[Field, Shape]]) -> dict[str, int | slice]:
@@ -452,11 +444,6 @@ def is_of_cells(shapes: Sequence[Shape]) -> bool:
     """
     is_uniform = all(shape is Mask64 or (shape.number is not None and shape.number.code == "d") for shape in shapes)
     return is_uniform and sum(shape.count or 1 for shape in shapes) >= MANY_CELLS
-
-
-def _code(place: Place) -> str:
-    assert place.number is not None, "text cannot be interleaved"
-    return place.number.code
 
 
 def _zeros(place: Place) -> list[Any]:

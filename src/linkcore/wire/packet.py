@@ -171,15 +171,11 @@ class State:
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        import html  # notebooks have imported it; importing the library stays cheap
+        from ..text import html_table  # imported here: importing the library stays cheap
 
-        rows = "".join(
-            f"<tr><td>{name}</td><td>{html.escape(_short(getattr(self, name)))}</td>"
-            f"<td>{html.escape(place.field.unit)}</td><td>{html.escape(place.field.doc)}</td></tr>"
-            for name, place in self._layout.places.items()
-        )
-        head = "<tr><th>field</th><th>value</th><th>unit</th><th>meaning</th></tr>"
-        return f"<table><caption>{type(self).__name__}</caption>{head}{rows}</table>"
+        fields = ((name, place.field) for name, place in self._layout.places.items())
+        rows = [(name, _short(getattr(self, name)), field.unit, field.doc) for name, field in fields]
+        return html_table(type(self).__name__, ("field", "value", "unit", "meaning"), rows)
 
 
 def _restored(cls: type[State], data: bytes, first: Version, has_block: bool, stamp: Stamp | None) -> State:
@@ -495,10 +491,7 @@ def _fixed_places(fields: Mapping[str, Field], order: Sequence[str] | None) -> d
 
 
 def packet(
-    *,
-    header: Header,
-    reorder: tuple[str, Sequence[str]] | None = None,
-    **constants: int,
+    *, header: Header, reorder: tuple[str, Sequence[str]] | None = None, **constants: int
 ) -> Callable[[_Class], _Class]:
     """Make a packet class of a `State` subclass whose body declares fields with `wire()`.
 
