@@ -124,6 +124,7 @@ class Lifecycle:
     Attributes:
         brake: tells the robot to stop it; may raise `LinkError`. Called where it ends before its time and the robot has
             to be stopped; let go of at the end.
+        future: settled when it has ended; not to be cancelled.
         handle: what users hold of it; None where they hold nothing, and after the end.
     """
 
@@ -140,9 +141,9 @@ class Lifecycle:
         self._waiting = waiting
         #: by event; what has ended it under None, whichever it was
         self._marks: dict[Event | None, Occurrence] = {}
-        self._future: Future[None] = Future()
+        self.future: Future[None] = Future()
         # So that a task that is cancelled while it awaits cannot cancel the future instead of the motion.
-        self._future.set_running_or_notify_cancel()
+        self.future.set_running_or_notify_cancel()
         self._releases: deque[Callable[[], object]] = deque()
         self._done_callbacks: deque[Callable[[], object]] = deque()
         self._call = current_call()
@@ -246,9 +247,9 @@ class Lifecycle:
     def _settle(self, error: Exception | None) -> None:
         _drain(self._releases, lambda release: release())
         if error is None:
-            self._future.set_result(None)
+            self.future.set_result(None)
         else:
-            self._future.set_exception(error)
+            self.future.set_exception(error)
         _drain(self._done_callbacks, self._callbacks.call)
         self.brake, self.handle = _nothing, None
 
@@ -263,7 +264,7 @@ class Lifecycle:
     def call_back(self, callback: Callable[[], object]) -> None:
         """Call `callback` when it has ended, in the thread for callbacks."""
         self._done_callbacks.append(callback)
-        if self._future.done():
+        if self.future.done():
             _drain(self._done_callbacks, self._callbacks.call)
 
     def wait(self, timeout: float) -> bool:
@@ -275,15 +276,10 @@ class Lifecycle:
         if not self.is_over:
             with self._waiting():
                 try:
-                    self._future.exception(timeout)
+                    self.future.exception(timeout)
                 except (FutureTimeout, TimeoutError):
                     return self.is_over
         return True
-
-    @property
-    def future(self) -> Future[None]:
-        """Settled when it has ended; not to be cancelled."""
-        return self._future
 
 
 def _nothing() -> None:

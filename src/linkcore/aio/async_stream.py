@@ -9,7 +9,7 @@ from typing import Any, Generic, TypeVar
 
 from ..arguments import check_callable, check_seconds
 from ..streaming.connection_life import ConnectionState
-from ..streaming.feed import Feed, check_deadline
+from ..streaming.feed import LAGGARD, Feed, check_deadline
 from ..streaming.history import History
 from ..streaming.packet_queue import Policy, check_lifespan, drop_oldest, latest
 from ..streaming.statistics import StreamStatistics
@@ -20,9 +20,6 @@ from .packets import Packets
 
 T = TypeVar("T")
 K = TypeVar("K")
-
-#: Packets that may wait for a consumer that has to look at every one.
-_LAGGARD = 1024
 
 #: Seconds that a live plot's window has for its events; the loop waits for them.
 _EVENTS = 1e-3
@@ -85,7 +82,7 @@ class AsyncFeed(Generic[T]):
         timeout = check_seconds(timeout, "timeout")
         end = time.monotonic() + timeout
         looked_at = 0
-        async with self._packets(drop_oldest(_LAGGARD), timeout) as packets:
+        async with self._packets(drop_oldest(LAGGARD), timeout) as packets:
             await packets.open()
             newest = None if self._feed._has_events else self.latest
             if newest is not None and condition(newest):

@@ -191,7 +191,7 @@ class Packets(Generic[T]):
         if packet is not None:
             return packet
         if self._queue.is_over:
-            self._close()
+            await self.aclose()
             if self._connection.failure is not None:
                 raise self._connection.failure
             raise StopAsyncIteration
@@ -235,19 +235,16 @@ class Packets(Generic[T]):
         if connection.is_over:
             self._queue.end()
 
-    def _close(self) -> None:
-        self._connection.fan_out.remove(self._queue)
-        self._queue.close()
-
     async def aclose(self) -> None:
         """Take no more; what waits is dropped and counted. Idempotent."""
-        self._close()
+        self._connection.fan_out.remove(self._queue)
+        self._queue.close()
 
     async def __aenter__(self) -> Self:
         return self
 
     async def __aexit__(self, *exc: object) -> None:
-        self._close()
+        await self.aclose()
 
     def __del__(self) -> None:
         # A loop that was left before its end: nobody can take what comes any more.

@@ -60,7 +60,9 @@ class FanOut:
             is none. For a stream without parts.
 
     Attributes:
+        kinds: classes of packet and of part that can come, the main one first.
         taps: subscribers to the bytes as they were received.
+        deliveries: the callbacks.
     """
 
     def __init__(
@@ -78,7 +80,7 @@ class FanOut:
         # Re-entrant: a stream that is collected in the middle of a change ends its fan-out from here.
         self._lock = threading.RLock()
         self._routes: tuple[_Route, ...] = ()
-        self._deliveries: tuple[Delivery, ...] = ()
+        self.deliveries: tuple[Delivery, ...] = ()
         # What the reader looks at, made from the routes: all, those of the queues, and those of the inline callbacks.
         self._offers: tuple[tuple[_Offer, ...], tuple[_Offer, ...], tuple[_Offer, ...]] = ((), (), ())
         self.taps: tuple[Sink, ...] = ()
@@ -210,25 +212,20 @@ class FanOut:
 
     # -- callbacks -------------------------------------------------------------------------------
 
-    @property
-    def deliveries(self) -> tuple[Delivery, ...]:
-        """The callbacks."""
-        return self._deliveries
-
     def add_delivery(self, delivery: Delivery) -> None:
         """Remember a callback, so that closing the stream can wait for it."""
         with self._lock:
-            self._deliveries = (*self._deliveries, delivery)
+            self.deliveries = (*self.deliveries, delivery)
 
     def remove_delivery(self, delivery: Delivery) -> None:
         """Offer to a callback no more, and forget it."""
         with self._lock:
             self.remove(delivery.sink)
-            self._deliveries = tuple(each for each in self._deliveries if each is not delivery)
+            self.deliveries = tuple(each for each in self.deliveries if each is not delivery)
 
     def close(self, *, all: bool) -> None:
         """Close what promised nothing, or the callers wait in themselves; or all of it."""
-        callers = [delivery.sink for delivery in self._deliveries if delivery.runs_here()]
+        callers = [delivery.sink for delivery in self.deliveries if delivery.runs_here()]
         for route in self._routes:
             if all or route.sink.evicts or route.sink in callers:
                 route.sink.close()

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 #: Packets that may wait for a consumer that has to look at every one.
-_LAGGARD = 1024
+LAGGARD = 1024
 
 
 def check_deadline(deadline: float | None, on_deadline: Callable[[float], object] | None) -> float | None:
@@ -103,7 +103,7 @@ class Feed(Generic[T]):
         end = time.monotonic() + timeout
         connection, kind = self._connection, self._kind
         connection.refuse_to_wait("wait_until()")
-        queue = connection.open_queue(kind, drop_oldest(_LAGGARD))
+        queue = connection.open_queue(kind, drop_oldest(LAGGARD))
         looked_at = 0
         try:
             # After the queue was opened, so that no packet is missed between the two; it may come twice.
@@ -287,7 +287,7 @@ class Feed(Generic[T]):
             return check_policy(policy)
         if self._lossless:
             return block
-        return drop_oldest(_LAGGARD) if self._has_events else for_states
+        return drop_oldest(LAGGARD) if self._has_events else for_states
 
     @property
     def _has_events(self) -> bool:

@@ -101,6 +101,7 @@ class PacketQueue:
         offered: packets that were offered to this queue.
         expired: those of `dropped` that were older than the lifespan when their turn came.
         evicts: drops the oldest when it is full, rather than making the reader wait.
+        is_over: `next` has returned None because no more will come, or it was closed.
     """
 
     #: A queue is never in the way of another, so the reader serves it before the callbacks that it calls itself.
@@ -117,7 +118,7 @@ class PacketQueue:
         self._discarded = 0  # raised under the lock
         self._discarding = threading.Lock()
         self._is_ended = False  # nothing more is to be taken from the reader
-        self._is_over = False  # its consumer has ended
+        self.is_over = False
         # A consumer that finds nothing raises its flag, looks again, and sleeps until a token comes; a thread that
         # changes something looks at the flag afterwards. So one of the two sees the other. A reader without room does
         # the same.
@@ -135,11 +136,6 @@ class PacketQueue:
     def waiting(self) -> int:
         """Packets in the queue."""
         return len(self._packets)
-
-    @property
-    def is_over(self) -> bool:
-        """`next` has returned None because no more will come."""
-        return self._is_over
 
     # -- the reader's side ---------------------------------------------------------------------
 
@@ -159,7 +155,7 @@ class PacketQueue:
         if self._consumer_sleeps:
             self._consumer_sleeps = False
             self._to_consumer.put(None)
-        if self._is_over:  # it was closed meanwhile, or its consumer has just gone
+        if self.is_over:  # it was closed meanwhile, or its consumer has just gone
             self._discard()
 
     def _evict(self, packets: Sequence[Any]) -> None:
@@ -181,7 +177,7 @@ class PacketQueue:
     def _wait_for_room(self, packets: Sequence[Any]) -> None:
         at = 0
         while at < len(packets):
-            room = len(packets) if self._is_over else self._limit - len(self._packets)
+            room = len(packets) if self.is_over else self._limit - len(self._packets)
             if room > 0:
                 taken = packets[at : at + room]
                 self.offered += len(taken)
@@ -192,7 +188,7 @@ class PacketQueue:
                     self._to_consumer.put(None)
                 continue
             self._reader_sleeps = True
-            if len(self._packets) >= self._limit and not self._is_over:
+            if len(self._packets) >= self._limit and not self.is_over:
                 self._to_reader.get()
             self._reader_sleeps = False
 
@@ -222,7 +218,7 @@ class PacketQueue:
                     continue
                 return packet
             if self._is_ended:
-                self._is_over = True
+                self.is_over = True
                 if packets:  # the reader was in the middle of an offer when the end came
                     continue
                 return None
@@ -240,7 +236,7 @@ class PacketQueue:
 
     def close(self) -> None:
         """Drop what waits, take nothing more; idempotent."""
-        self._is_over = True
+        self.is_over = True
         self.end()
         self._to_reader.put(None)
         self._discard()

@@ -216,6 +216,9 @@ class InlineDelivery(Delivery):
     Args:
         counters: of the stream, where slow calls are counted.
         reads_here: whether the current thread is the one that reads.
+
+    Attributes:
+        offered: packets that came here.
     """
 
     #: After the queues, so that a slow inline callback does not delay subscribers with threads of their own.
@@ -232,7 +235,7 @@ class InlineDelivery(Delivery):
     ) -> None:
         super().__init__(callback, **options)
         self._counters = counters
-        self._offered = 0
+        self.offered = 0
         # The reader sets its flag, and then looks whether this is closed. A thread that closes marks it closed, and
         # then looks at the flag. So one of the two sees the other, without a lock for each packet.
         self._is_closed = False
@@ -253,14 +256,9 @@ class InlineDelivery(Delivery):
     def sink(self) -> InlineDelivery:
         return self
 
-    @property
-    def offered(self) -> int:
-        """Packets that came here."""
-        return self._offered
-
     def _look(self) -> SubscriptionStatistics:
         return SubscriptionStatistics(
-            offered=self._offered,
+            offered=self.offered,
             delivered=self._delivered,
             dropped=0,
             raised=self._raised,
@@ -276,7 +274,7 @@ class InlineDelivery(Delivery):
         for packet in packets:
             if self._is_closed:
                 break
-            self._offered += 1
+            self.offered += 1
             try:
                 callback(packet)
                 self._delivered += 1
