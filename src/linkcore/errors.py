@@ -47,6 +47,10 @@ E = TypeVar("E", bound=Exception)
 class LinkError(Exception):
     """Anything this library raises on purpose."""
 
+    def __reduce__(self) -> tuple[object, ...]:
+        # Copied and pickled without its `__init__`, which may take other arguments than `args`.
+        return type(self).__new__, (type(self), *self.args), self.__dict__
+
 
 class LocalError(LinkError):
     """You called it wrongly; nothing was sent."""
@@ -127,16 +131,6 @@ class PacketError(RemoteError, ValueError):
         self.actual = actual
         self.offset = offset
 
-    def __reduce__(self) -> tuple[object, ...]:
-        # Exceptions with keyword arguments do not pickle by themselves.
-        return (_packet_error, (self.reason, self.packet, self.version, self.expected, self.actual, self.offset))
-
-
-def _packet_error(
-    reason: str, packet: str, version: str | None, expected: int | None, actual: int | None, offset: int
-) -> PacketError:
-    return PacketError(reason, packet=packet, version=version, expected=expected, actual=actual, offset=offset)
-
 
 def unraised(error: E) -> E:
     """A copy of an error that can be kept: neither it nor what caused it has a traceback.
@@ -144,13 +138,7 @@ def unraised(error: E) -> E:
     A traceback refers to the frames through which an error was raised, and their variables may refer to what keeps the
     error: a reference cycle, which only the garbage collector would find.
     """
-    kind = type(error)
-    copied: E
-    if issubclass(kind, LinkError):
-        copied = kind.__new__(kind, *error.args)  # without its `__init__`, which may take other arguments
-        copied.__dict__.update(error.__dict__)
-    else:
-        copied = copy.copy(error)
+    copied = copy.copy(error)
     copied.__cause__, copied.__suppress_context__ = error.__cause__, error.__suppress_context__
     cause = error.__cause__ or error.__context__
     while cause is not None and cause.__traceback__ is not None:

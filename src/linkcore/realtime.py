@@ -172,40 +172,31 @@ def _cpus(cpu: int | Iterable[int] | None) -> frozenset[int] | None:
 
 def _probe(options: _Options) -> dict[str, str]:
     """Try the options on this thread, and take them back; name -> why it was refused."""
-    refused = {}
     number = threading.get_native_id()
-    tries: list[tuple[str, bool, _Options, str]] = [
-        (
-            "priority",
-            options.priority is not None,
-            _Options(priority=options.priority),
-            "the threads take turns with all others of this machine, and can be late by milliseconds where it is busy",
-        ),
-        (
-            "cpu",
-            options.cpus is not None,
-            _Options(cpus=options.cpus),
-            "the threads run where the system puts them, and find the caches cold when it moves them",
-        ),
-    ]
-    for name, is_asked, one, meaning in tries:
-        if not is_asked:
-            continue
-        why = _tried(lambda one=one: _set(number, one))  # type: ignore[misc]
-        if why is not None:
-            refused[name] = f"{why}; {meaning}"
-        else:
-            _give(number, _Options())
+
+    def use(one: _Options) -> None:
+        _set(number, one)
+        _give(number, _Options())
+
+    refused: dict[str, str] = {}
+    if options.priority is not None:
+        meaning = (
+            "the threads take turns with all others of this machine, and can be late by milliseconds where it is busy"
+        )
+        refused |= _refusal("priority", meaning, lambda: use(_Options(priority=options.priority)))
+    if options.cpus is not None:
+        meaning = "the threads run where the system puts them, and find the caches cold when it moves them"
+        refused |= _refusal("cpu", meaning, lambda: use(_Options(cpus=options.cpus)))
     return refused
 
 
-def _tried(ask: Callable[[], object]) -> str | None:
-    """Why it was refused; None if it was not."""
+def _refusal(name: str, meaning: str, ask: Callable[[], object]) -> dict[str, str]:
+    """name -> why it was refused, and what that means; empty if it was not."""
     try:
         ask()
     except (OSError, NotImplementedError) as error:
-        return str(error)
-    return None
+        return {name: f"{error}; {meaning}"}
+    return {}
 
 
 def _give(number: int, options: _Options) -> None:
@@ -237,12 +228,10 @@ def _lock_memory(is_wanted: bool) -> dict[str, str]:
     global _is_locked
     if not is_wanted and not _is_locked:
         return {}
-    why = _tried(lambda: _call_mlock(is_wanted))
-    _is_locked = is_wanted and why is None
-    if why is None or not is_wanted:
-        return {}
     meaning = "a page that was swapped out is read from the disk when it is needed, which takes milliseconds"
-    return {"lock_memory": f"{why}; {meaning}"}
+    refused = _refusal("lock_memory", meaning, lambda: _call_mlock(is_wanted))
+    _is_locked = is_wanted and not refused
+    return refused if is_wanted else {}
 
 
 _is_locked = False

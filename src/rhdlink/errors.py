@@ -42,9 +42,6 @@ class WrongVariables(RemoteError):
         self.differences = tuple(differences)
         super().__init__("the robot's variables are not those declared: " + "; ".join(self.differences))
 
-    def __reduce__(self) -> tuple[object, ...]:
-        return (type(self), (self.differences,))
-
 
 @dataclass(frozen=True)
 class Mistake:
@@ -77,9 +74,6 @@ class BadMission(LocalError, ValueError):
         self.mistakes = tuple(mistakes)
         super().__init__("; ".join(f"{source}: {mistake}" for mistake in self.mistakes))
 
-    def __reduce__(self) -> tuple[object, ...]:
-        return (type(self), (self.source, self.mistakes))
-
 
 class MissionFailed(LocalError):
     """A mission ended because of a line that could not be executed, or of something that it needs and has not.
@@ -97,9 +91,6 @@ class MissionFailed(LocalError):
         self.column = column
         self.text = text.strip()
         super().__init__(f"line {line}, column {column} ({self.text}): {reason}" if line else reason)
-
-    def __reduce__(self) -> tuple[object, ...]:
-        return (type(self), (self.reason, self.line, self.text, self.column))
 
 
 class MissionLimit(MissionFailed):

@@ -96,7 +96,10 @@ class Dialogue:
 
         def send() -> None:
             nonlocal is_sent
-            self._send(protocol.ask(text), text)
+            data = protocol.ask(text)
+            # All of it at once: a peer that has answered every question has room for the next.
+            if self._transport.send_some(data) < len(data):
+                raise LinkTimeout(f"{self._name} does not take {text[:80]!r}")
             is_sent = True
 
         try:
@@ -148,11 +151,6 @@ class Dialogue:
             return self._transport.receive_waiting() is None and protocol.is_in_step
         except ConnectionLost:
             return False
-
-    def _send(self, data: bytes, text: str) -> None:
-        """Hand over all of it at once: a peer that has answered every question has room for the next."""
-        if self._transport.send_some(data) < len(data):
-            raise LinkTimeout(f"{self._name} does not take {text[:80]!r}")
 
     def _received(self, protocol: DialogueProtocol, until: float, otherwise: str) -> bytes:
         left, settling = until - time.monotonic(), protocol.settling

@@ -117,7 +117,9 @@ class TcpListener:
             raise mapped(error, f"a connection to {where}", timeout, ConnectionLost) from error
         except OSError as error:
             raise mapped(error, f"waiting on {where}", timeout, ConnectFailed) from error
-        return TcpTransport.accepted(connection, numeric_host(peer[0]), peer[1], silence=silence)
+        transport = TcpTransport(numeric_host(peer[0]), peer[1], silence=silence)
+        transport.adopt(connection)
+        return transport
 
     def close(self) -> None:
         """Listen no longer, and wake a thread that waits in `accept`. Idempotent; what was accepted stays."""

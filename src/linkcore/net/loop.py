@@ -269,6 +269,7 @@ class ListeningPort:
 
     Attributes:
         number: that it listens on.
+        is_listening: clients can connect; otherwise the number is kept and connections are refused by the kernel.
         connections: the clients at present.
         output_limit: bytes that may wait for one client.
         chunk: bytes taken from one client at a time.
@@ -303,15 +304,10 @@ class ListeningPort:
         self._idle = idle
         self._socket = bound_socket(host, number, purpose=purpose)
         self.number: int = self._socket.getsockname()[1]
-        self._is_listening = False
+        self.is_listening = False
         self._is_accepting = True
         self._is_watched = False
         self._retry_at = _NEVER
-
-    @property
-    def is_listening(self) -> bool:
-        """Clients can connect; otherwise the number is kept and connections are refused by the kernel."""
-        return self._is_listening
 
     def listen(self) -> None:
         """Let clients connect.
@@ -319,21 +315,21 @@ class ListeningPort:
         Raises:
             BadAddress: another socket, bound to the same number before, listens already.
         """
-        if self._is_listening:
+        if self.is_listening:
             return
         try:
             self._socket.listen(_BACKLOG)
         except OSError as error:
             where = f"{self._host or '*'}:{self.number}" + (f" for {self._purpose}" if self._purpose else "")
             raise BadAddress(f"cannot listen on {where}: {error.strerror}") from error
-        self._is_listening = True
+        self.is_listening = True
         self._watch()
 
     def refuse(self) -> None:
         """Let the kernel refuse connections until `listen`. The clients that are connected stay."""
-        if not self._is_listening:
+        if not self.is_listening:
             return
-        self._is_listening = False
+        self.is_listening = False
         self._watch()
         # A socket that has begun to listen cannot stop on every system, so another one takes its place.
         self._socket.close()
@@ -351,12 +347,12 @@ class ListeningPort:
 
     def close(self) -> None:
         """Listen no longer. The clients that are connected stay."""
-        self._is_listening = False
+        self.is_listening = False
         self._watch()
         self._socket.close()
 
     def _watch(self) -> None:
-        wanted = self._is_listening and self._is_accepting and self._retry_at == _NEVER
+        wanted = self.is_listening and self._is_accepting and self._retry_at == _NEVER
         if wanted != self._is_watched:
             before, after = (0, selectors.EVENT_READ) if wanted else (selectors.EVENT_READ, 0)
             self._loop._register(self._socket, before, after, self)

@@ -92,7 +92,7 @@ class Transport(Protocol):
 
 
 class TcpTransport:
-    """A TCP connection: as a client, or `accepted` from one.
+    """A TCP connection: as a client, or of a listener, by `adopt`.
 
     Args:
         host: name or address.
@@ -115,17 +115,6 @@ class TcpTransport:
         self._refused = refused
         self._socket: socket.socket | None = None
         self._receive_timeout = silence  # that of the socket
-
-    @classmethod
-    def accepted(cls, connection: socket.socket, host: str, port: int, *, silence: float) -> TcpTransport:
-        """A connection that the peer at `host` and `port` made to this side; see `linkcore.net.listener`.
-
-        Raises:
-            ConnectionLost: it is gone already.
-        """
-        transport = cls(host, port, silence=silence)
-        transport.adopt(connection)
-        return transport
 
     def open(self, timeout: float) -> None:
         """Connect within `timeout` seconds.
