@@ -257,12 +257,6 @@ def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
 
         return read
 
-    def getpid_() -> int:
-        scheduler = current()
-        if scheduler is None:
-            return getpid()
-        return scheduler.running.process.pid  # type: ignore[union-attr]
-
     def sleep_(seconds: float) -> None:
         scheduler = current()
         if scheduler is None:
@@ -298,7 +292,7 @@ def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
         (time.perf_counter_ns, clock(time.perf_counter_ns, 0.0, 10**9)),
         (time.time_ns, clock(time.time_ns, _EPOCH, 10**9)),
         (sleep, sleep_),
-        (getpid, getpid_),
+        (getpid, choose(lambda: sockets.computer().pid, getpid)),
         (threading.Lock, lock(primitives.Lock, threading.Lock)),
         (threading._allocate_lock, lock(primitives.Lock, threading._allocate_lock)),  # type: ignore[attr-defined]
         (threading.RLock, lock(primitives.RLock, threading.RLock)),

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from ..arguments import check_callable, check_seconds
@@ -72,15 +73,10 @@ class Feed(Generic[T]):
             Closed: the stream was closed.
         """
         timeout = check_seconds(timeout, "timeout")
-        connection = self._connection
-        connection.refuse_to_wait("wait()")
-        queue = connection.open_queue(self._kind, latest)
-        try:
-            packet = queue.next(timeout)
-            if packet is not None:
-                return next(iter(connection.fan_out.expand(self._kind, packet)))
-        finally:
-            connection.close_queue(queue)
+        self._connection.refuse_to_wait("wait()")
+        with contextlib.closing(self._packets(latest, timeout)) as packets:
+            for packet in packets:
+                return packet
         raise self._why_nothing(timeout)
 
     def wait_until(self, condition: Callable[[T], object], timeout: float = 5.0) -> T:
@@ -145,7 +141,9 @@ class Feed(Generic[T]):
         self._connection.refuse_to_wait("iterating")
         return self._packets(policy, timeout, lifespan)
 
-    def _packets(self, policy: Policy, timeout: float | None, lifespan: float | None) -> Iterator[T]:
+    def _packets(
+        self, policy: Policy, timeout: float | None, lifespan: float | None = None
+    ) -> Generator[T, None, None]:
         connection, kind = self._connection, self._kind
         expand = connection.fan_out.expander(kind)
         queue = connection.open_queue(kind, policy, lifespan)

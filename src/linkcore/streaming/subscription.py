@@ -58,6 +58,7 @@ class Delivery:
         self._raised = 0
         self._is_calling = False
         self._last = monotonic()  # when a packet came last; kept only where there is a deadline
+        self._reported = -1.0  # the one after which `on_deadline` was called
         self.missed_deadlines = 0
 
     @property
@@ -71,7 +72,16 @@ class Delivery:
         return snapshot(self._look)
 
     def _look(self) -> SubscriptionStatistics:
-        raise NotImplementedError
+        sink = self.sink
+        return SubscriptionStatistics(
+            offered=sink.offered,
+            delivered=self._delivered,
+            dropped=sink.dropped,
+            raised=self._raised,
+            waiting=sink.waiting + self._is_calling,
+            missed_deadlines=self.missed_deadlines,
+            expired=sink.expired,
+        )
 
     def close(self, timeout: float) -> None:
         """Take no more, drop what waits, and wait up to `timeout` seconds for a callback that is running."""
@@ -95,6 +105,17 @@ class Delivery:
         count = self._raised
         if count & (count - 1) == 0:  # each power of two: a failing callback at 500 Hz must not fill the disk
             _log.exception("callback of %s raised; its subscription goes on (%d so far)", self.name, count)
+
+    def _late(self, deadline: float) -> float:
+        """Call `on_deadline` if that is due; seconds until the next look."""
+        last = self._last
+        age = monotonic() - last
+        if age < deadline:
+            return deadline - age
+        if self._reported != last:  # called once for each time
+            self._reported = last
+            self._miss(age)
+        return deadline
 
     def _miss(self, age: float) -> None:
         self.missed_deadlines += 1
@@ -153,17 +174,6 @@ class ThreadedDelivery(Delivery):
     def sink(self) -> PacketQueue:
         return self._queue
 
-    def _look(self) -> SubscriptionStatistics:
-        return SubscriptionStatistics(
-            offered=self._queue.offered,
-            delivered=self._delivered,
-            dropped=self._queue.dropped,
-            raised=self._raised,
-            waiting=self._queue.waiting + self._is_calling,
-            missed_deadlines=self.missed_deadlines,
-            expired=self._queue.expired,
-        )
-
     def close(self, timeout: float) -> None:
         self._queue.close()
         self.join(timeout)
@@ -179,7 +189,6 @@ class ThreadedDelivery(Delivery):
     def _run(self) -> None:
         take, callback, deadline = self._queue.next, self._callback, self._deadline
         wait = 0.0 if self._gather else deadline
-        reported = -1.0
         while True:
             packet = take(wait)
             if packet is not None:
@@ -200,12 +209,7 @@ class ThreadedDelivery(Delivery):
                 # No thread waits on the queue meanwhile, so the reader has none to wake.
                 time.sleep(self._gather)
             elif deadline is not None:
-                last = self._last
-                age = monotonic() - last
-                wait = deadline - age if age < deadline else deadline
-                if age >= deadline and reported != last:  # called once for each time
-                    reported = last
-                    self._miss(age)
+                wait = self._late(deadline)
 
 
 class InlineDelivery(Delivery):
@@ -223,8 +227,9 @@ class InlineDelivery(Delivery):
 
     #: After the queues, so that a slow inline callback does not delay subscribers with threads of their own.
     is_inline = True
-    #: What is given to it is called at once: there is nothing that could be delivered later.
+    #: What is given to it is called at once: there is nothing that could be delivered later, or dropped.
     evicts = True
+    dropped = expired = waiting = 0
 
     def __init__(
         self,
@@ -255,16 +260,6 @@ class InlineDelivery(Delivery):
     @property
     def sink(self) -> InlineDelivery:
         return self
-
-    def _look(self) -> SubscriptionStatistics:
-        return SubscriptionStatistics(
-            offered=self.offered,
-            delivered=self._delivered,
-            dropped=0,
-            raised=self._raised,
-            waiting=int(self._is_calling),
-            missed_deadlines=self.missed_deadlines,
-        )
 
     def offer(self, packets: Sequence[Any]) -> None:
         """Call back with each packet, here and now."""
@@ -315,14 +310,9 @@ class InlineDelivery(Delivery):
 
     def _watch(self) -> None:
         assert self._deadline is not None
-        wait, reported = self._deadline, -1.0
+        wait = self._deadline
         while not self._waits_closed(wait):
-            last = self._last
-            age = monotonic() - last
-            wait = self._deadline - age if age < self._deadline else self._deadline
-            if age >= self._deadline and reported != last:
-                reported = last
-                self._miss(age)
+            wait = self._late(self._deadline)
 
 
 class Subscription:
