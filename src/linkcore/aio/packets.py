@@ -162,7 +162,7 @@ class Packets(Generic[T]):
         timeout: float | None,
         why_nothing: Callable[[float], Exception],
         owner: object,
-        lifespan: float | None = None,
+        lifespan: float | None,
     ) -> None:
         self._connection = connection
         self._kind = kind

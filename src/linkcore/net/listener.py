@@ -18,7 +18,7 @@ import socket
 from ..errors import BadAddress, ConnectFailed, ConnectionLost, LinkTimeout
 from .transport import TcpTransport, mapped
 
-#: Seconds without a byte after which a connection that was accepted counts as silent, by default.
+#: Seconds without a byte after which a connection that was accepted counts as silent.
 _SILENCE = 2.0
 
 
@@ -94,7 +94,7 @@ class TcpListener:
         bound = listener.getsockname()
         self.address: tuple[str, int] = (bound[0], bound[1])
 
-    def accept(self, timeout: float, *, silence: float = _SILENCE) -> TcpTransport:
+    def accept(self, timeout: float) -> TcpTransport:
         """The next connection, made within `timeout` seconds; 0 takes one that is there already.
 
         Raises:
@@ -117,7 +117,7 @@ class TcpListener:
             raise mapped(error, f"a connection to {where}", timeout, ConnectionLost) from error
         except OSError as error:
             raise mapped(error, f"waiting on {where}", timeout, ConnectFailed) from error
-        transport = TcpTransport(numeric_host(peer[0]), peer[1], silence=silence)
+        transport = TcpTransport(numeric_host(peer[0]), peer[1], silence=_SILENCE)
         transport.adopt(connection)
         return transport
 

@@ -19,7 +19,7 @@ from ..errors import PacketError, WrongPeer
 from ..wire.framing import PacketProtocol
 from ..wire.layout import Layout
 from ..wire.packet import State
-from .file import Kind, Progress, described, unseen
+from .file import Kind, Progress, described
 from .index import Numbers, RecordIndex
 
 
@@ -94,8 +94,8 @@ def read_channel(
     protocol: Callable[[], PacketProtocol],
     kind: type[State],
     *,
-    is_uniform: bool = True,
-    progress: Progress = unseen,
+    is_uniform: bool,
+    progress: Progress,
 ) -> Channel:
     """The packets of a channel.
 

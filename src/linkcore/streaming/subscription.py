@@ -322,7 +322,7 @@ class Subscription:
     callback is called without it too, for as long as the stream is open.
     """
 
-    def __init__(self, delivery: Delivery, detach: Callable[[Delivery], object], owner: object = None) -> None:
+    def __init__(self, delivery: Delivery, detach: Callable[[Delivery], object], owner: object) -> None:
         self._delivery = delivery
         self._detach = detach
         self._owner = owner  # keeps the stream from being collected

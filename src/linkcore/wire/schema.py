@@ -19,9 +19,6 @@ import construct
 from .fields import Array, Field, Header, Number, Raw, Shape
 from .layout import Layout
 
-#: What becomes of the construct of one field.
-Wrap = Callable[[Field, Any], Any]
-
 
 def as_construct(shape: Shape) -> Any:
     """The construct of one shape, whose values are what users hold; arrays are lists."""
@@ -45,16 +42,12 @@ def as_construct(shape: Shape) -> Any:
     return construct.ExprAdapter(raw, lambda obj, context: read(obj), lambda obj, context: write(obj))
 
 
-def _plain(field: Field, shape: Any) -> Any:
-    return shape
+def fields_of(layout: Layout, wrap: Callable[[Field, Any], Any]) -> Iterator[Any]:
+    """The fields of a layout, in wire order. Interleaved ones are an array of structs, as they lie on the wire.
 
-
-def _located(field: Field, shape: Any) -> Any:
-    return construct.RawCopy(shape)
-
-
-def fields_of(layout: Layout, wrap: Wrap = _plain) -> Iterator[Any]:
-    """The fields of a layout, in wire order. Interleaved ones are an array of structs, as they lie on the wire."""
+    Args:
+        wrap: what becomes of the construct of one field.
+    """
     for run in layout.runs:
         first = run[0].field
         if first.interleave is None:
@@ -109,9 +102,9 @@ def as_struct(layout: Layout, *, located: bool = False) -> Any:
         located: each field is construct's `RawCopy`, with its bytes and offsets.
     """
     header = construct.Struct(*(name / as_construct(number) for name, number in layout.header.parts.items()))
-    wrap = _located if located else _plain
-    rest = construct.RawCopy(construct.GreedyBytes) if located else construct.GreedyBytes
-    return construct.Struct("header" / header, *fields_of(layout, wrap), "tail" / rest)
+    keep: Callable[[Any], Any] = construct.RawCopy if located else lambda shape: shape
+    fields = fields_of(layout, lambda field, shape: keep(shape))
+    return construct.Struct("header" / header, *fields, "tail" / keep(construct.GreedyBytes))
 
 
 def _element(shape: Shape) -> Shape:

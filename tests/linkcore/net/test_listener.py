@@ -11,6 +11,7 @@ from collections.abc import Iterator
 
 import pytest
 
+import linkcore.net.listener
 from linkcore.errors import BadAddress, ConnectFailed, ConnectionLost, LinkTimeout
 from linkcore.net.listener import TcpListener, local_address
 
@@ -66,9 +67,10 @@ def test_nobody_comes(listener: TcpListener) -> None:
         listener.accept(0.01)
 
 
-def test_silence_of_an_accepted_connection(listener: TcpListener) -> None:
+def test_silence_of_an_accepted_connection(listener: TcpListener, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(linkcore.net.listener, "_SILENCE", 0.01)
     with socket.create_connection(listener.address, TIMEOUT):
-        link = listener.accept(TIMEOUT, silence=0.01)
+        link = listener.accept(TIMEOUT)
         with pytest.raises(LinkTimeout):
             link.receive()
         link.close()
