@@ -26,7 +26,7 @@ import numpy as np
 from end_to_end import send, spin
 
 import urlink
-from linkcore.isolation.isolated_transport import IsolatedTransport
+from linkcore.net.isolated_transport import IsolatedTransport
 from linkcore.net.transport import TcpTransport, Transport
 from linkcore.streaming.connection_life import Backoff
 from urlink.firmware import Firmware

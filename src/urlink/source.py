@@ -138,7 +138,7 @@ def networked(
         if interface != "rtde" and interface not in INTERFACES:
             raise BadValue(f"no interface {interface!r}; expected one of {', '.join(INTERFACES)}")
         if options.isolate and interface == "realtime":
-            from linkcore.isolation.isolated_transport import IsolatedTransport
+            from linkcore.net.isolated_transport import IsolatedTransport
 
             boundary = "urlink.interfaces.realtime.protocol:RealtimeBoundary"
             decode = RealtimeProtocol().decode

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import urlink
-from linkcore.isolation.isolated_transport import IsolatedTransport
+from linkcore.net.isolated_transport import IsolatedTransport
 from tests.waiting import until
 from urlink import BadValue, Robot
 from urlink.simulator import Controller

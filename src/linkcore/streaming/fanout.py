@@ -56,8 +56,8 @@ class FanOut:
         kind: the main class of packet.
         parts: the packets inside a packet; None if there are none.
         others: base classes of what else comes, parts included.
-        ahead: returns the newest packet where it is known before it is published (`linkcore.isolation`); None if there
-            is none. For a stream without parts.
+        ahead: returns the newest packet where it is known before it is published (`linkcore.net.isolated_transport`);
+            None if there is none. For a stream without parts.
 
     Attributes:
         kinds: classes of packet and of part that can come, the main one first.

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linkcore.clock import Stamp
-from linkcore.isolation.reader import CONNECTED, DATA, LOST, HandedOver, Records, Slot
+from linkcore.net.isolated_reader import CONNECTED, DATA, LOST, HandedOver, Records, Slot
 
 stamps = st.builds(Stamp, st.floats(0, 1e9), st.floats(0, 2e9))
 

@@ -18,11 +18,11 @@ from typing import Any
 from .. import errors
 from ..clock import Stamp
 from ..errors import ConnectionLost, LinkTimeout, LocalError, RemoteError
-from .reader import CONNECTED, DATA, LOST, HandedOver, Records, Slot
+from .isolated_reader import CONNECTED, DATA, LOST, HandedOver, Records, Slot
 
 _PROGRAM = (
     "import json, sys; path, arguments = json.loads(sys.argv[1]); sys.path[:] = path; "
-    "from linkcore.isolation.reader import read_for; read_for(**arguments)"
+    "from linkcore.net.isolated_reader import read_for; read_for(**arguments)"
 )
 #: Seconds that a new interpreter may take to begin, on a machine that is busy.
 _BEGINNING = 10.0

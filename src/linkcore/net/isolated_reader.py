@@ -27,8 +27,8 @@ from typing import Any, NamedTuple
 
 from ..clock import Stamp
 from ..errors import RemoteError
-from ..net.transport import TcpTransport
 from ..wire.framing import FrameBoundary, Framer
+from .transport import TcpTransport
 
 #: Bytes that wait for the other process: 25 s of real-time packets at 500 Hz.
 _MOST_WAITING = 1 << 24
