@@ -289,9 +289,7 @@ class LoopConnection(Connection):
         descriptor, self._descriptor = self._descriptor, -1
         if descriptor >= 0:
             self._loop.remove_reader(descriptor)
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
+        self._call_in(None)
 
     def _end(self, error: Exception | None) -> None:
         """This connection is over; None where it is closed on purpose."""

@@ -624,10 +624,10 @@ class SelectorLoop:
             else:
                 done.set_result(None)
 
-    def _guard(self, connection: Connection, method: Callable[..., object], *args: object) -> None:
+    def _guard(self, connection: Connection, method: Callable[..., object], *args: object, **named: object) -> None:
         """Call a handler. What it raises ends its own connection only."""
         try:
-            method(*args)
+            method(*args, **named)
         except Exception as error:
             _log.exception("%s: its handler failed", connection.name)
             self.failures += 1
@@ -653,11 +653,7 @@ class SelectorLoop:
             connection, reason, by_peer = self._lost.popleft()
             # Most refer to their connection: without this a cycle would stay.
             handler, connection.handler = connection.handler, Handler()
-            try:
-                handler.connection_lost(reason, by_peer=by_peer)
-            except Exception:
-                _log.exception("%s: its handler failed", connection.name)
-                self.failures += 1
+            self._guard(connection, handler.connection_lost, reason, by_peer=by_peer)
 
     def _is_due_at(self, when: float) -> None:
         self._earliest = min(self._earliest, when)

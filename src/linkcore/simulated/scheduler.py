@@ -16,9 +16,10 @@ import random
 import sys
 import traceback
 import zlib
-from _thread import allocate_lock, get_ident
+from _thread import LockType, allocate_lock, get_ident
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from struct import Struct
 from types import FrameType
 from typing import Any, Protocol
@@ -65,54 +66,37 @@ class Process(Protocol):
     held: list[Task]
 
 
+@dataclass(eq=False, slots=True)
 class Task:
     """A thread that takes part."""
 
-    __slots__ = (
-        "alarm",
-        "baton",
-        "before",
-        "deadline",
-        "endings",
-        "error",
-        "ident",
-        "is_late",
-        "is_over",
-        "is_ready",
-        "joiners",
-        "name",
-        "number",
-        "process",
-        "tracer",
-        "waiters",
-    )
+    name: str
+    number: int
+    process: Process
+    #: held while it does not run
+    baton: LockType = field(default_factory=allocate_lock)
+    ident: int = 0
+    is_ready: bool = False
+    is_over: bool = False
+    #: until when it waits; None without a limit, and while it does not wait
+    deadline: float | None = None
+    #: when the scheduler looks at its deadline next: most waits end before, and leave nothing to be looked at then
+    alarm: float = _NEVER
+    #: whether the deadline came first
+    is_late: bool = False
+    #: where who is to make it ready finds it
+    waiters: deque[Task] | None = None
+    #: raised when it runs next
+    error: BaseException | None = None
+    #: how often it has gone on after `Ended`
+    endings: int = 0
+    joiners: deque[Task] = field(default_factory=deque)
+    #: what its lines are traced by for the scheduler, and what they were before
+    tracer: Tracer | None = None
+    before: Any = None
 
-    def __init__(self, name: str, number: int, process: Process) -> None:
-        self.name = name
-        self.number = number
-        self.process = process
-        #: held while it does not run
-        self.baton = allocate_lock()
+    def __post_init__(self) -> None:
         self.baton.acquire()
-        self.ident = 0
-        self.is_ready = False
-        self.is_over = False
-        #: until when it waits; None without a limit, and while it does not wait
-        self.deadline: float | None = None
-        #: when the scheduler looks at its deadline next: most waits end before, and leave nothing to be looked at then
-        self.alarm = _NEVER
-        #: whether the deadline came first
-        self.is_late = False
-        #: where who is to make it ready finds it
-        self.waiters: deque[Task] | None = None
-        #: raised when it runs next
-        self.error: BaseException | None = None
-        #: how often it has gone on after `Ended`
-        self.endings = 0
-        self.joiners: deque[Task] = deque()
-        #: what its lines are traced by for the scheduler, and what they were before
-        self.tracer: Tracer | None = None
-        self.before: Any = None
 
 
 class Scheduler:

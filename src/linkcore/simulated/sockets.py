@@ -435,8 +435,7 @@ class Sockets:
 
     def find(self, which: Any) -> Pollable | None:
         """What has this descriptor, or None if that does not belong to the simulation."""
-        number = which if isinstance(which, int) else which.fileno()
-        return self._open.get(number)
+        return self._open.get(_descriptor(which))
 
     @property
     def count(self) -> int:
@@ -472,12 +471,9 @@ class Sockets:
     def select(self, r: Iterable[Any], w: Iterable[Any], x: Iterable[Any], timeout: float | None = None) -> Any:
         """`select.select`."""
         wanted = [(each, _select.POLLIN) for each in r] + [(each, _select.POLLOUT) for each in w]
-        found = self.wait({self._number(each): mask for each, mask in wanted}, timeout)
-        ready = [(each, mask) for each, mask in wanted if found.get(self._number(each), 0) & mask]
+        found = self.wait({_descriptor(each): mask for each, mask in wanted}, timeout)
+        ready = [(each, mask) for each, mask in wanted if found.get(_descriptor(each), 0) & mask]
         return [e for e, m in ready if m == _select.POLLIN], [e for e, m in ready if m == _select.POLLOUT], []
-
-    def _number(self, which: Any) -> int:
-        return which if isinstance(which, int) else which.fileno()
 
     def wait(self, wanted: Mapping[int, int], timeout: float | None) -> dict[int, int]:
         """Wait for events of descriptors; {descriptor: mask}, empty when time is up."""
@@ -505,6 +501,10 @@ class Sockets:
                 each._waiters.remove(waiter)
 
 
+def _descriptor(which: Any) -> int:
+    return which if isinstance(which, int) else which.fileno()
+
+
 class Poll:
     """`select.poll`."""
 
@@ -513,12 +513,12 @@ class Poll:
         self._wanted: dict[int, int] = {}
 
     def register(self, fd: Any, eventmask: int = _select.POLLIN | _select.POLLPRI | _select.POLLOUT) -> None:
-        self._wanted[fd if isinstance(fd, int) else fd.fileno()] = eventmask
+        self._wanted[_descriptor(fd)] = eventmask
 
     modify = register
 
     def unregister(self, fd: Any) -> None:
-        del self._wanted[fd if isinstance(fd, int) else fd.fileno()]
+        del self._wanted[_descriptor(fd)]
 
     def poll(self, timeout: float | None = None) -> list[tuple[int, int]]:
         seconds = None if timeout is None or timeout < 0 else timeout * 1e-3

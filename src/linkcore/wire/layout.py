@@ -270,24 +270,15 @@ class Layout:
                 offset = text + int(struct.unpack_from(f">{shape.prefix.code}", data, start)[0])
                 self._fits(place, start, offset, data)
             if offset - text < shape.least:
-                raise PacketError(
-                    f"{place.field.name} is too short",
-                    packet=self.name,
-                    expected=shape.least,
-                    actual=offset - text,
-                    offset=text,
-                )
+                raise self._error(f"{place.field.name} is too short", shape.least, offset - text, text)
             yield place, start, offset, [data[text:offset]]
 
     def _fits(self, place: Place, start: int, end: int, data: bytes) -> None:
         if end > len(data):
-            raise PacketError(
-                f"{place.field.name} runs past the end of the packet",
-                packet=self.name,
-                expected=end,
-                actual=len(data),
-                offset=start,
-            )
+            raise self._error(f"{place.field.name} runs past the end of the packet", end, len(data), start)
+
+    def _error(self, reason: str, expected: int, actual: int, offset: int) -> PacketError:
+        return PacketError(reason, packet=self.name, expected=expected, actual=actual, offset=offset)
 
     def end(self, data: bytes) -> int:
         """Where the known fields of `data` end; what follows is the unknown tail."""
