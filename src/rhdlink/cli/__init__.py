@@ -21,7 +21,7 @@ _COMMANDS = {
     "replay": "recordings",
     "export": "recordings",
     "dissect": "dissect",
-    "completion": "linkcore.cli.completion",
+    "completion": "linkcore.cli.program",
 }
 
 _DESCRIPTION = """\

@@ -33,7 +33,7 @@ _COMMANDS = {
     "dissect": "dissect",
     "serve": "serve",
     "sim": "sim",
-    "completion": "linkcore.cli.completion",
+    "completion": "linkcore.cli.program",
 }
 
 _DESCRIPTION = """\
