@@ -23,24 +23,6 @@ from __future__ import annotations
 import copy
 from typing import TypeVar
 
-__all__ = [
-    "BadAddress",
-    "BadRecording",
-    "BadValue",
-    "BadVersion",
-    "Cancelled",
-    "Closed",
-    "ConnectFailed",
-    "ConnectionLost",
-    "LinkError",
-    "LinkTimeout",
-    "LocalError",
-    "PacketError",
-    "RemoteError",
-    "WrongPeer",
-    "unraised",
-]
-
 E = TypeVar("E", bound=Exception)
 
 

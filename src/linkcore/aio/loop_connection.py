@@ -41,11 +41,12 @@ class LoopConnection(Connection):
         loop: reads it.
     """
 
+    _transport: AwaitedTransport
+
     def __init__(
         self, name: str, transport: AwaitedTransport, *arguments: Any, loop: asyncio.AbstractEventLoop, **options: Any
     ) -> None:
         super().__init__(name, transport, *arguments, **options)
-        self._awaited = transport
         self._loop = loop
         self._task: asyncio.Task[None] | None = None  # refers to this, and this to it, until it is over
         self._opening: asyncio.Task[None] | None = None
@@ -242,7 +243,7 @@ class LoopConnection(Connection):
     async def _connect_and_await(self) -> None:
         """One connection, until it is lost or closed; raises what ended it."""
         self._connecting()
-        self._opening = opening = self._loop.create_task(self._awaited.connect(self._timeout))
+        self._opening = opening = self._loop.create_task(self._transport.connect(self._timeout))
         try:
             await opening
         except asyncio.CancelledError:
@@ -270,7 +271,7 @@ class LoopConnection(Connection):
                 raise error
             finally:
                 del error  # it refers to this frame
-        await self._awaited.disconnect()
+        await self._transport.disconnect()
 
     def _watch(self) -> None:
         """Be called when bytes come.
@@ -279,7 +280,7 @@ class LoopConnection(Connection):
             ConnectionLost: it was closed meanwhile.
             LocalError: the loop cannot do that.
         """
-        descriptor = self._awaited.fileno()
+        descriptor = self._transport.fileno()
         if descriptor < 0:
             raise ConnectionLost(f"{self.name} was closed here")
         watch(self._loop, descriptor, self._readable)
@@ -308,7 +309,7 @@ class LoopConnection(Connection):
             return False
         self._is_taking = True
         try:
-            received = self._awaited.receive_waiting()
+            received = self._transport.receive_waiting()
             if received is None:
                 return False
             data, stamp = received

@@ -20,7 +20,6 @@ import select
 import signal
 import struct
 import tempfile
-import time
 import zlib
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
@@ -34,7 +33,7 @@ from .transport import TcpTransport
 _MOST_WAITING = 1 << 24
 #: Bytes handed to the pipe at once: what it holds on Linux.
 _PIPE = 1 << 16
-#: Seconds between two looks whether the parent is still the same.
+#: Seconds after which it looks whether the parent is still the same, where nothing else happens.
 _LOOK = 0.5
 
 CONNECTED = b"C"  # the connection was made, with the s of its handshake
@@ -219,18 +218,9 @@ def _relay(transport: TcpTransport, pipe: _Pipe, newest: Slot, framer: Framer, p
         pipe.flush()
 
 
-_looked = time.monotonic()
-
-
 def _is_wanted(parent: int, reads: list[int], writes: list[int]) -> tuple[bool, list[Any]]:
     """Wait for something to do; whether the other process is still there, and what can be read."""
-    global _looked
     ready, _, _ = select.select([*reads, 0], writes, [], _LOOK)
-    if 0 in ready and not os.read(0, 1):
+    if (0 in ready and not os.read(0, 1)) or os.getppid() != parent:
         return False, []
-    now = time.monotonic()
-    if now - _looked > _LOOK:
-        _looked = now
-        if os.getppid() != parent:
-            return False, []
     return True, ready

@@ -11,7 +11,7 @@ import errno
 import itertools
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 from .scheduler import Scheduler, Task
@@ -313,7 +313,6 @@ class End:
                 self._retransmit = _RETRANSMIT[0]
                 if not self.unacknowledged and self.is_closing:
                     self._break(0)
-                    self._forget()
                 self._changed()
 
         self.network.scheduler.call_at(self.network.scheduler.now + route.latency, acknowledged)
@@ -403,12 +402,8 @@ class Network:
         """One direction between two computers, to be read or changed."""
         key = (source.name, target.name)
         if key not in self._routes:
-            default = self._default
-            self._routes[key] = (
-                Route(latency=1e-5, jitter=1e-5, bandwidth=1e9)
-                if source is target
-                else Route(default.latency, default.jitter, default.bandwidth)
-            )
+            within = Route(latency=1e-5, jitter=1e-5, bandwidth=1e9)
+            self._routes[key] = within if source is target else replace(self._default)
         return self._routes[key]
 
     def carries(self, source: Computer, target: Computer) -> bool:

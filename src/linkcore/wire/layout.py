@@ -235,11 +235,7 @@ class Layout:
         """
         pack = struct.Struct(f"={self._count}d").pack
         frombuffer = np.frombuffer
-
-        def as_doubles(values: Sequence[float]) -> Any:
-            return frombuffer(pack(*values))
-
-        return as_doubles
+        return lambda values: frombuffer(pack(*values))
 
     def stretches(self, data: bytes) -> Iterator[tuple[Place, int, int, Sequence[Any]]]:
         """Each place with the start and end of its bytes in `data` and the values in them, also where text varies.
