@@ -146,7 +146,8 @@ class Server:
         self._thread = threading.Thread(target=self._run, name=f"urlink sim {state.model.name}", daemon=True)
 
     def _bind(self, name: str, host: str, number: int, output_limit: int) -> ListeningPort:
-        return self._sockets.listen(
+        return ListeningPort(
+            self._sockets,
             host,
             number,
             lambda connection: self._accept(name, connection),
