@@ -44,9 +44,8 @@ def started(thread: threading.Thread) -> threading.Thread:
 _log = logging.getLogger(__name__)
 
 T = TypeVar("T")
-_Call = tuple[Callable[..., object], tuple[Any, ...]]
 # Re-entrant, unlike `queue.Queue`: a signal handler may put while its thread is putting.
-_Calls = SimpleQueue[_Call | None]
+_Calls = SimpleQueue[tuple[Callable[..., object], tuple[Any, ...]] | None]
 
 
 class MadeOnce(Generic[T]):

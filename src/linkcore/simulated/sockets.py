@@ -391,15 +391,11 @@ class Socket(Pollable):
         return self._end
 
     def _take_error(self) -> int:
-        if self._connecting not in (None, -1):
-            outcome, self._connecting = self._connecting, None
-            if self._end is not None and outcome:
-                self._end.error = 0
-            return outcome or 0
-        end = self._end
-        if end is None:
+        if self._connecting != -1:
+            self._connecting = None
+        if self._end is None:
             return 0
-        error, end.error = end.error, 0
+        error, self._end.error = self._end.error, 0
         return error
 
     def _raise_error(self, end: End) -> None:

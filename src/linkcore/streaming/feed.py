@@ -46,7 +46,7 @@ class Feed(Generic[T]):
     Made by `Stream.of`; a stream is the feed of its main class.
     """
 
-    def __init__(self, connection: Connection, kind: type[T], *, lossless: bool, owner: object) -> None:
+    def __init__(self, connection: Connection, kind: type[T], *, lossless: bool = False, owner: object = None) -> None:
         self._connection = connection
         self._kind = kind
         self._lossless = lossless

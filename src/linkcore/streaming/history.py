@@ -48,7 +48,8 @@ class History:
         states = self._states
         if states and states[-1][1]._layout is not state._layout:
             states.clear()
-        now = _received(state)
+        stamp = state.received
+        now = time.monotonic() if stamp is None else stamp.monotonic
         states.append((now, state))
         oldest = now - self._seconds
         while states[0][0] < oldest:
@@ -123,11 +124,6 @@ class History:
 
     def __repr__(self) -> str:
         return f"<History of {len(self)} {self._kind.__name__} in {self._seconds:g} s>"
-
-
-def _received(state: State) -> float:
-    stamp = state.received
-    return time.monotonic() if stamp is None else stamp.monotonic
 
 
 def _numbers(values: list[Any]) -> NDArray[Any] | None:

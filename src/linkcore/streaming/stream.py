@@ -28,9 +28,6 @@ class Stream(Feed[T]):
     refers to it.
     """
 
-    def __init__(self, connection: Connection, kind: type[T], *, lossless: bool = False) -> None:
-        super().__init__(connection, kind, lossless=lossless, owner=None)
-
     @property
     def name(self) -> str:
         """The address and the interface."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import Any
 
 from ..errors import LinkTimeout, LocalError
 from ..realtime import urgent
@@ -20,9 +19,7 @@ from .receiver import Receiver
 class ThreadConnection(Connection):
     """A connection with a reader thread of its own; the arguments are those of `Connection`."""
 
-    def __init__(self, *arguments: Any, **options: Any) -> None:
-        super().__init__(*arguments, **options)
-        self._reader: threading.Thread | None = None
+    _reader: threading.Thread | None = None
 
     @property
     def is_running(self) -> bool:
