@@ -31,17 +31,16 @@ class AsyncFeed(Generic[T]):
     Made by `AsyncStream.of`; a stream is the feed of its main class. For tasks of the loop that reads the stream.
 
     Args:
-        feed: the same for threads; it has the texts of its errors.
+        feed: the same for threads; it has the texts of its errors, and keeps the stream from being collected.
     """
 
-    __slots__ = ("_feed", "_kind", "_loop_connection", "_owner")
+    __slots__ = ("_feed", "_kind", "_loop_connection")
 
-    def __init__(self, feed: Feed[T], owner: object) -> None:
+    def __init__(self, feed: Feed[T]) -> None:
         assert isinstance(feed._connection, LoopConnection)
         self._feed = feed
         self._loop_connection = feed._connection
         self._kind = feed._kind
-        self._owner = owner  # keeps the stream from being collected as long as one of its feeds is held
 
     @property
     def latest(self) -> T | None:
@@ -122,7 +121,7 @@ class AsyncFeed(Generic[T]):
         return self._packets(policy, timeout, check_lifespan(lifespan))
 
     def _packets(self, policy: Policy, timeout: float | None, lifespan: float | None = None) -> Packets[T]:
-        return Packets(self._loop_connection, self._kind, policy, timeout, self._feed._why_nothing, self, lifespan)
+        return Packets(self._loop_connection, self._feed, policy, timeout, lifespan)
 
     def __aiter__(self) -> Packets[T]:
         return self.iterate()
@@ -153,7 +152,9 @@ class AsyncFeed(Generic[T]):
         connection = self._loop_connection
         await connection.connected()
         late = None if on_deadline is None else lambda age: connection.call(lambda: on_deadline(age))
-        return connection.subscribe_inline(self._kind, callback, deadline=deadline, on_deadline=late, owner=self._owner)
+        return connection.subscribe_inline(
+            self._kind, callback, deadline=deadline, on_deadline=late, owner=self._feed._owner
+        )
 
     async def history(self, seconds: float) -> History:
         """As `Feed.history`: ``with await robot.realtime.history(5) as history:``.
@@ -206,7 +207,7 @@ class AsyncStream(AsyncFeed[T]):
     __slots__ = ("stream",)
 
     def __init__(self, stream: Stream[T]) -> None:
-        super().__init__(stream, None)
+        super().__init__(stream)
         self.stream = stream
 
     @property
@@ -244,7 +245,7 @@ class AsyncStream(AsyncFeed[T]):
         Raises:
             BadValue: not a class that this stream can have.
         """
-        return AsyncFeed(self.stream.of(kind), self)
+        return AsyncFeed(self.stream.of(kind))
 
     async def subscribe(
         self,

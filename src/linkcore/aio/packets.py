@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from ..errors import LocalError
+from ..streaming.feed import Feed
 from ..streaming.packet_queue import Policy, is_older
 from ..streaming.statistics import SubscriptionStatistics
 from .loop_connection import LoopConnection
@@ -147,29 +148,19 @@ class Packets(Generic[T]):
 
     Args:
         connection: where they come from.
-        kind: the class.
+        feed: the same for threads; it has the class, and what to raise where none came.
         policy: what to do when the task falls behind.
         timeout: seconds within which each has to come; None for ever.
-        why_nothing: what to raise when it did not.
         lifespan: seconds after its arrival for which a packet is worth having; None for ever.
     """
 
     def __init__(
-        self,
-        connection: LoopConnection,
-        kind: type[T],
-        policy: Policy,
-        timeout: float | None,
-        why_nothing: Callable[[float], Exception],
-        owner: object,
-        lifespan: float | None,
+        self, connection: LoopConnection, feed: Feed[T], policy: Policy, timeout: float | None, lifespan: float | None
     ) -> None:
         self._connection = connection
-        self._kind = kind
+        self._feed = feed  # keeps the stream from being collected
         self._timeout = timeout
-        self._why_nothing = why_nothing
-        self._owner = owner  # keeps the stream from being collected
-        self._expand: Callable[[Any], Iterable[T]] | None = connection.fan_out.expander(kind)
+        self._expand: Callable[[Any], Iterable[T]] | None = connection.fan_out.expander(feed._kind)
         self._queue = LoopQueue(policy, connection, lifespan)
         self._parts: deque[T] = deque()  # of the packet that was taken last
         self._is_open = False
@@ -197,7 +188,7 @@ class Packets(Generic[T]):
             raise StopAsyncIteration
         assert self._timeout is not None
         self._missed += 1
-        raise self._why_nothing(self._timeout)
+        raise self._feed._why_nothing(self._timeout)
 
     async def next(self, timeout: float | None) -> T | None:
         """The next packet; None when time is up, or when no more will come.
@@ -227,7 +218,7 @@ class Packets(Generic[T]):
         connection = self._connection
         self._is_open = True
         try:
-            await connection.connected(lambda: connection.fan_out.add(self._queue, self._kind))
+            await connection.connected(lambda: connection.fan_out.add(self._queue, self._feed._kind))
         except BaseException:
             self._is_open = False
             connection.fan_out.remove(self._queue)
@@ -257,4 +248,4 @@ class Packets(Generic[T]):
     def __repr__(self) -> str:
         stats = self.stats
         counted = ", ".join(f"{getattr(stats, name)} {name}" for name in ("delivered", "dropped", "waiting"))
-        return f"<Packets of {self._kind.__name__} from {self._connection.name}: {counted}>"
+        return f"<Packets of {self._feed._kind.__name__} from {self._connection.name}: {counted}>"
