@@ -8,7 +8,7 @@ milliseconds of a loop.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -176,12 +176,6 @@ class DataPackage:
         self.words = words
 
     @classmethod
-    def empty(cls, direction: str, layout: TableLayout, width: int) -> DataPackage:
-        """A package without entries."""
-        selection = Selection(layout, np.empty(0, np.int64), width)
-        return cls(direction, selection, np.empty(selection.size, np.int32))
-
-    @classmethod
     def read(cls, direction: str, selection: Selection, buffer: bytes | bytearray, start: int) -> DataPackage:
         """The package of these variables whose entries begin at `start`; does not look at their ids."""
         return cls(direction, selection, np.frombuffer(buffer, _WIRE, selection.size, start).astype(np.int32))
@@ -203,15 +197,6 @@ class DataPackage:
     def stamps(self) -> Stamps:
         """Their time stamps, shape (n, 2): seconds and microseconds."""
         return self.selection.stamps(self.words)
-
-    def items(self) -> Iterator[tuple[int, tuple[int, int], Words]]:
-        """Each entry: id, (seconds, microseconds), values."""
-        values, selection = self.values, self.selection
-        sizes = np.diff(selection.starts, append=len(values))
-        for identity, start, size, (seconds, micros) in zip(
-            self.ids.tolist(), selection.starts.tolist(), sizes.tolist(), self.stamps.tolist(), strict=True
-        ):
-            yield identity, (seconds, micros), values[start : start + size]
 
 
 class Cursor:
@@ -248,15 +233,13 @@ class Cursor:
             self._compare(self._guess, buffer, start)
         ids, at, end = self._ids, start + self.at, len(buffer)
         sizes, head, count, read = self.layout.sizes, WORD * (1 + self.width), self.layout.count, INT.unpack_from
-        try:
-            while len(ids) < self.count and at + WORD <= end:
-                (identity,) = read(buffer, at)
-                if not 0 <= identity < count:
-                    return at
-                ids.append(identity)
-                at += head + WORD * sizes[identity]
-        finally:
-            self.at = at - start
+        while len(ids) < self.count and at + WORD <= end:
+            (identity,) = read(buffer, at)
+            if not 0 <= identity < count:
+                return at
+            ids.append(identity)
+            at += head + WORD * sizes[identity]
+        self.at = at - start
         return None
 
     def _compare(self, guess: Selection, buffer: bytes | bytearray, start: int) -> None:

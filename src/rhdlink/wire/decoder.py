@@ -134,9 +134,6 @@ class _Decoder:
             count = self._take_count(f"data package 'd{direction}'", layout.count)
             if count is None:
                 return None
-            if count == 0:
-                self._at = start
-                return DataPackage.empty(direction, layout, width)
             # The common case: the same variables as in the last package with as many. One comparison of all ids, and
             # no look at the single entries.
             guess = self._known.get((direction, count))
