@@ -46,7 +46,7 @@ from rhdlink.replica import Replica
 from rhdlink.variables.database import Database, TimeStamp
 from rhdlink.wire.decoder import ServerDecoder
 from rhdlink.wire.messages import SymbolRow
-from tests.fakes.rhd import Peer, Robot, ScriptedServer, endless, nothing_more_after_greeting, serving
+from tests.fakes.rhd import Peer, Robot, ScriptedServer, endless, entries, nothing_more_after_greeting, serving
 from tests.rhdlink import recorded
 from tests.waiting import until
 
@@ -235,7 +235,7 @@ def test_a_late_first_sync_is_in_step(name: str) -> None:
     assert stream.take_handshake() is not None
     expected = []
     while (batch := stream.take_batch()) is not None:
-        expected += [int(value[0]) for identity, _, value in batch.data[-1].items() if identity == 0]
+        expected += [int(value[0]) for identity, _, value in entries(batch.data[-1]) if identity == 0]
     assert ticks == expected
 
 
