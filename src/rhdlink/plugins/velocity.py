@@ -20,12 +20,7 @@ from linkcore.streaming.subscription import ThreadedDelivery
 from ..host.config import Element
 from ..host.plugin import Plugin
 from ..variables.declarations import Read, Write
-from ..variables.value_types import Int32
-
-
-def wrapped(count: float) -> int:
-    """The nearest 32-bit counter value: after 2147483647 comes -2147483648, as in the robots' counters."""
-    return (round(count) + (1 << 31)) % (1 << 32) - (1 << 31)
+from ..variables.value_types import Int32, wrapped
 
 
 class Odometer:
