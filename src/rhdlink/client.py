@@ -25,9 +25,9 @@ from .address import parse_address
 from .connection import Connection, Transport
 from .errors import AccessDenied, NotThere
 from .recording import RecordedTransport
-from .replica import Replica, Unsent, database_of
+from .replica import Replica, Unsent
 from .sync_thread import Subscribers, SyncThread
-from .variables.database import TimeStamp
+from .variables.database import TimeStamp, database_of
 from .variables.declarations import Declaration, Declarations, bind, refuse_hiding
 from .variables.snapshot import Update, Variable, to_html
 from .wire.decoder import Limits

@@ -7,15 +7,14 @@ import logging
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
 
 from linkcore.clock import Stamp
 from linkcore.errors import BadRecording, Closed
 from linkcore.recording.file import Kind, Progress, Record, RecordingFile, RecordingWriter
 
 from .connection import Transport
-from .variables.database import Database
-from .variables.snapshot import Change, Update
+from .variables.database import Database, VariableTable, database_of
+from .variables.snapshot import Update, changes_in
 from .wire.decoder import ServerDecoder
 
 _log = logging.getLogger(__name__)
@@ -129,14 +128,7 @@ class Moment:
 
     def update(self, names: frozenset[str] | None = None) -> Update:
         """The variables whose time stamp or value has changed; of these, or of all."""
-        changes: dict[str, Change] = {}
-        # Of a read and a write variable with the same name the read variable stands.
-        for table in (self.database.write, self.database.read):
-            for identity in table.fresh.nonzero()[0].tolist():
-                name = table.rows[identity].name
-                if names is None or name in names:
-                    changes[name] = Change(table.words(identity), table.stamp(identity), bool(table.changed[identity]))
-        return Update(changes, self.received)
+        return Update(changes_in(self.database, names, VariableTable.words), self.received)
 
 
 def received(recording: RecordingFile, progress: Progress | None = None) -> Iterator[tuple[int, Record]]:
@@ -177,9 +169,7 @@ def play(recording: RecordingFile, progress: Progress | None = None) -> Iterator
             handshake = decoder.take_handshake()
             if handshake is None:
                 continue
-            database = Database(handshake.read, handshake.write)
-            for data in handshake.data:
-                database.table(data.direction).receive(data)
+            database = database_of(handshake)
             yield Moment(record.stamp, database, handshake.width, connection, True)
         assert decoder.handshake is not None
         while (batch := decoder.take_batch()) is not None:
@@ -215,10 +205,6 @@ class Summary:
     connections: int = 0
     width: int = 0
     variables: dict[str, int] = field(default_factory=dict)
-
-    def as_json(self) -> dict[str, Any]:
-        """Ready for JSON."""
-        return {**vars(self)}
 
 
 def summarise(recording: RecordingFile, progress: Progress | None = None) -> Summary:

@@ -16,10 +16,10 @@ from linkcore.text import similar
 from .errors import NotThere
 from .variables.database import Database, VariableTable
 from .variables.declarations import Declaration
-from .variables.snapshot import Change, Variable
+from .variables.snapshot import Change, Variable, changes_in
 from .variables.value_types import Order
 from .wire.data import Ids
-from .wire.messages import Batch, Handshake
+from .wire.messages import Batch
 
 _log = logging.getLogger(__name__)
 
@@ -119,7 +119,7 @@ class Replica:
                     direction=table.direction,
                     identity=identity,
                     length=row.length,
-                    value=self._typed(table, identity, declaration, order),
+                    value=_typed(table, identity, declaration, order),
                     stamp=table.stamp(identity),
                     updated=bool(table.updated[identity]),
                     changed=bool(table.changed[identity]),
@@ -133,23 +133,12 @@ class Replica:
     ) -> dict[str, Change]:
         """The variables whose time stamp or value has changed in the newest batch; of these, or of all for None."""
         by_name = _by_name(declared)
-        changes: dict[str, Change] = {}
-        with self.lock:
-            # Of a read and a write variable with the same name the read variable stands.
-            for table in (self.database.write, self.database.read):
-                for identity in table.fresh.nonzero()[0].tolist():
-                    name = table.rows[identity].name
-                    if names is None or name in names:
-                        value = self._typed(table, identity, by_name.get((table.direction, name)), order)
-                        changes[name] = Change(value, table.stamp(identity), bool(table.changed[identity]))
-        return changes
 
-    def _typed(
-        self, table: VariableTable, identity: int, declaration: Declaration[Any, Any] | None, order: Order
-    ) -> Any:
-        if declaration is None or declaration.length != table.rows[identity].length:
-            return table.words(identity)
-        return declaration.unpack(table.value(identity), declaration.order or order)
+        def value_of(table: VariableTable, identity: int) -> Any:
+            return _typed(table, identity, by_name.get((table.direction, table.rows[identity].name)), order)
+
+        with self.lock:
+            return changes_in(self.database, names, value_of)
 
     # -- a connection --------------------------------------------------------------------------
 
@@ -158,6 +147,8 @@ class Replica:
 
         The caller holds the lock.
         """
+        for table in (database.read, database.write):
+            table.begin_round()  # nothing in a handshake counts as new
         before, self.database = self.database, database
         self.period = None
         self._first_tick = self._tick()
@@ -244,15 +235,12 @@ class Replica:
             self.period = (after[1] - before[1]) / (after[0] - before[0])
 
 
-def database_of(handshake: Handshake) -> Database:
-    """The tables and the values of a handshake; nothing in them counts as new."""
-    database = Database(handshake.read, handshake.write)
-    for data in handshake.data:
-        database.table(data.direction).receive(data, updates=False)
-    for table in (database.read, database.write):
-        table.begin_round()
-    return database
-
-
 def _by_name(declared: Mapping[str, Declaration[Any, Any]]) -> dict[tuple[str, str], Declaration[Any, Any]]:
     return {(each.direction, each.name): each for each in declared.values()}
+
+
+def _typed(table: VariableTable, identity: int, declaration: Declaration[Any, Any] | None, order: Order) -> Any:
+    """The value of a variable: as it is declared, where it is and is as long."""
+    if declaration is None or declaration.length != table.rows[identity].length:
+        return table.words(identity)
+    return declaration.unpack(table.value(identity), declaration.order or order)

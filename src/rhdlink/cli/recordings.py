@@ -98,7 +98,7 @@ def _replay(args: argparse.Namespace) -> int:
         if args.names or args.count is not None:
             args.usage_error("what to print can be chosen only when the recording is played, with --rate")
         summary = _summary(args)
-        print(strict_json(summary.as_json()) if args.json else _summary_text(summary))
+        print(strict_json(vars(summary)) if args.json else _summary_text(summary))
         return 0
     recording = RecordingFile(args.file)
     with Interruption() as interruption:

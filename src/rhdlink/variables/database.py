@@ -36,7 +36,7 @@ from numpy.typing import ArrayLike, NDArray
 from linkcore.errors import BadValue, LocalError
 
 from ..wire.data import DataPackage, Ids, Selection, Stamps, TableLayout, Words
-from ..wire.messages import END, LONGEST_NAME, SymbolRow, encode_access, encode_data, encode_table
+from ..wire.messages import END, LONGEST_NAME, Handshake, SymbolRow, encode_access, encode_data, encode_table
 from ..wire.schema import WORD
 from .dirty_set import DirtySet
 
@@ -365,3 +365,11 @@ class Database:
             self._tables = encode_table("w", self.write.rows) + encode_table("r", self.read.rows)
         data = [table.encode(np.arange(len(table)), width) for table in (self.write, self.read)]
         return b"".join((b"" if granted is None else encode_access(granted), self._tables, *data, END))
+
+
+def database_of(handshake: Handshake) -> Database:
+    """The tables and the values of a handshake; what was ever set is fresh."""
+    database = Database(handshake.read, handshake.write)
+    for data in handshake.data:
+        database.table(data.direction).receive(data, updates=False)
+    return database
