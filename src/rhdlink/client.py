@@ -307,9 +307,9 @@ class Variables(Declarations):
                 raise Closed(f"{self._address} was closed")
             self._sync(replica, until)
             # Before another thread syncs: what is fresh now is not afterwards, and updates go out in order.
-            if self._subscribers.has(Update):
-                names = self._subscribers.wanted()
-                self._subscribers.update(replica.changes(names, self.declared(), self._word_order), self._received)
+            self._subscribers.update(
+                lambda names: replica.changes(names, self.declared(), self._word_order), self._received
+            )
         finally:
             self._exchange.release()
 
