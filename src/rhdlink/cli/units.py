@@ -86,6 +86,12 @@ def words_text(words: Sequence[int] | Words, most: int | None = _MOST_WORDS) -> 
     return " ".join(shown) + (f" … {left} more" if left else "")
 
 
+def with_meaning(direction: str, name: str, words: Words, most: int | None = _MOST_WORDS) -> str:
+    """The words of a variable, at most so many of them, and their meaning if the name has one: ``30000 = 0.3 m/s``."""
+    meaning = in_units(direction, name, words)
+    return words_text(words, most) + (f" = {meaning}" if meaning else "")
+
+
 def as_json(variable: Variable) -> dict[str, Any]:
     """A variable as a JSON object; its value always as a list of words."""
     words = words_of(variable.value)

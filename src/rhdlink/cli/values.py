@@ -19,7 +19,7 @@ from ..errors import NotThere
 from ..sync_thread import SyncThread
 from ..variables.snapshot import Update
 from .options import ADDRESS, tell
-from .units import TYPES, as_columns, as_json, in_units, typed, update_as_json, words_of, words_text
+from .units import TYPES, as_columns, as_json, typed, update_as_json, with_meaning, words_of
 from .view import RateCounter, View, ViewPanel
 
 
@@ -107,8 +107,7 @@ def _get(args: argparse.Namespace) -> int:
             if values is not None:
                 print(f"{printable(name)} {' '.join(map(repr, values))}")
                 continue
-            meaning = in_units(variable.direction, name, words)
-            print(f"{printable(name)} {words_text(words, None)}" + (f" = {meaning}" if meaning else ""))
+            print(f"{printable(name)} {with_meaning(variable.direction, name, words, None)}")
     return 0
 
 
@@ -137,9 +136,7 @@ def _set(args: argparse.Namespace) -> int:
         robot[args.name] = args.values if len(args.values) > 1 else args.values[0]
         robot.sync()  # the reply confirms the write
         (value,) = (each.value for each in robot.variables if (each.direction, each.name) == ("w", args.name))
-        words = words_of(value)
-        meaning = in_units("w", args.name, words)
-        tell(f"{args.name} is {words_text(words)}" + (f" = {meaning}" if meaning else ""))
+        tell(f"{args.name} is {with_meaning('w', args.name, words_of(value))}")
         if args.hold is not None:
             interruption.end_after(args.hold)
             while not interruption.is_over:

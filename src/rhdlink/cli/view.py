@@ -15,7 +15,7 @@ from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from linkcore.text import printable
 
 from ..variables.snapshot import Update, Variable
-from .units import in_units, words_of, words_text
+from .units import in_units, with_meaning, words_of, words_text
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderResult
@@ -63,11 +63,9 @@ class View:
         else:
             parts.append("- syncs/s" if self.rate is None else f"{self.rate:.1f} syncs/s")
         for variable in self.variables:
-            words = words_of(variable.value)
-            meaning = in_units(variable.direction, variable.name, words)
+            value = with_meaning(variable.direction, variable.name, words_of(variable.value))
             rate = self.rates.get(variable.name)
-            text = f"{printable(variable.name)} {words_text(words)}"
-            parts.append(text + (f" = {meaning}" if meaning else "") + (f" ({rate:.1f}/s)" if rate else ""))
+            parts.append(f"{printable(variable.name)} {value}" + (f" ({rate:.1f}/s)" if rate else ""))
         return " | ".join(parts)
 
 

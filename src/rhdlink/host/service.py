@@ -170,7 +170,7 @@ class Service:
     def is_asked(self) -> bool:
         """Whether the sole writer asks for the next tick; or any client, while there is none."""
         sole = self._sole_writer
-        return any(client.is_asking for client in ([sole] if sole is not None else self.clients))
+        return any(client.is_asking for client in self.clients) if sole is None else sole.is_asking
 
     @property
     def _sole_writer(self) -> Client | None:
