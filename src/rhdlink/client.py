@@ -143,7 +143,7 @@ class Variables(Declarations):
         super().__setattr__(attribute, value)
 
     def _connect(
-        self, address: str, transport: Transport, options: dict[str, Any], timeout: float, unsent: Unsent = "discard"
+        self, address: str, transport: Transport, options: dict[str, Any], timeout: float, unsent: Unsent
     ) -> None:
         self._address = address
         self._transport = transport

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from linkcore.errors import BadValue
 
-from .host.config import LARGEST, Element, parse_xml
+from .host.config import Element, parse_xml, read_file
 
 Point = tuple[float, float]
 
@@ -111,12 +111,7 @@ class Scene:
         Raises:
             BadValue: it cannot be read, is not a drawing, or has too many pieces.
         """
-        try:
-            with open(path, "rb") as file:
-                data = file.read(LARGEST + 1)
-        except OSError as error:
-            raise BadValue(f"cannot read {os.fspath(path)}: {error.strerror or error}") from error
-        return _drawn(parse_xml(data, Path(path).name), size)
+        return _drawn(parse_xml(read_file(path), Path(path).name), size)
 
 
 def _check(points: Sequence[Point]) -> None:

@@ -160,7 +160,7 @@ def _listen(mission: Mission, args: argparse.Namespace) -> None:
         mission.on_said(_print_as_mrc)
         return
     mission.on("values", _print).on("text", _print)
-    mission.on("event", lambda text: tell(text)).on("message", lambda text: tell(text.strip()))
+    mission.on("event", tell).on("message", lambda text: tell(text.strip()))
     if args.trace:
         mission.on_said(_trace)
 

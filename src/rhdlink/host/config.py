@@ -243,12 +243,20 @@ def read_config(path: str | os.PathLike[str]) -> Configuration:
     """
     if not isinstance(path, (str, os.PathLike)):  # open() would take a number for a descriptor
         raise BadConfiguration(f"cannot read {path!r}: expected the path of an rhdconfig.xml")
+    return parse_config(read_file(path), Path(path).name)
+
+
+def read_file(path: str | os.PathLike[str]) -> bytes:
+    """The bytes of a file; of one that is too large, as many as show that.
+
+    Raises:
+        BadConfiguration: it cannot be read.
+    """
     try:
         with open(path, "rb") as file:
-            data = file.read(LARGEST + 1)
+            return file.read(LARGEST + 1)
     except (OSError, ValueError) as error:
         raise BadConfiguration(f"cannot read {os.fspath(path)}: {getattr(error, 'strerror', None) or error}") from error
-    return parse_config(data, Path(path).name)
 
 
 def parse_config(data: bytes | str, source: str = "rhdconfig.xml") -> Configuration:

@@ -19,7 +19,7 @@ from ..variables.database import Database, VariableTable
 from ..variables.dirty_set import DirtySet
 from ..wire.data import DataPackage, Ids
 from ..wire.decoder import ClientDecoder, Limits
-from ..wire.messages import END, Request, encode_data
+from ..wire.messages import END, Request
 from ..wire.schema import WORD
 
 _log = logging.getLogger(__name__)
@@ -334,6 +334,6 @@ class _Packages:
         for known, known_ids, data in self._made:
             if known is table and np.array_equal(known_ids, ids):
                 return data
-        data = encode_data(table.direction, table.select(ids, self._width), table.values, table.stamps)
+        data = table.encode(ids, self._width)
         self._made.append((table, ids, data))
         return data

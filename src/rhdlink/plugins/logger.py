@@ -219,36 +219,24 @@ def _cells(database: Database, direction: str, declared: _Declared) -> Iterator[
             yield _Cells(names, words, np.ndarray.tolist)
         else:
             declaration, order = found
-            names = list(_names(name, declaration.unpack(table.value(identity), order)))
+            names = [column for column, _ in _columns(name, declaration.unpack(table.value(identity), order))]
             yield _Cells(names, words, _typed(declaration, order))
 
 
 def _typed(declaration: Declaration[Any, Any], order: Order) -> Callable[[Words], list[Any]]:
-    return lambda words: list(_values(declaration.unpack(words, order)))
+    return lambda words: [value for _, value in _columns("", declaration.unpack(words, order))]
 
 
-def _names(name: str, value: Any) -> Iterator[str]:
-    """The names of the columns of a value: ``a``, ``a[0]``, ``a.field``, ``a[0].field``."""
+def _columns(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """The columns of a value, ``a``, ``a[0]``, ``a.field``, ``a[0].field``, each with what stands in it."""
     if isinstance(value, np.void):
         for field in value.dtype.names or ():
-            yield from _names(f"{name}.{field}", value[field])
+            yield from _columns(f"{name}.{field}", value[field])
     elif isinstance(value, (np.ndarray, tuple)):
         for index, each in enumerate(value):
-            yield from _names(f"{name}[{index}]", each)
+            yield from _columns(f"{name}[{index}]", each)
     else:
-        yield name
-
-
-def _values(value: Any) -> Iterator[Any]:
-    """The values of those columns."""
-    if isinstance(value, np.void):
-        for field in value.dtype.names or ():
-            yield from _values(value[field])
-    elif isinstance(value, (np.ndarray, tuple)):
-        for each in value:
-            yield from _values(each)
-    else:
-        yield value.item() if isinstance(value, np.generic) else value
+        yield name, value.item() if isinstance(value, np.generic) else value
 
 
 class _RecordingSheet:

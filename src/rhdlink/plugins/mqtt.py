@@ -294,7 +294,7 @@ class MqttRobot(VelocityBridge):
         self._began = 0.0
         self._told = self._seen = -math.inf
         self._twist = Twist(0.0, 0.0)
-        self._reads: list[tuple[MqttTopic, int]] = []
+        self._identities: dict[MqttTopic, int] = {}  # of the variables, by their topics
 
     @property
     def mqtt(self) -> MqttStatistics | None:
@@ -314,7 +314,7 @@ class MqttRobot(VelocityBridge):
         table = self.host.database.read
         for topic in self._topics.read:
             if topic.variable:
-                self._reads.append((topic, table.add(topic.variable, Float64.length(len(topic.values)))))
+                self._identities[topic] = table.add(topic.variable, Float64.length(len(topic.values)))
         self._broker = _Broker(broker, port, self._topics.read)
         self._broker.open()
         self._began = time.time()
@@ -328,10 +328,9 @@ class MqttRobot(VelocityBridge):
             values = broker.take(topic)
             if values is None:
                 continue
-            for known, identity in self._reads:
-                if known is topic:
-                    words = Float64.pack_many(values, len(values), "little")
-                    self.host.database.read.set(identity, words)
+            if topic in self._identities:
+                words = Float64.pack_many(values, len(values), "little")
+                self.host.database.read.set(self._identities[topic], words)
             if topic is pose:
                 self._take_pose(dict(zip(topic.values, values, strict=True)), now)
         super().periodic(tick)
