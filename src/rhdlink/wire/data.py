@@ -9,6 +9,7 @@ milliseconds of a loop.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,11 @@ Stamps = NDArray[np.int64]
 #: A word on the wire.
 _WIRE = np.dtype(">i4")
 _LOW = 0xFFFFFFFF
+#: Selections that are remembered. Working one out takes ten times as long as using it, and a robot whose plugins set
+#: things at different rates has a few kinds of packages that come again and again.
+_REMEMBERED = 8
+
+K = TypeVar("K")
 
 
 class TableLayout:
@@ -157,6 +163,14 @@ class Selection:
             words[self._stamped] = own
             words[self._valued] = values[self.cells]
         return words.astype(_WIRE).tobytes()
+
+
+def remember(known: dict[K, Selection], key: K, selection: Selection) -> None:
+    """Keep a selection as the newest one; of more than eight, the one that was kept first goes."""
+    known.pop(key, None)  # so that it becomes the newest: a dict keeps the order of insertion
+    if len(known) >= _REMEMBERED:
+        del known[next(iter(known))]
+    known[key] = selection
 
 
 class DataPackage:
