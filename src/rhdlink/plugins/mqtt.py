@@ -168,22 +168,18 @@ class MqttStatistics(NamedTuple):
 
 
 class _Broker:
-    """A connection to a broker, and the newest payload of each topic."""
+    """A connection to a broker, which is made again by itself, and the newest payload of each topic.
+
+    Raises:
+        LocalError: paho-mqtt is not installed.
+        ConnectFailed: there is no broker.
+    """
 
     def __init__(self, address: str, port: int, topics: tuple[MqttTopic, ...]) -> None:
         self._topics = {topic.name: topic for topic in topics}
         self._place = address, port
         self._newest: dict[str, tuple[float, ...]] = {}
-        self._client: Client | None = None
         self.received = self.bad = self.sent = self.dropped = 0
-
-    def open(self) -> None:
-        """Connect; later the connection is made again by itself.
-
-        Raises:
-            LocalError: paho-mqtt is not installed.
-            ConnectFailed: there is no broker.
-        """
         try:
             from paho.mqtt.client import Client
             from paho.mqtt.enums import CallbackAPIVersion
@@ -193,13 +189,12 @@ class _Broker:
         client.connect_timeout = _CONNECT_TIMEOUT
         client.on_connect = self._on_connect
         client.on_message = self._on_message
-        address, port = self._place
         try:
             client.connect(address, port, keepalive=_KEEPALIVE)
         except (OSError, ValueError) as error:
             raise ConnectFailed(f"no MQTT broker at {address}:{port}: {error}") from error
         client.loop_start()
-        self._client = client
+        self._client: Client | None = client
 
     def _on_connect(self, client: Client, userdata: Any, flags: Any, reason: Any, properties: Any) -> None:
         if reason.is_failure:
@@ -316,7 +311,6 @@ class MqttRobot(VelocityBridge):
             if topic.variable:
                 self._identities[topic] = table.add(topic.variable, Float64.length(len(topic.values)))
         self._broker = _Broker(broker, port, self._topics.read)
-        self._broker.open()
         self._began = time.time()
 
     def periodic(self, tick: int) -> None:
@@ -415,7 +409,6 @@ class MqttTurtle(Plugin):
         """
         broker, port, self._topics = _configured(config, *self._source)
         self._broker = _Broker(broker, port, (self._topics.command, self._topics.alive))
-        self._broker.open()
 
     def periodic(self, tick: int) -> None:
         """Drive for one period, and tell where that led."""
