@@ -6,6 +6,7 @@ The panel needs rich, which is imported when one is drawn.
 from __future__ import annotations
 
 import threading
+import time
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,6 +23,13 @@ if TYPE_CHECKING:
 
 #: Seconds over which rates are counted.
 WINDOW = 2.0
+
+_STATUS = {
+    ConnectionState.CONNECTED: "bold black on green",
+    ConnectionState.CONNECTING: "black on yellow",
+    ConnectionState.LOST: "bold white on red",
+}
+_LABEL = "bright_black"
 
 
 @dataclass(frozen=True)
@@ -53,9 +61,9 @@ class View:
         """Whether the values are current."""
         return self.connection is ConnectionState.CONNECTED
 
-    def as_line(self, clock: str) -> str:
+    def as_line(self) -> str:
         """The view on one line; old values are marked as old."""
-        parts = [f"{clock} {self.connection.name}", printable(self.robot)]
+        parts = [f"{time.strftime('%H:%M:%S')} {self.connection.name}", printable(self.robot)]
         if not self.is_fresh:
             parts.append(f"OLD DATA, {self.age:.1f} s")
             if self.trouble is not None:
@@ -67,6 +75,42 @@ class View:
             rate = self.rates.get(variable.name)
             parts.append(f"{printable(variable.name)} {value}" + (f" ({rate:.1f}/s)" if rate else ""))
         return " | ".join(parts)
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """The view as a panel, for rich."""
+        from rich import box
+        from rich.panel import Panel
+        from rich.table import Table
+        from rich.text import Text
+
+        head = Text(no_wrap=True, overflow="ellipsis")
+        head.append(f" {self.connection.name} ", _STATUS.get(self.connection, "black on white"))
+        if self.is_fresh:
+            head.append("   – syncs/s" if self.rate is None else f"   {self.rate:.1f} syncs/s", "bold")
+        else:
+            head.append(f"   old values, {self.age:.1f} s", "bold red")
+            if self.trouble is not None:
+                head.append(f"   {printable(self.trouble)}")
+        head.append(f"   reconnects {self.reconnects}", _LABEL)
+        table = Table(box=None, padding=(0, 2, 0, 0), header_style=_LABEL)
+        table.add_column("")
+        table.add_column("name", no_wrap=True)
+        table.add_column("words", overflow="fold")
+        table.add_column("meaning", no_wrap=True)
+        table.add_column("set", justify="right", no_wrap=True)
+        for variable in self.variables:
+            rate = self.rates.get(variable.name)
+            words = words_of(variable.value)
+            table.add_row(
+                "→" if variable.direction == "w" else "",
+                Text(printable(variable.name), "bold" if rate else ""),
+                Text(words_text(words)),
+                Text(in_units(variable.direction, variable.name, words)),
+                f"{rate:.1f}/s" if rate else "",
+                style="" if self.is_fresh else "dim",
+            )
+        yield head
+        yield Panel(table, title=Text(f" {printable(self.robot)} "), title_align="left", box=box.ROUNDED)
 
 
 class RateCounter:
@@ -111,54 +155,3 @@ class RateCounter:
     def _forget(self, now: float) -> None:
         while self._updates and self._updates[0][0] < now - WINDOW:
             self._updates.popleft()
-
-
-_STATUS = {
-    ConnectionState.CONNECTED: "bold black on green",
-    ConnectionState.CONNECTING: "black on yellow",
-    ConnectionState.LOST: "bold white on red",
-}
-_LABEL = "bright_black"
-
-
-class ViewPanel:
-    """A view of the robot, as a rich renderable."""
-
-    def __init__(self, view: View) -> None:
-        self._view = view
-
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        from rich import box
-        from rich.panel import Panel
-        from rich.table import Table
-        from rich.text import Text
-
-        view = self._view
-        head = Text(no_wrap=True, overflow="ellipsis")
-        head.append(f" {view.connection.name} ", _STATUS.get(view.connection, "black on white"))
-        if view.is_fresh:
-            head.append("   – syncs/s" if view.rate is None else f"   {view.rate:.1f} syncs/s", "bold")
-        else:
-            head.append(f"   old values, {view.age:.1f} s", "bold red")
-            if view.trouble is not None:
-                head.append(f"   {printable(view.trouble)}")
-        head.append(f"   reconnects {view.reconnects}", _LABEL)
-        table = Table(box=None, padding=(0, 2, 0, 0), header_style=_LABEL)
-        table.add_column("")
-        table.add_column("name", no_wrap=True)
-        table.add_column("words", overflow="fold")
-        table.add_column("meaning", no_wrap=True)
-        table.add_column("set", justify="right", no_wrap=True)
-        for variable in view.variables:
-            rate = view.rates.get(variable.name)
-            words = words_of(variable.value)
-            table.add_row(
-                "→" if variable.direction == "w" else "",
-                Text(printable(variable.name), "bold" if rate else ""),
-                Text(words_text(words)),
-                Text(in_units(variable.direction, variable.name, words)),
-                f"{rate:.1f}/s" if rate else "",
-                style="" if view.is_fresh else "dim",
-            )
-        yield head
-        yield Panel(table, title=Text(f" {printable(view.robot)} "), title_align="left", box=box.ROUNDED)
