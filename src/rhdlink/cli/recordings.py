@@ -19,7 +19,7 @@ from ..loading import load
 from ..recording import Summary, play, summarise
 from ..variables.snapshot import Update
 from .options import ADDRESS, tell
-from .units import in_units, update_as_json, with_meaning, words_of
+from .view import in_units, update_as_json, with_meaning, words_of
 
 
 def _rate(text: str) -> float:

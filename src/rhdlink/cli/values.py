@@ -18,8 +18,7 @@ from ..errors import NotThere
 from ..sync_thread import SyncThread
 from ..variables.snapshot import Update
 from .options import ADDRESS, tell
-from .units import TYPES, as_columns, as_json, typed, update_as_json, with_meaning, words_of
-from .view import RateCounter, View
+from .view import TYPES, RateCounter, View, as_columns, as_json, typed, update_as_json, with_meaning, words_of
 
 
 def _check_names(names: Iterable[str], robot: Variables | Collection[str], where: str) -> None:
