@@ -268,7 +268,7 @@ class Drive:
 
         life = Lifecycle(name, self._callbacks)
         life.brake = self._wake.set
-        handle = Motion(life, lambda: _progress(motion, control))
+        handle = Motion(life, lambda: motion.progress(control) if control.motion is motion else 0.0)
         self._motions.put(_Command(motion, life, prepare))
         self._wake.set()
         return handle
@@ -373,10 +373,6 @@ class Drive:
         if not self._motions.is_idle:
             state = "moving"
         return f"<Drive {self._link.name} {state} at x {x:.3f} m, y {y:.3f} m, heading {math.degrees(theta):.1f} deg>"
-
-
-def _progress(motion: ControlledMotion, control: MotionControl) -> float:
-    return motion.progress(control) if control.motion is motion else 0.0
 
 
 def _number(name: str, value: float) -> float:

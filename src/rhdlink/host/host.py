@@ -301,8 +301,7 @@ class Host(Runnable):
         self.database.read.add("tick")
         if self._pacing == "lockstep":
             self.database.read.clock = self._simulated_time
-        by_rank = sorted(self._plugins, key=lambda plugin: -plugin.safety)
-        ranked = [plugin for plugin in by_rank if plugin.safety > 0]
+        ranked = sorted((plugin for plugin in self._plugins if plugin.safety > 0), key=lambda plugin: -plugin.safety)
         others = [plugin for plugin in self._plugins if plugin.safety <= 0]
         for plugin in [*others, *ranked]:
             self._init(plugin)

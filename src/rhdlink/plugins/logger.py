@@ -8,7 +8,7 @@ import logging
 import os
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, TextIO
+from typing import Any, NamedTuple, TextIO
 
 import numpy as np
 
@@ -52,19 +52,6 @@ class _Moment:
         self.stamps: list[Stamps] = [table.stamps.copy() for table in tables]
 
 
-class _Sheet(Protocol):
-    """A file that is being written."""
-
-    def begin(self, database: Database, declared: _Declared) -> None:
-        """Say what the entries hold; the variables are all there."""
-
-    def write(self, moment: _Moment) -> None:
-        """Add a tick."""
-
-    def close(self) -> None:
-        """Finish the file."""
-
-
 class Logger(Plugin):
     """Logs all variables at each tick to a new file.
 
@@ -89,6 +76,8 @@ class Logger(Plugin):
 
     is_critical = False
     safety = 127
+
+    _sheet: _CsvSheet | _RecordingSheet
 
     def __init__(self, path: str | os.PathLike[str] | None = None, *, every: int = 1) -> None:
         self._path = None if path is None else _checked(path)
@@ -122,7 +111,7 @@ class Logger(Plugin):
         self._every = config.integer("every", self._every, least=1)
         self._path = _free(self._path)
         # Now, so that a mistake shows at the start; the variables are known at the first tick only.
-        self._sheet: _Sheet = _CsvSheet(self._path) if self._path.suffix == ".csv" else _RecordingSheet(self._path)
+        self._sheet = _CsvSheet(self._path) if self._path.suffix == ".csv" else _RecordingSheet(self._path)
         _log.info("logging into %s", self._path)
 
     def periodic(self, tick: int) -> None:
@@ -173,6 +162,8 @@ def _free(path: Path) -> Path:
 
 
 class _CsvSheet:
+    """A table that is being written."""
+
     def __init__(self, path: Path) -> None:
         try:
             self._file: TextIO = open(path, "x", newline="", encoding="utf-8")  # noqa: SIM115
@@ -181,6 +172,7 @@ class _CsvSheet:
         self._writer = csv.writer(self._file)
 
     def begin(self, database: Database, declared: _Declared) -> None:
+        """Say what the entries hold; the variables are all there."""
         self._cells = [list(_cells(database, direction, declared)) for direction in "rw"]
         names = ["time"]
         for direction, cells in zip("rw", self._cells, strict=True):
@@ -190,6 +182,7 @@ class _CsvSheet:
         self._writer.writerow(names)
 
     def write(self, moment: _Moment) -> None:
+        """Add a tick."""
         row: list[object] = [f"{moment.stamp.wall:.6f}"]
         for cells, values in zip(self._cells, moment.values, strict=True):
             for each in cells:
@@ -197,6 +190,7 @@ class _CsvSheet:
         self._writer.writerow(row)
 
     def close(self) -> None:
+        """Finish the file."""
         self._file.close()
 
 
@@ -240,6 +234,8 @@ def _columns(name: str, value: Any) -> Iterator[tuple[str, Any]]:
 
 
 class _RecordingSheet:
+    """A recording that is being written; for its methods see `_CsvSheet`."""
+
     def __init__(self, path: Path) -> None:
         self._writer = RecordingWriter(path)
 
