@@ -150,7 +150,7 @@ class Variables(Declarations):
         self._options = options
         self._timeout = timeout
         self._process = os.getpid()
-        self._replica = Replica(address, unsent)
+        self._replica = Replica(address, unsent, type(self))
         self._exchange = threading.RLock()  # held by the thread that uses the connection
         self._subscribers = Subscribers(address)
         self._closing = threading.Event()
@@ -227,7 +227,7 @@ class Variables(Declarations):
         """Every variable at this moment, read variables first."""
         replica = self._known()
         with replica.lock:
-            return list(replica.snapshot(self.declared(), self._word_order))
+            return list(replica.snapshot())
 
     # -- the connection ------------------------------------------------------------------------
 
@@ -307,9 +307,7 @@ class Variables(Declarations):
                 raise Closed(f"{self._address} was closed")
             self._sync(replica, until)
             # Before another thread syncs: what is fresh now is not afterwards, and updates go out in order.
-            self._subscribers.update(
-                lambda names: replica.changes(names, self.declared(), self._word_order), self._received
-            )
+            self._subscribers.update(replica.changes, self._received)
         finally:
             self._exchange.release()
 
