@@ -30,16 +30,9 @@ from ..wire.data import Words
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderResult
 
-#: Types that can be named on the command line.
-TYPES: dict[str, ValueType[Any, Any, Any]] = {
-    "int32": Int32,
-    "uint32": UInt32,
-    "int64": Int64,
-    "float32": Float32,
-    "float64": Float64,
-    "bool": Bool,
-    "millionths": Millionths,
-}
+_TYPES: tuple[ValueType[Any, Any, Any], ...] = (Int32, UInt32, Int64, Float32, Float64, Bool, Millionths)
+#: Types that can be named on the command line: "int32", "uint32", ...
+TYPES = {repr(each).lower(): each for each in _TYPES}
 
 #: Words of a variable that are shown on one line.
 _MOST_WORDS = 16
