@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from linkcore.clock import Stamp
 from linkcore.errors import BadRecording, Closed
 from linkcore.recording.file import Kind, Progress, Record, RecordingFile, RecordingWriter
+from linkcore.streaming.connection_life import Chunk, ConnectionEvent, ConnectionState
 
 from .connection import Transport
 from .variables.database import Database, VariableTable, database_of
@@ -53,20 +54,20 @@ class RecordedTransport:
             self._writer = RecordingWriter(self._path)
             self._channel = self._writer.add_channel({"name": CHANNEL, "interface": "rhd", "address": self.name})
         else:
-            self._note("lost")
-        self._note("connected")
+            self._note(ConnectionState.LOST)
+        self._note(ConnectionState.CONNECTED)
 
     def receive(self, timeout: float | None = None) -> tuple[bytes, Stamp]:
         """Wait for bytes."""
-        data, stamp = self._transport.receive(timeout)
-        self._write(Kind.BYTES, stamp, data)
-        return data, stamp
+        arrived = self._transport.receive(timeout)
+        self._add(Chunk(*arrived))
+        return arrived
 
     def receive_waiting(self) -> tuple[bytes, Stamp] | None:
         """Bytes that have come already."""
         arrived = self._transport.receive_waiting()
         if arrived is not None:
-            self._write(Kind.BYTES, arrived[1], arrived[0])
+            self._add(Chunk(*arrived))
         return arrived
 
     def send(self, data: bytes, timeout: float) -> None:
@@ -88,19 +89,19 @@ class RecordedTransport:
             BadRecording: the disk failed; the file holds what came before.
         """
         if self._writer is not None:
-            self._writer.close(complete=self._failure is None)
+            self._writer.close()
         failure, self._failure = self._failure, None
         if failure is not None:
             raise failure
 
-    def _note(self, state: str) -> None:
-        self._write(Kind.EVENT, Stamp.now(), json.dumps({"state": state, "error": None}).encode())
+    def _note(self, state: ConnectionState) -> None:
+        self._add(ConnectionEvent(state, self.name, None, Stamp.now()))
 
-    def _write(self, kind: Kind, stamp: Stamp, payload: bytes) -> None:
+    def _add(self, item: Chunk | ConnectionEvent) -> None:
         if self._writer is None or self._failure is not None:
             return
         try:
-            self._writer.write(kind, self._channel, stamp, payload)
+            self._writer.add(self._channel, item)
         except Closed:
             pass  # while the last sync was under way
         except BadRecording as error:
