@@ -25,9 +25,9 @@ from .address import parse_address
 from .connection import Connection, Transport
 from .errors import AccessDenied, NotThere
 from .recording import RecordedTransport
-from .replica import Replica, Unsent, database_of
+from .replica import Replica, Unsent
 from .sync_thread import Subscribers, SyncThread
-from .variables.database import TimeStamp
+from .variables.database import TimeStamp, database_of
 from .variables.declarations import Declaration, Declarations, bind, refuse_hiding
 from .variables.snapshot import Update, Variable, to_html
 from .wire.decoder import Limits
@@ -143,14 +143,14 @@ class Variables(Declarations):
         super().__setattr__(attribute, value)
 
     def _connect(
-        self, address: str, transport: Transport, options: dict[str, Any], timeout: float, unsent: Unsent = "discard"
+        self, address: str, transport: Transport, options: dict[str, Any], timeout: float, unsent: Unsent
     ) -> None:
         self._address = address
         self._transport = transport
         self._options = options
         self._timeout = timeout
         self._process = os.getpid()
-        self._replica = Replica(address, unsent)
+        self._replica = Replica(address, unsent, type(self))
         self._exchange = threading.RLock()  # held by the thread that uses the connection
         self._subscribers = Subscribers(address)
         self._closing = threading.Event()
@@ -227,7 +227,7 @@ class Variables(Declarations):
         """Every variable at this moment, read variables first."""
         replica = self._known()
         with replica.lock:
-            return list(replica.snapshot(self.declared(), self._word_order))
+            return list(replica.snapshot())
 
     # -- the connection ------------------------------------------------------------------------
 
@@ -307,9 +307,7 @@ class Variables(Declarations):
                 raise Closed(f"{self._address} was closed")
             self._sync(replica, until)
             # Before another thread syncs: what is fresh now is not afterwards, and updates go out in order.
-            if self._subscribers.has(Update):
-                names = self._subscribers.wanted()
-                self._subscribers.update(replica.changes(names, self.declared(), self._word_order), self._received)
+            self._subscribers.update(replica.changes, self._received)
         finally:
             self._exchange.release()
 

@@ -145,9 +145,7 @@ class Connection:
         """
         self._deliver_decoded()
         while (arrived := self._transport.receive_waiting()) is not None:
-            data, self.received = arrived
-            self._decoder.feed(data)
-            self._deliver_decoded()
+            self._take(*arrived)
             _left(until)
 
     def settle(self, period: float | None, until: float) -> None:
@@ -166,11 +164,10 @@ class Connection:
         enough = time.monotonic() + seconds
         while not self._is_settled and (left := min(enough, until) - time.monotonic()) > 0:
             try:
-                data, self.received = self._transport.receive(left)
+                arrived = self._transport.receive(left)
             except LinkTimeout:
                 break
-            self._decoder.feed(data)
-            self._deliver_decoded()
+            self._take(*arrived)
         if enough <= until:
             self._is_settled = True  # else there was no time to be sure; the next sync goes on
 
@@ -187,9 +184,7 @@ class Connection:
         """
         # Set only when nothing is outstanding any more: until then it is not known which batch was whose.
         while self._outstanding:
-            arrived, self.received = self._transport.receive(_left(until))
-            self._decoder.feed(arrived)
-            self._deliver_decoded()
+            self._take(*self._transport.receive(_left(until)))
             self._has_answered = not self._outstanding
 
     def request(self, data: bytes, until: float) -> None:
@@ -220,6 +215,12 @@ class Connection:
     def abort(self) -> None:
         """Give the connection up: a request that is still in the kernel is never sent. Idempotent, from any thread."""
         self._transport.abort()
+
+    def _take(self, data: bytes, received: Stamp) -> None:
+        """Deliver the batches that these bytes complete."""
+        self.received = received
+        self._decoder.feed(data)
+        self._deliver_decoded()
 
     def _deliver_decoded(self) -> None:
         while (batch := self._decoder.take_batch()) is not None:

@@ -6,7 +6,7 @@ import math
 import os
 import threading
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError
 from linkcore.handle import Lifecycle, Motion
@@ -26,7 +26,6 @@ from .smrcl.profile import Profile, find_profile
 from .smrcl.robot_conf import RobotConf
 from .smrcl.robot_link import open_link
 from .smrcl.sensors import LineKind
-from .smrcl.vehicle import Vehicle
 from .world import Pose
 
 if TYPE_CHECKING:
@@ -42,24 +41,23 @@ _SETTLING = 500
 _CLOSE_TIMEOUT = 5.0
 
 
-class _Command:
+class _Command(NamedTuple):
     """A motion that was requested.
 
-    Args:
+    Attributes:
         begin: is called in the thread that drives, before the motion begins.
     """
 
-    def __init__(self, motion: ControlledMotion, life: Lifecycle, begin: Callable[[Vehicle], object]) -> None:
-        self.motion = motion
-        self.life = life
-        self.begin = begin
+    motion: ControlledMotion
+    life: Lifecycle
+    begin: Callable[[], object]
 
 
 class _Motions:
     """The program of a `Drive`: the motion that was requested last."""
 
-    def __init__(self, vehicle: Vehicle) -> None:
-        self._vehicle = vehicle
+    def __init__(self, control: MotionControl) -> None:
+        self._control = control
         self._lock = threading.Lock()
         self._next: _Command | None = None
         self._current: _Command | None = None
@@ -98,8 +96,8 @@ class _Motions:
                 before.life.cancel("preempted by another motion")
             if not new.life.is_over:
                 self._current = new
-                new.begin(self._vehicle)
-                self._vehicle.control.start(new.motion)
+                new.begin()
+                self._control.start(new.motion)
                 new.life.begin()
             return False
         current = self._current
@@ -107,16 +105,15 @@ class _Motions:
             if current.life.is_over:  # cancelled
                 self._current = None
                 self._give_up()
-                self._vehicle.control.start(Stop())
-            elif current.motion.is_done(self._vehicle.control):
+                self._control.start(Stop())
+            elif current.motion.is_done(self._control):
                 self._current = None
                 current.life.finish()
         return False
 
     def _give_up(self) -> None:
         """Have the next motion begin here, rather than where the present one was to end."""
-        control = self._vehicle.control
-        control.target = control.pose.copy()
+        self._control.target = self._control.pose.copy()
 
     def end(self, error: Exception) -> None:
         """End the motion under way, and refuse those that are requested later."""
@@ -177,7 +174,7 @@ class Drive:
         self._link, self._owns = link, owns
         self._controller = controller
         self._vehicle = controller.vehicle
-        self._motions = _Motions(self._vehicle)
+        self._motions = _Motions(self._vehicle.control)
         controller.execute(self._motions)
         self._execution = MissionExecution(link, controller, Callbacks())
         self._callbacks = CallbackThread(f"drive {link.name} callbacks")
@@ -220,10 +217,11 @@ class Drive:
     def along(self, x: float, y: float, direction: float, *, speed: float | None = None) -> Motion:
         """Along the line through (x, y) in `direction`, until another motion begins or it is cancelled."""
         place = _number("x", x), _number("y", y), math.radians(_number("direction", direction))
+        control = self._vehicle.control
 
-        def begin(vehicle: Vehicle) -> None:
-            vehicle.control.distance = 0.0
-            vehicle.control.reference.set(*place)
+        def begin() -> None:
+            control.distance = 0.0
+            control.reference.set(*place)
 
         return self._begin("along", FollowDirection(), speed, begin)
 
@@ -237,8 +235,8 @@ class Drive:
         except ValueError:
             raise BadValue(f"kind is {kind!r}; expected one of {', '.join(each.value for each in LineKind)}") from None
 
-        def begin(vehicle: Vehicle) -> None:
-            vehicle.line_kind = wanted
+        def begin() -> None:
+            self._vehicle.line_kind = wanted
 
         return self._begin("follow_line", FollowLine(), speed, begin)
 
@@ -257,24 +255,20 @@ class Drive:
         return self._begin("stop", Stop(), None)
 
     def _begin(
-        self,
-        name: str,
-        motion: ControlledMotion,
-        speed: float | None,
-        begin: Callable[[Vehicle], object] = lambda vehicle: None,
+        self, name: str, motion: ControlledMotion, speed: float | None, begin: Callable[[], object] = lambda: None
     ) -> Motion:
         if self._closing.is_set() or self._error is not None:
             raise Closed(f"{self._link.name} is not driven any more") from self._error
         wanted = self._speed if speed is None else _number("speed", speed)
         control = self._vehicle.control
 
-        def prepare(vehicle: Vehicle) -> None:
+        def prepare() -> None:
             control.speed, control.acceleration = wanted, self._acceleration
-            begin(vehicle)
+            begin()
 
         life = Lifecycle(name, self._callbacks)
         life.brake = self._wake.set
-        handle = Motion(life, lambda: _progress(motion, control))
+        handle = Motion(life, lambda: motion.progress(control) if control.motion is motion else 0.0)
         self._motions.put(_Command(motion, life, prepare))
         self._wake.set()
         return handle
@@ -379,10 +373,6 @@ class Drive:
         if not self._motions.is_idle:
             state = "moving"
         return f"<Drive {self._link.name} {state} at x {x:.3f} m, y {y:.3f} m, heading {math.degrees(theta):.1f} deg>"
-
-
-def _progress(motion: ControlledMotion, control: MotionControl) -> float:
-    return motion.progress(control) if control.motion is motion else 0.0
 
 
 def _number(name: str, value: float) -> float:

@@ -68,6 +68,7 @@ def load(
     Raises:
         BadRecording: no such file, or it holds no robot that runs RHD, or another kind of robot after a reconnect.
     """
+    variables = variables or Declarations  # which declares none
     recording = RecordingFile(path, progress)
     rows: list[bytes] = []
     wall: list[float] = []
@@ -99,9 +100,8 @@ def load(
         of_write = len(database.write.values)
         _add_words(database.write, words[:, :of_write], known, arrays)
         _add_words(database.read, words[:, of_write:], known, arrays)
-        for attribute, declaration in ({} if variables is None else variables.declared()).items():
+        for attribute, declaration in variables.declared().items():
             if declaration.name in arrays:
-                assert variables is not None, "the declarations are its own"
                 array = _typed(declaration, arrays.pop(declaration.name), declaration.order or variables._word_order)
                 known.pop(declaration.name)
                 width = array.shape[1] if array.ndim == 2 else None

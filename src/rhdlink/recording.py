@@ -7,15 +7,15 @@ import logging
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
 
 from linkcore.clock import Stamp
 from linkcore.errors import BadRecording, Closed
 from linkcore.recording.file import Kind, Progress, Record, RecordingFile, RecordingWriter
+from linkcore.streaming.connection_life import Chunk, ConnectionEvent, ConnectionState
 
 from .connection import Transport
-from .variables.database import Database
-from .variables.snapshot import Change, Update
+from .variables.database import Database, VariableTable, database_of
+from .variables.snapshot import Update, changes_in
 from .wire.decoder import ServerDecoder
 
 _log = logging.getLogger(__name__)
@@ -54,20 +54,20 @@ class RecordedTransport:
             self._writer = RecordingWriter(self._path)
             self._channel = self._writer.add_channel({"name": CHANNEL, "interface": "rhd", "address": self.name})
         else:
-            self._note("lost")
-        self._note("connected")
+            self._note(ConnectionState.LOST)
+        self._note(ConnectionState.CONNECTED)
 
     def receive(self, timeout: float | None = None) -> tuple[bytes, Stamp]:
         """Wait for bytes."""
-        data, stamp = self._transport.receive(timeout)
-        self._write(Kind.BYTES, stamp, data)
-        return data, stamp
+        arrived = self._transport.receive(timeout)
+        self._add(Chunk(*arrived))
+        return arrived
 
     def receive_waiting(self) -> tuple[bytes, Stamp] | None:
         """Bytes that have come already."""
         arrived = self._transport.receive_waiting()
         if arrived is not None:
-            self._write(Kind.BYTES, arrived[1], arrived[0])
+            self._add(Chunk(*arrived))
         return arrived
 
     def send(self, data: bytes, timeout: float) -> None:
@@ -89,19 +89,19 @@ class RecordedTransport:
             BadRecording: the disk failed; the file holds what came before.
         """
         if self._writer is not None:
-            self._writer.close(complete=self._failure is None)
+            self._writer.close()
         failure, self._failure = self._failure, None
         if failure is not None:
             raise failure
 
-    def _note(self, state: str) -> None:
-        self._write(Kind.EVENT, Stamp.now(), json.dumps({"state": state, "error": None}).encode())
+    def _note(self, state: ConnectionState) -> None:
+        self._add(ConnectionEvent(state, self.name, None, Stamp.now()))
 
-    def _write(self, kind: Kind, stamp: Stamp, payload: bytes) -> None:
+    def _add(self, item: Chunk | ConnectionEvent) -> None:
         if self._writer is None or self._failure is not None:
             return
         try:
-            self._writer.write(kind, self._channel, stamp, payload)
+            self._writer.add(self._channel, item)
         except Closed:
             pass  # while the last sync was under way
         except BadRecording as error:
@@ -129,14 +129,7 @@ class Moment:
 
     def update(self, names: frozenset[str] | None = None) -> Update:
         """The variables whose time stamp or value has changed; of these, or of all."""
-        changes: dict[str, Change] = {}
-        # Of a read and a write variable with the same name the read variable stands.
-        for table in (self.database.write, self.database.read):
-            for identity in table.fresh.nonzero()[0].tolist():
-                name = table.rows[identity].name
-                if names is None or name in names:
-                    changes[name] = Change(table.words(identity), table.stamp(identity), bool(table.changed[identity]))
-        return Update(changes, self.received)
+        return Update(changes_in(self.database, names, VariableTable.words), self.received)
 
 
 def received(recording: RecordingFile, progress: Progress | None = None) -> Iterator[tuple[int, Record]]:
@@ -177,9 +170,7 @@ def play(recording: RecordingFile, progress: Progress | None = None) -> Iterator
             handshake = decoder.take_handshake()
             if handshake is None:
                 continue
-            database = Database(handshake.read, handshake.write)
-            for data in handshake.data:
-                database.table(data.direction).receive(data)
+            database = database_of(handshake)
             yield Moment(record.stamp, database, handshake.width, connection, True)
         assert decoder.handshake is not None
         while (batch := decoder.take_batch()) is not None:
@@ -215,10 +206,6 @@ class Summary:
     connections: int = 0
     width: int = 0
     variables: dict[str, int] = field(default_factory=dict)
-
-    def as_json(self) -> dict[str, Any]:
-        """Ready for JSON."""
-        return {**vars(self)}
 
 
 def summarise(recording: RecordingFile, progress: Progress | None = None) -> Summary:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any, Literal
 
 import numpy as np
@@ -15,11 +15,10 @@ from linkcore.text import similar
 
 from .errors import NotThere
 from .variables.database import Database, VariableTable
-from .variables.declarations import Declaration
-from .variables.snapshot import Change, Variable
-from .variables.value_types import Order
+from .variables.declarations import Declarations
+from .variables.snapshot import Change, Variable, changes_in
 from .wire.data import Ids
-from .wire.messages import Batch, Handshake
+from .wire.messages import Batch
 
 _log = logging.getLogger(__name__)
 
@@ -37,6 +36,7 @@ class Replica:
     Args:
         robot: its address, for messages.
         unsent: "discard" forgets what was set and not sent when the connection is lost; "send" keeps it.
+        variables: the class whose declarations say what values mean.
 
     Attributes:
         database: the tables of the newest connection; empty before the first.
@@ -45,12 +45,14 @@ class Replica:
         period: seconds between ticks of the robot, once two batches of a connection have shown it.
     """
 
-    def __init__(self, robot: str, unsent: Unsent) -> None:
+    def __init__(self, robot: str, unsent: Unsent, variables: type[Declarations]) -> None:
         self.lock = threading.RLock()
         self.discarded = 0
         self.period: float | None = None
         self._robot = robot
         self._unsent = unsent
+        self._declared = {(each.direction, each.name): each for each in variables.declared().values()}
+        self._order = variables._word_order
         self._is_new_round = False
         self._has_warned = False
         self._unanswered: Ids = _NONE  # variables in a request that has not been answered
@@ -108,18 +110,17 @@ class Replica:
 
     # -- all of them ---------------------------------------------------------------------------
 
-    def snapshot(self, declared: Mapping[str, Declaration[Any, Any]], order: Order) -> Iterator[Variable]:
+    def snapshot(self) -> Iterator[Variable]:
         """Every variable at this moment, read variables first; the caller holds the lock."""
-        by_name = _by_name(declared)
         for table in (self.database.read, self.database.write):
             for identity, row in enumerate(table):
-                declaration = by_name.get((table.direction, row.name))
+                declaration = self._declared.get((table.direction, row.name))
                 yield Variable(
                     name=row.name,
                     direction=table.direction,
                     identity=identity,
                     length=row.length,
-                    value=self._typed(table, identity, declaration, order),
+                    value=self._value(table, identity),
                     stamp=table.stamp(identity),
                     updated=bool(table.updated[identity]),
                     changed=bool(table.changed[identity]),
@@ -128,28 +129,18 @@ class Replica:
                     doc="" if declaration is None else declaration.doc,
                 )
 
-    def changes(
-        self, names: frozenset[str] | None, declared: Mapping[str, Declaration[Any, Any]], order: Order
-    ) -> dict[str, Change]:
+    def changes(self, names: frozenset[str] | None) -> dict[str, Change]:
         """The variables whose time stamp or value has changed in the newest batch; of these, or of all for None."""
-        by_name = _by_name(declared)
-        changes: dict[str, Change] = {}
         with self.lock:
-            # Of a read and a write variable with the same name the read variable stands.
-            for table in (self.database.write, self.database.read):
-                for identity in table.fresh.nonzero()[0].tolist():
-                    name = table.rows[identity].name
-                    if names is None or name in names:
-                        value = self._typed(table, identity, by_name.get((table.direction, name)), order)
-                        changes[name] = Change(value, table.stamp(identity), bool(table.changed[identity]))
-        return changes
+            return changes_in(self.database, names, self._value)
 
-    def _typed(
-        self, table: VariableTable, identity: int, declaration: Declaration[Any, Any] | None, order: Order
-    ) -> Any:
-        if declaration is None or declaration.length != table.rows[identity].length:
+    def _value(self, table: VariableTable, identity: int) -> Any:
+        """The value of a variable: as it is declared, where it is and is as long."""
+        row = table.rows[identity]
+        declaration = self._declared.get((table.direction, row.name))
+        if declaration is None or declaration.length != row.length:
             return table.words(identity)
-        return declaration.unpack(table.value(identity), declaration.order or order)
+        return declaration.unpack(table.value(identity), declaration.order or self._order)
 
     # -- a connection --------------------------------------------------------------------------
 
@@ -158,6 +149,8 @@ class Replica:
 
         The caller holds the lock.
         """
+        for table in (database.read, database.write):
+            table.begin_round()  # nothing in a handshake counts as new
         before, self.database = self.database, database
         self.period = None
         self._first_tick = self._tick()
@@ -242,17 +235,3 @@ class Replica:
         before, after = self._first_tick, self._tick()
         if before is not None and after is not None and after[0] > before[0] and after[1] > before[1]:
             self.period = (after[1] - before[1]) / (after[0] - before[0])
-
-
-def database_of(handshake: Handshake) -> Database:
-    """The tables and the values of a handshake; nothing in them counts as new."""
-    database = Database(handshake.read, handshake.write)
-    for data in handshake.data:
-        database.table(data.direction).receive(data, updates=False)
-    for table in (database.read, database.write):
-        table.begin_round()
-    return database
-
-
-def _by_name(declared: Mapping[str, Declaration[Any, Any]]) -> dict[tuple[str, str], Declaration[Any, Any]]:
-    return {(each.direction, each.name): each for each in declared.values()}

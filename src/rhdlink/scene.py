@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from linkcore.errors import BadValue
 
-from .host.config import LARGEST, Element, parse_xml
+from .host.config import Element, parse_xml, read_file
 
 Point = tuple[float, float]
 
@@ -111,12 +111,7 @@ class Scene:
         Raises:
             BadValue: it cannot be read, is not a drawing, or has too many pieces.
         """
-        try:
-            with open(path, "rb") as file:
-                data = file.read(LARGEST + 1)
-        except OSError as error:
-            raise BadValue(f"cannot read {os.fspath(path)}: {error.strerror or error}") from error
-        return _Drawing(parse_xml(data, Path(path).name), size).scene()
+        return _drawn(parse_xml(read_file(path), Path(path).name), size)
 
 
 def _check(points: Sequence[Point]) -> None:
@@ -170,46 +165,30 @@ class _Segments:
         return nearest
 
 
-class _Drawing:
-    """Reads an SVG drawing."""
-
-    def __init__(self, root: Element, size: float) -> None:
-        if root.tag.rpartition(":")[2] != "svg":
-            root.reject("a drawing begins with <svg>")
-        box = [float(each) for each in _NUMBER.findall(root.attributes.get("viewBox", ""))]
-        if len(box) != 4:
-            box = [0.0, 0.0, root.number("width", size), root.number("height", size)]
-        self._left, self._top, width, self._height = box
-        if not width > 0.0:
-            root.reject("its view box has no width")
-        self._scale = size / width
-        self._root = root
-
-    def scene(self) -> Scene:
-        tapes, walls = [], []
-        for element in _all(self._root):
-            is_wall = "wall" in element.attributes.get("class", "")
-            for points in _shape(element):
-                if len(points) < 2:
-                    continue
-                placed = tuple(map(self._placed, points))
-                if is_wall:
-                    walls.append(placed)
-                else:
-                    tapes.append(Tape(placed, self._width(element), _brightness(element)))
-        return Scene(tapes, walls)
-
-    def _width(self, element: Element) -> float:
-        text = _style(element, "stroke-width")
-        found = _NUMBER.match(text)
-        if text and found is None:
-            element.reject(f"its stroke-width {text!r} is no number")
-        width = float(found.group()) * self._scale if found else _WIDTH
-        return width if width > 0.0 else _WIDTH
-
-    def _placed(self, point: Point) -> Point:
-        # In a drawing y points down.
-        return (point[0] - self._left) * self._scale, (self._top + self._height - point[1]) * self._scale
+def _drawn(root: Element, size: float) -> Scene:
+    """The scene of an SVG drawing."""
+    if root.tag.rpartition(":")[2] != "svg":
+        root.reject("a drawing begins with <svg>")
+    box = [float(each) for each in _NUMBER.findall(root.attributes.get("viewBox", ""))]
+    if len(box) != 4:
+        box = [0.0, 0.0, root.number("width", size), root.number("height", size)]
+    left, top, width, height = box
+    if not width > 0.0:
+        root.reject("its view box has no width")
+    scale = size / width
+    tapes, walls = [], []
+    for element in _all(root):
+        is_wall = "wall" in element.attributes.get("class", "")
+        for points in _shape(element):
+            if len(points) < 2:
+                continue
+            # In a drawing y points down.
+            placed = tuple(((x - left) * scale, (top + height - y) * scale) for x, y in points)
+            if is_wall:
+                walls.append(placed)
+            else:
+                tapes.append(Tape(placed, _width(element, scale), _brightness(element)))
+    return Scene(tapes, walls)
 
 
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
@@ -230,6 +209,15 @@ def _style(element: Element, name: str) -> str:
         if key.strip() == name:
             return value.strip()
     return element.attributes.get(name, "").strip()
+
+
+def _width(element: Element, scale: float) -> float:
+    text = _style(element, "stroke-width")
+    found = _NUMBER.match(text)
+    if text and found is None:
+        element.reject(f"its stroke-width {text!r} is no number")
+    width = float(found.group()) * scale if found else _WIDTH
+    return width if width > 0.0 else _WIDTH
 
 
 def _brightness(element: Element) -> float:

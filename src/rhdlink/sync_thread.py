@@ -167,7 +167,14 @@ class Subscribers:
             Closed: after `close`.
             BadValue: arguments that cannot be.
         """
-        _check(callback, policy, deadline, on_deadline)
+        check_callable(callback, "callback")
+        check_policy(policy)
+        if deadline is not None:
+            check_seconds(deadline, "deadline", positive=True)
+        if on_deadline is not None:
+            check_callable(on_deadline, "on_deadline")
+            if deadline is None:
+                raise BadValue("on_deadline was given without a deadline")
         queue = PacketQueue(policy, check_lifespan(lifespan))
 
         def detach(delivery: Delivery) -> None:
@@ -182,34 +189,29 @@ class Subscribers:
             self._subscribers = (*self._subscribers, _Subscriber(event_type, queue, names, delivery, threading.Lock()))
         return Subscription(delivery, detach, owner)
 
-    def has(self, event_type: type) -> bool:
-        """Whether anybody has subscribed to events of this type."""
-        return any(each.event_type is event_type for each in self._subscribers)
-
-    def wanted(self) -> frozenset[str] | None:
-        """The variables that anybody wants updates of; None for all."""
-        names: set[str] = set()
-        for each in self._subscribers:
-            if each.event_type is Update:
-                if each.names is None:
-                    return None
-                names |= each.names
-        return frozenset(names)
-
     def tell(self, event: object) -> None:
         """Hand out an event to those who subscribed to its type."""
         for each in self._subscribers:
             if each.event_type is type(event):
                 each.offer(event)
 
-    def update(self, changes: Mapping[str, Change], received: Stamp) -> None:
-        """Hand out what changed, to each the variables that it wants; nothing to those who want none of them."""
-        for each in self._subscribers:
-            if each.event_type is Update:
-                names = each.names
-                own = changes if names is None else {name: changes[name] for name in changes if name in names}
-                if own:
-                    each.offer(Update(own, received))
+    def update(self, changes_of: Callable[[frozenset[str] | None], Mapping[str, Change]], received: Stamp) -> None:
+        """Hand out what changed, to each the variables that it wants; nothing to those who want none of them.
+
+        Args:
+            changes_of: what changed of the variables that anybody wants, of all for None; called if anybody wants any.
+            received: when it came.
+        """
+        wanting = [each for each in self._subscribers if each.event_type is Update]
+        if not wanting:
+            return
+        is_for_all = any(each.names is None for each in wanting)
+        changes = changes_of(None if is_for_all else frozenset().union(*(each.names or () for each in wanting)))
+        for each in wanting:
+            names = each.names
+            own = changes if names is None else {name: changes[name] for name in changes if name in names}
+            if own:
+                each.offer(Update(own, received))
 
     def close(self, until: float) -> None:
         """Deliver what waits, until then by `time.monotonic`, and nothing more."""
@@ -218,14 +220,3 @@ class Subscribers:
             subscribers = self._subscribers
         for each in subscribers:
             each.delivery.finish(max(until - time.monotonic(), 0.0))
-
-
-def _check(callback: object, policy: Policy, deadline: float | None, on_deadline: object) -> None:
-    check_callable(callback, "callback")
-    check_policy(policy)
-    if deadline is not None:
-        check_seconds(deadline, "deadline", positive=True)
-    if on_deadline is not None:
-        check_callable(on_deadline, "on_deadline")
-        if deadline is None:
-            raise BadValue("on_deadline was given without a deadline")

@@ -194,7 +194,8 @@ def svg(world: World, title: str = "") -> str:
         place(x + nose * math.cos(theta + turn) * size, y + nose * math.sin(theta + turn) * size)
         for turn, size in ((0.0, 1.0), (arm, 0.7), (-arm, 0.7))
     )
-    caption = f"<title>{_escaped(title)}</title>" if title else ""
+    escaped = title.replace("&", "&amp;").replace("<", "&lt;")
+    caption = f"<title>{escaped}</title>" if title else ""
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {whole:g} {whole:g}" width="{whole:g}" '
         f'height="{whole:g}">{caption}\n'
@@ -264,7 +265,3 @@ def _save_png(world: World, path: Path, title: str) -> None:
     x, y, theta = world.pose
     axes.plot(x, y, marker=(3, 0, math.degrees(theta) - 90.0), markersize=14, color=_ROBOT)
     figure.savefig(path)
-
-
-def _escaped(text: str) -> str:
-    return text.replace("&", "&amp;").replace("<", "&lt;")

@@ -6,9 +6,12 @@ import select
 import socket
 import struct
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+
+import numpy as np
 
 from rhdlink.variables.database import Database, TimeStamp
+from rhdlink.wire.data import DataPackage, Words
 from rhdlink.wire.messages import SymbolRow
 
 #: Seconds after which a client that says nothing has failed the test.
@@ -157,3 +160,13 @@ def endless(side: Robot, access: str = "r") -> Script:
             assert tick  # it left
 
     return script
+
+
+def entries(package: DataPackage) -> Iterator[tuple[int, tuple[int, int], Words]]:
+    """Each entry of a data package: id, (seconds, microseconds), values."""
+    values, starts = package.values, package.selection.starts
+    sizes = np.diff(starts, append=len(values))
+    for identity, start, size, (seconds, micros) in zip(
+        package.ids.tolist(), starts.tolist(), sizes.tolist(), package.stamps.tolist(), strict=True
+    ):
+        yield identity, (seconds, micros), values[start : start + size]

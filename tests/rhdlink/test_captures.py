@@ -10,6 +10,7 @@ from rhdlink.variables.database import Database, TimeStamp
 from rhdlink.wire.data import TableLayout
 from rhdlink.wire.decoder import ClientDecoder, ServerDecoder
 from rhdlink.wire.messages import Batch, Handshake, Request, encode_access, encode_data, encode_ready
+from tests.fakes.rhd import entries
 from tests.rhdlink import recorded
 
 pytestmark = pytest.mark.captures("rhd")
@@ -110,7 +111,7 @@ def test_what_the_original_client_printed(name: str) -> None:
         database.read.begin_round()
         database.write.begin_round(updates=False)
         for data in request.data:
-            for identity, stamp, values in data.items():
+            for identity, stamp, values in entries(data):
                 database.write.set(identity, values, TimeStamp(*stamp))
         database.write.updated[database.write.dirty.take()] = False  # sent
         for data in batch.data:

@@ -46,7 +46,7 @@ from rhdlink.replica import Replica
 from rhdlink.variables.database import Database, TimeStamp
 from rhdlink.wire.decoder import ServerDecoder
 from rhdlink.wire.messages import SymbolRow
-from tests.fakes.rhd import Peer, Robot, ScriptedServer, endless, nothing_more_after_greeting, serving
+from tests.fakes.rhd import Peer, Robot, ScriptedServer, endless, entries, nothing_more_after_greeting, serving
 from tests.rhdlink import recorded
 from tests.waiting import until
 
@@ -235,7 +235,7 @@ def test_a_late_first_sync_is_in_step(name: str) -> None:
     assert stream.take_handshake() is not None
     expected = []
     while (batch := stream.take_batch()) is not None:
-        expected += [int(value[0]) for identity, _, value in batch.data[-1].items() if identity == 0]
+        expected += [int(value[0]) for identity, _, value in entries(batch.data[-1]) if identity == 0]
     assert ticks == expected
 
 
@@ -565,7 +565,8 @@ def test_the_table_of_variables() -> None:
         assert "3 read and 2 write variables" in shown
         assert server.address in repr(robot)
     assert repr(Smr()) == "<Smr, not connected>"
-    assert "<tbody></tbody>" in Smr()._repr_html_()
+    assert "not connected" in Smr()._repr_html_()
+    assert "<td>" not in Smr()._repr_html_()
     with pytest.raises(LocalError, match="belongs to no robot yet"):
         _ = Smr()["tick"]
     Smr().close()

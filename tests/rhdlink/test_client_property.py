@@ -62,7 +62,8 @@ class Says:
 def connected(*chunks: bytes) -> Iterator[tuple[Variables, Says]]:
     with Variables() as robot:
         transport = Says(*chunks)
-        robot._connect("says", transport, {"access": "w", "fallback": None, "width": None, "limits": None}, 1.0)
+        options = {"access": "w", "fallback": None, "width": None, "limits": None}
+        robot._connect("says", transport, options, 1.0, "discard")
         yield robot, transport
 
 

@@ -12,6 +12,7 @@ from rhdlink.wire.data import DataPackage, TableLayout
 from rhdlink.wire.decoder import ClientDecoder, ServerDecoder
 from rhdlink.wire.dissection import Piece, dissect
 from rhdlink.wire.messages import SymbolRow
+from tests.fakes.rhd import entries
 
 READ, WRITE = (SymbolRow("tick", 1), SymbolRow("scan", 3)), (SymbolRow("speed", 1), SymbolRow("arm", 2))
 TABLES: dict[str, tuple[SymbolRow, ...]] = {"r": READ, "w": WRITE}
@@ -67,7 +68,7 @@ def test_a_variable_without_words_can_be_shown() -> None:
 
 
 def told(package: DataPackage) -> list[tuple[int, tuple[int, ...], list[int]]]:
-    return [(identity, stamp, values.tolist()) for identity, stamp, values in package.items()]
+    return [(identity, stamp, values.tolist()) for identity, stamp, values in entries(package)]
 
 
 def shown(piece: Piece) -> list[tuple[int, tuple[int, ...], list[int]]]:

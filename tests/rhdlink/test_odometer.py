@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linkcore.errors import BadValue
-from rhdlink.plugins.velocity import Odometer, wrapped
+from rhdlink.plugins.velocity import Odometer
+from rhdlink.variables.value_types import wrapped
 
 
 def test_the_first_pose_is_where_counting_begins() -> None:

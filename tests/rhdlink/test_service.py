@@ -16,6 +16,7 @@ from rhdlink.host.service import Client, Service
 from rhdlink.variables.database import Database
 from rhdlink.wire.decoder import ClientDecoder, ServerDecoder
 from rhdlink.wire.messages import Batch, Handshake, encode_data
+from tests.fakes.rhd import entries
 from tests.real_captures import folder
 
 pytestmark = pytest.mark.captures("rhd")
@@ -80,7 +81,7 @@ class Original:
         """The robot sets what has another stamp or value in this batch than before, and that only."""
         for data in batch.data:
             if data.direction == "r":
-                for identity, stamp, words in data.items():
+                for identity, stamp, words in entries(data):
                     table = self.database.read
                     if tuple(table.stamps[identity]) != stamp or (table.value(identity) != words).any():
                         table.set(identity, words, stamp)  # type: ignore[arg-type]

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from linkcore.errors import BadValue, LocalError
-from rhdlink.host import service as service_module
 from rhdlink.host.service import Client, Service
+from rhdlink.variables import database as database_module
 from rhdlink.variables.database import Database
 from rhdlink.wire.decoder import Limits, ServerDecoder
 from rhdlink.wire.messages import SymbolRow, encode_data
@@ -307,7 +307,7 @@ def test_what_several_are_told_is_encoded_once(monkeypatch: pytest.MonkeyPatch) 
         encoded.append(direction)
         return encode_data(direction, *rest)
 
-    monkeypatch.setattr(service_module, "encode_data", encode)
+    monkeypatch.setattr(database_module, "encode_data", encode)
     assert len(set(asked(served, *readers))) == 1
     assert encoded == ["w", "r"]
 

@@ -28,6 +28,7 @@ from rhdlink.wire.messages import (
     encode_table,
 )
 from rhdlink.wire.schema import schema
+from tests.fakes.rhd import entries
 
 names = st.text(st.characters(min_codepoint=1, max_codepoint=255), min_size=1, max_size=32)
 rows = st.lists(st.builds(SymbolRow, names, st.integers(1, 9)), max_size=6).map(tuple)
@@ -151,7 +152,7 @@ def test_packages_there_and_back_as_construct_has_them(sizes: list[int], width: 
         assert request is not None
         (package,) = request.data
         assert package.ids.tolist() == ids
-        assert [(identity, stamp, value.tolist()) for identity, stamp, value in package.items()] == [
+        assert [(identity, stamp, value.tolist()) for identity, stamp, value in entries(package)] == [
             (each.id, tuple(times[each.id].tolist()), list(each.data)) for each in oracle["items"]
         ]
 

@@ -24,8 +24,7 @@ _COMMANDS = {
     "completion": "linkcore.cli.program",
 }
 
-_DESCRIPTION = """\
-Read, drive, host and simulate mobile robots that run the Robot Hardware Daemon (RHD)."""
+_DESCRIPTION = "Read, drive, host and simulate mobile robots that run the Robot Hardware Daemon (RHD)."
 
 _EPILOG = """\
 addresses:

@@ -14,7 +14,7 @@ from linkcore.cli.terminal import Interruption
 
 from ..address import PORT
 from ..host.config import read_config
-from ..host.host import Host
+from ..host.host import Host, Pacing
 from ..host.service import Resend
 from ..plugins.turtle import SmrTurtle, Turtle
 from ..wire.decoder import Limits
@@ -24,10 +24,10 @@ from .options import WORLD, port, tell, world
 
 
 def _service(args: argparse.Namespace, limits: Limits) -> dict[str, Any]:
-    """The options of the service; those that were not given come from `limits`."""
-    names = ("width", "resend", "client_timeout", "inactivity_timeout")
-    said = {name: value for name in names if (value := getattr(args, name)) is not None}
-    return {**said, "limits": replace(limits, **dict(args.limit))}
+    """The arguments of `Host` that were given, and the limits: those that were not given are those of `limits`."""
+    names = ("port", "address", "width", "resend", "client_timeout", "inactivity_timeout")
+    given = {name: value for name in names if (value := getattr(args, name, None)) is not None}
+    return {**given, "limits": replace(limits, **dict(args.limit))}
 
 
 _LIMITS = tuple(field.name for field in fields(Limits))
@@ -83,7 +83,7 @@ def _service_rows(default: str) -> tuple[Row, ...]:
     "run plugins and serve their variables",
     argument("config", metavar="CONFIG.xml", help="an rhdconfig.xml"),
     argument("--port", type=port, metavar="P", help="listen on port P, 0 for a free one (the file's)"),
-    argument("--listen", metavar="H", help="listen on the address H (the file's, or 127.0.0.1)"),
+    argument("--listen", dest="address", metavar="H", help="listen on the address H (the file's, or 127.0.0.1)"),
     *_service_rows("the file's, or "),
     DURATION,
 )
@@ -106,8 +106,7 @@ def _serve(args: argparse.Namespace) -> int:
     # Last, so that no file there shadows a module that is imported elsewhere.
     sys.path.append(folder)
     try:
-        place = {name: value for name, value in (("port", args.port), ("address", args.listen)) if value is not None}
-        host = Host.from_config(config, **place, **_service(args, config.limits))
+        host = Host.from_config(config, **_service(args, config.limits))
         names = ", ".join(plugin.name for plugin in host.plugins) or "no plugin"
         ended = _serve_until_told(host, f"{args.config}: {names}", args.duration)
     finally:
@@ -146,13 +145,8 @@ def _turtle(args: argparse.Namespace) -> int:
     robot = Turtle(world(args)) if args.drive == "velocity" else SmrTurtle(world(args))
     if args.picture is not None:
         save(robot.world, args.picture)  # raises at once if it cannot be written
-    host = Host(
-        [robot],
-        period=args.period,
-        port=args.port,
-        pacing="lockstep" if args.lockstep else "period",
-        **_service(args, Limits()),
-    )
+    pacing: Pacing = "lockstep" if args.lockstep else "period"
+    host = Host([robot], period=args.period, pacing=pacing, **_service(args, Limits()))
     ended = _serve_until_told(host, f"turtle, driven by {args.drive}", args.duration)
     pose = robot.world.pose
     tell(f"ended at x {pose.x:.3f} m, y {pose.y:.3f} m, heading {math.degrees(pose.theta):.1f} deg")

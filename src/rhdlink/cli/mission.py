@@ -14,6 +14,7 @@ from linkcore.cli.terminal import Interruption
 from linkcore.errors import LinkError
 from linkcore.text import printable
 
+from ..address import Address
 from ..client import connect
 from ..plugins.turtle import SmrTurtle, Turtle
 from ..smrcl.mission import Mission, MissionRun
@@ -159,7 +160,7 @@ def _listen(mission: Mission, args: argparse.Namespace) -> None:
         mission.on_said(_print_as_mrc)
         return
     mission.on("values", _print).on("text", _print)
-    mission.on("event", lambda text: tell(text)).on("message", lambda text: tell(text.strip()))
+    mission.on("event", tell).on("message", lambda text: tell(text.strip()))
     if args.trace:
         mission.on_said(_trace)
 
@@ -197,10 +198,7 @@ def _serve(args: argparse.Namespace) -> int:
         with Interruption() as interruption:
             with server:
                 tell("clients of MRC can connect; Ctrl-C ends it; connect to")
-                print(
-                    f"[{args.listen}]:{server.port}" if ":" in args.listen else f"{args.listen}:{server.port}",
-                    flush=True,
-                )
+                print(Address(args.listen, server.port), flush=True)
                 interruption.end_after(args.duration)
                 while not server.wait(0.0) and not interruption.wait(0.1):
                     pass

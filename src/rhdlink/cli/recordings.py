@@ -19,7 +19,7 @@ from ..loading import load
 from ..recording import Summary, play, summarise
 from ..variables.snapshot import Update
 from .options import ADDRESS, tell
-from .units import in_units, update_as_json, words_of, words_text
+from .view import in_units, update_as_json, with_meaning, words_of
 
 
 def _rate(text: str) -> float:
@@ -98,7 +98,7 @@ def _replay(args: argparse.Namespace) -> int:
         if args.names or args.count is not None:
             args.usage_error("what to print can be chosen only when the recording is played, with --rate")
         summary = _summary(args)
-        print(strict_json(summary.as_json()) if args.json else _summary_text(summary))
+        print(strict_json(vars(summary)) if args.json else _summary_text(summary))
         return 0
     recording = RecordingFile(args.file)
     with Interruption() as interruption:
@@ -135,8 +135,8 @@ def _line(update: Update) -> str:
     for name, change in update.changes.items():
         # An update does not have the direction; a name has the same meaning in both.
         words = words_of(change.value)
-        meaning = in_units("r", name, words) or in_units("w", name, words)
-        parts.append(f"{printable(name)} {words_text(words)}" + (f" = {meaning}" if meaning else ""))
+        direction = "r" if in_units("r", name, words) else "w"
+        parts.append(f"{printable(name)} {with_meaning(direction, name, words)}")
     return " | ".join(parts)
 
 

@@ -10,7 +10,6 @@ from collections.abc import Collection, Iterable
 
 from linkcore.cli.options import DURATION, argument, command, positive_int, seconds
 from linkcore.cli.terminal import Interruption, drawing
-from linkcore.clock import Stamp
 from linkcore.streaming.packet_queue import PacketQueue, drop_oldest
 from linkcore.text import printable, strict_json
 
@@ -19,8 +18,7 @@ from ..errors import NotThere
 from ..sync_thread import SyncThread
 from ..variables.snapshot import Update
 from .options import ADDRESS, tell
-from .units import TYPES, as_columns, as_json, in_units, typed, update_as_json, words_of, words_text
-from .view import RateCounter, View, ViewPanel
+from .view import TYPES, RateCounter, View, as_columns, as_json, typed, update_as_json, with_meaning, words_of
 
 
 def _check_names(names: Iterable[str], robot: Variables | Collection[str], where: str) -> None:
@@ -107,8 +105,7 @@ def _get(args: argparse.Namespace) -> int:
             if values is not None:
                 print(f"{printable(name)} {' '.join(map(repr, values))}")
                 continue
-            meaning = in_units(variable.direction, name, words)
-            print(f"{printable(name)} {words_text(words, None)}" + (f" = {meaning}" if meaning else ""))
+            print(f"{printable(name)} {with_meaning(variable.direction, name, words, None)}")
     return 0
 
 
@@ -137,9 +134,7 @@ def _set(args: argparse.Namespace) -> int:
         robot[args.name] = args.values if len(args.values) > 1 else args.values[0]
         robot.sync()  # the reply confirms the write
         (value,) = (each.value for each in robot.variables if (each.direction, each.name) == ("w", args.name))
-        words = words_of(value)
-        meaning = in_units("w", args.name, words)
-        tell(f"{args.name} is {words_text(words)}" + (f" = {meaning}" if meaning else ""))
+        tell(f"{args.name} is {with_meaning('w', args.name, words_of(value))}")
         if args.hold is not None:
             interruption.end_after(args.hold)
             while not interruption.is_over:
@@ -207,7 +202,7 @@ def _views(robot: Variables, args: argparse.Namespace, interruption: Interruptio
     robot.subscribe(counter.on_update, *args.names)
     robot.subscribe_connection(counter.on_connection)
     sync_thread = robot.background(args.period)
-    with drawing(args.plain, tell, _line, ViewPanel) as (draw, pause):
+    with drawing(args.plain, tell, View.as_line, lambda view: view) as (draw, pause):
         # The first view comes after the first syncs; before them there are only the values of the handshake.
         interruption.wait(min(0.2, pause))
         for shown in itertools.count(1):
@@ -220,19 +215,14 @@ def _views(robot: Variables, args: argparse.Namespace, interruption: Interruptio
 
 
 def _view(robot: Variables, counter: RateCounter, names: frozenset[str]) -> View:
-    now = Stamp.now().monotonic
-    rate, rates = counter.rates(now)
+    rate, rates = counter.rates(time.monotonic())
     return View(
         robot=robot.address,
         connection=robot.connection,
-        age=max(now - robot.received.monotonic, 0.0),
+        age=robot.received.age,
         rate=rate,
         rates=rates,
         variables=[each for each in robot.variables if not names or each.name in names],
         reconnects=robot.reconnects,
         trouble=counter.trouble,
     )
-
-
-def _line(view: View) -> str:
-    return view.as_line(time.strftime("%H:%M:%S"))

@@ -20,7 +20,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NoReturn, cast, get_args
@@ -121,7 +121,10 @@ class Element:
         Raises:
             BadConfiguration: always.
         """
-        raise BadConfiguration(f"{_place(self.source, self.line)}<{self.tag}>: {reason}")
+        raise self._mistake(reason)
+
+    def _mistake(self, reason: str) -> BadConfiguration:
+        return BadConfiguration(f"{_place(self.source, self.line)}<{self.tag}>: {reason}")
 
 
 def _between(least: float, most: float) -> str:
@@ -176,18 +179,14 @@ class PluginEntry:
             module = importlib.import_module(module_name)
         except Exception as error:
             # Any exception of an imported module is reported as the plugin's error, with its place in the file.
-            raise BadConfiguration(
-                f"{_place(self.config.source, self.config.line)}<{self.name}>: cannot import {module_name}: {error}"
-            ) from error
+            raise self.config._mistake(f"cannot import {module_name}: {error}") from error
         made: Callable[[], object] | None = getattr(module, class_name, None)
         if not isinstance(made, type):
             self.config.reject(f"{module_name} has no class {class_name}")
         try:
             return made()
         except Exception as error:
-            raise BadConfiguration(
-                f"{_place(self.config.source, self.config.line)}<{self.name}>: cannot make a {class_name}: {error}"
-            ) from error
+            raise self.config._mistake(f"cannot make a {class_name}: {error}") from error
 
 
 @dataclass(frozen=True)
@@ -243,12 +242,20 @@ def read_config(path: str | os.PathLike[str]) -> Configuration:
     """
     if not isinstance(path, (str, os.PathLike)):  # open() would take a number for a descriptor
         raise BadConfiguration(f"cannot read {path!r}: expected the path of an rhdconfig.xml")
+    return parse_config(read_file(path), Path(path).name)
+
+
+def read_file(path: str | os.PathLike[str]) -> bytes:
+    """The bytes of a file; of one that is too large, as many as show that.
+
+    Raises:
+        BadConfiguration: it cannot be read.
+    """
     try:
         with open(path, "rb") as file:
-            data = file.read(LARGEST + 1)
+            return file.read(LARGEST + 1)
     except (OSError, ValueError) as error:
         raise BadConfiguration(f"cannot read {os.fspath(path)}: {getattr(error, 'strerror', None) or error}") from error
-    return parse_config(data, Path(path).name)
 
 
 def parse_config(data: bytes | str, source: str = "rhdconfig.xml") -> Configuration:
@@ -334,9 +341,7 @@ def _entry(element: Element) -> PluginEntry:
         is_enabled=is_enabled,
         is_critical=element.attributes.get("critical") == "true",
         # Only the attribute: a plugin may have an element of that name of its own.
-        safety=Element(element.tag, element.attributes, line=element.line, source=element.source).integer(
-            "safety", 0, least=0, most=127
-        ),
+        safety=replace(element, children=()).integer("safety", 0, least=0, most=127),
         config=element,
     )
 

@@ -17,8 +17,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-import numpy as np
-
 from linkcore.arguments import check_choice, check_seconds, check_whole
 from linkcore.errors import BadValue, Closed, LocalError
 from linkcore.threads import Runnable
@@ -26,6 +24,7 @@ from linkcore.threads import Runnable
 from ..address import Address
 from ..variables.database import Database, TimeStamp
 from ..variables.declarations import bind, create_variables
+from ..variables.value_types import wrapped
 from ..wire.decoder import Limits
 from .config import Configuration, Element, read_config
 from .plugin import Plugin
@@ -302,8 +301,7 @@ class Host(Runnable):
         self.database.read.add("tick")
         if self._pacing == "lockstep":
             self.database.read.clock = self._simulated_time
-        by_rank = sorted(self._plugins, key=lambda plugin: -plugin.safety)
-        ranked = [plugin for plugin in by_rank if plugin.safety > 0]
+        ranked = sorted((plugin for plugin in self._plugins if plugin.safety > 0), key=lambda plugin: -plugin.safety)
         others = [plugin for plugin in self._plugins if plugin.safety <= 0]
         for plugin in [*others, *ranked]:
             self._init(plugin)
@@ -365,7 +363,7 @@ class Host(Runnable):
                 if self._stops():
                     break
                 self.tick += 1
-                self.database.read.set(0, _wrapped(self.tick))
+                self.database.read.set(0, wrapped(self.tick))  # wraps after 248 days at 10 ms
                 for client, reply in service.sync():
                     server.send(client, reply)
                 server.resume()
@@ -440,8 +438,3 @@ def _checked(plugins: Iterable[Plugin]) -> list[Plugin]:
     if len(set(map(id, checked))) != len(checked):
         raise BadValue("a plugin is given twice")
     return checked
-
-
-def _wrapped(tick: int) -> int:
-    """A tick as the 32-bit counter that clients receive, which wraps after 248 days at 10 ms."""
-    return int(np.int64(tick).astype(np.int32))

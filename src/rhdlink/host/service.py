@@ -19,7 +19,7 @@ from ..variables.database import Database, VariableTable
 from ..variables.dirty_set import DirtySet
 from ..wire.data import DataPackage, Ids
 from ..wire.decoder import ClientDecoder, Limits
-from ..wire.messages import END, Request, encode_data
+from ..wire.messages import END, Request
 from ..wire.schema import WORD
 
 _log = logging.getLogger(__name__)
@@ -136,7 +136,6 @@ class Service:
         self._limits = limits or Limits(batch=WORD * (256 + layout.words + layout.count * (1 + width)))
         ClientDecoder(layout, width=width, limits=self._limits)
         self._slots: list[Client | None] = [None] * clients
-        self._sole_writer: Client | None = None
         self._final_writes: list[DataPackage] = []
         self.refused_writes = 0
         self.refused_clients = 0
@@ -171,9 +170,12 @@ class Service:
     def is_asked(self) -> bool:
         """Whether the sole writer asks for the next tick; or any client, while there is none."""
         sole = self._sole_writer
-        if sole is not None:
-            return sole.is_asking
-        return any(client is not None and client.is_asking for client in self._slots)
+        return any(client.is_asking for client in self.clients) if sole is None else sole.is_asking
+
+    @property
+    def _sole_writer(self) -> Client | None:
+        writers = [client for client in self.clients if client.access == "w"]
+        return writers[0] if len(writers) == 1 else None
 
     # -- connections -----------------------------------------------------------------------------------
 
@@ -208,7 +210,6 @@ class Service:
         # The slot is free at once; in the original it is at the next tick (docs/rhd-differences.md).
         self._slots[client.slot] = None
         client.slot = None
-        self._find_sole_writer()
         while client.failure is None and client.access == "w" and client.request is not None:
             self._final_writes += client.request.data
             try:
@@ -229,15 +230,10 @@ class Service:
         # The lowest free one, as in the original: replies of a round go out in the order of slots.
         client.slot = self._slots.index(None)
         self._slots[client.slot] = client
-        self._find_sole_writer()
         database = self._database
         client.dirty_read, client.dirty_write = DirtySet(len(database.read)), DirtySet(len(database.write))
         self._take_request(client)
         return database.encode_handshake(client.access, self._width)
-
-    def _find_sole_writer(self) -> None:
-        writers = [client for client in self.clients if client.access == "w"]
-        self._sole_writer = writers[0] if len(writers) == 1 else None
 
     def _take_request(self, client: Client) -> None:
         request = client.request = client.decoder.take_request()
@@ -263,8 +259,8 @@ class Service:
             self._write(None, data, written)
         self._final_writes.clear()
         taken, ready = [], []
-        for client in self._slots:
-            if client is None or client.request is None or not client.is_reading or client.failure is not None:
+        for client in self.clients:
+            if client.request is None or not client.is_reading or client.failure is not None:
                 continue
             # One request of each client in a round: what it has sent ahead is taken in the next (Sync cycle).
             request, client.request = client.request, None
@@ -279,12 +275,13 @@ class Service:
             if request.ready is not None:
                 ready.append(client)
         self._spread_dirty()
+        sole = self._sole_writer
         for author, data in written:
-            for client in self._slots:
+            for client in self.clients:
                 # The sole writer knows what it wrote (docs/protocols/rhd.md, Sync cycle).
-                if client is not None and not (client is author and client is self._sole_writer):
+                if not (client is author and client is sole):
                     client.dirty_write.add_many(data.ids, ordered=data.selection.is_ordered)
-        replies = self._replies(ready)
+        replies = self._replies(ready, sole)
         for client in taken:
             # It may have sent ahead.
             if client.decoder.waiting:
@@ -309,18 +306,17 @@ class Service:
     def _spread_dirty(self) -> None:
         """Variables that the robot has set are to be sent to every client."""
         dirty = self._database.read.dirty.take()
-        for client in self._slots:
-            if client is not None:
-                client.dirty_read.add_many(dirty, ordered=True)
+        for client in self.clients:
+            client.dirty_read.add_many(dirty, ordered=True)
 
-    def _replies(self, ready: list[Client]) -> list[tuple[Client, bytes]]:
+    def _replies(self, ready: list[Client], sole: Client | None) -> list[tuple[Client, bytes]]:
         read, write = self._database.read, self._database.write
         packages = _Packages(self._width)
         ever_set = np.flatnonzero(read.updated) if self._resend == "original" else None
         replies = []
         for client in ready:
             # What others had written before it became the sole writer waits until it is not the only one.
-            own = b"" if client is self._sole_writer else packages.of(write, client.dirty_write.take())
+            own = b"" if client is sole else packages.of(write, client.dirty_write.take())
             news = client.dirty_read.take()
             ids = news if ever_set is None else ever_set
             replies.append((client, own + packages.of(read, ids) + END))
@@ -338,6 +334,6 @@ class _Packages:
         for known, known_ids, data in self._made:
             if known is table and np.array_equal(known_ids, ids):
                 return data
-        data = encode_data(table.direction, table.select(ids, self._width), table.values, table.stamps)
+        data = table.encode(ids, self._width)
         self._made.append((table, ids, data))
         return data

@@ -8,7 +8,7 @@ import logging
 import os
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, TextIO
+from typing import Any, NamedTuple, TextIO
 
 import numpy as np
 
@@ -52,19 +52,6 @@ class _Moment:
         self.stamps: list[Stamps] = [table.stamps.copy() for table in tables]
 
 
-class _Sheet(Protocol):
-    """A file that is being written."""
-
-    def begin(self, database: Database, declared: _Declared) -> None:
-        """Say what the entries hold; the variables are all there."""
-
-    def write(self, moment: _Moment) -> None:
-        """Add a tick."""
-
-    def close(self) -> None:
-        """Finish the file."""
-
-
 class Logger(Plugin):
     """Logs all variables at each tick to a new file.
 
@@ -89,6 +76,8 @@ class Logger(Plugin):
 
     is_critical = False
     safety = 127
+
+    _sheet: _CsvSheet | _RecordingSheet
 
     def __init__(self, path: str | os.PathLike[str] | None = None, *, every: int = 1) -> None:
         self._path = None if path is None else _checked(path)
@@ -122,7 +111,7 @@ class Logger(Plugin):
         self._every = config.integer("every", self._every, least=1)
         self._path = _free(self._path)
         # Now, so that a mistake shows at the start; the variables are known at the first tick only.
-        self._sheet: _Sheet = _CsvSheet(self._path) if self._path.suffix == ".csv" else _RecordingSheet(self._path)
+        self._sheet = _CsvSheet(self._path) if self._path.suffix == ".csv" else _RecordingSheet(self._path)
         _log.info("logging into %s", self._path)
 
     def periodic(self, tick: int) -> None:
@@ -173,6 +162,8 @@ def _free(path: Path) -> Path:
 
 
 class _CsvSheet:
+    """A table that is being written."""
+
     def __init__(self, path: Path) -> None:
         try:
             self._file: TextIO = open(path, "x", newline="", encoding="utf-8")  # noqa: SIM115
@@ -181,6 +172,7 @@ class _CsvSheet:
         self._writer = csv.writer(self._file)
 
     def begin(self, database: Database, declared: _Declared) -> None:
+        """Say what the entries hold; the variables are all there."""
         self._cells = [list(_cells(database, direction, declared)) for direction in "rw"]
         names = ["time"]
         for direction, cells in zip("rw", self._cells, strict=True):
@@ -190,6 +182,7 @@ class _CsvSheet:
         self._writer.writerow(names)
 
     def write(self, moment: _Moment) -> None:
+        """Add a tick."""
         row: list[object] = [f"{moment.stamp.wall:.6f}"]
         for cells, values in zip(self._cells, moment.values, strict=True):
             for each in cells:
@@ -197,6 +190,7 @@ class _CsvSheet:
         self._writer.writerow(row)
 
     def close(self) -> None:
+        """Finish the file."""
         self._file.close()
 
 
@@ -219,39 +213,29 @@ def _cells(database: Database, direction: str, declared: _Declared) -> Iterator[
             yield _Cells(names, words, np.ndarray.tolist)
         else:
             declaration, order = found
-            names = list(_names(name, declaration.unpack(table.value(identity), order)))
+            names = [column for column, _ in _columns(name, declaration.unpack(table.value(identity), order))]
             yield _Cells(names, words, _typed(declaration, order))
 
 
 def _typed(declaration: Declaration[Any, Any], order: Order) -> Callable[[Words], list[Any]]:
-    return lambda words: list(_values(declaration.unpack(words, order)))
+    return lambda words: [value for _, value in _columns("", declaration.unpack(words, order))]
 
 
-def _names(name: str, value: Any) -> Iterator[str]:
-    """The names of the columns of a value: ``a``, ``a[0]``, ``a.field``, ``a[0].field``."""
+def _columns(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """The columns of a value, ``a``, ``a[0]``, ``a.field``, ``a[0].field``, each with what stands in it."""
     if isinstance(value, np.void):
         for field in value.dtype.names or ():
-            yield from _names(f"{name}.{field}", value[field])
+            yield from _columns(f"{name}.{field}", value[field])
     elif isinstance(value, (np.ndarray, tuple)):
         for index, each in enumerate(value):
-            yield from _names(f"{name}[{index}]", each)
+            yield from _columns(f"{name}[{index}]", each)
     else:
-        yield name
-
-
-def _values(value: Any) -> Iterator[Any]:
-    """The values of those columns."""
-    if isinstance(value, np.void):
-        for field in value.dtype.names or ():
-            yield from _values(value[field])
-    elif isinstance(value, (np.ndarray, tuple)):
-        for each in value:
-            yield from _values(each)
-    else:
-        yield value.item() if isinstance(value, np.generic) else value
+        yield name, value.item() if isinstance(value, np.generic) else value
 
 
 class _RecordingSheet:
+    """A recording that is being written; for its methods see `_CsvSheet`."""
+
     def __init__(self, path: Path) -> None:
         self._writer = RecordingWriter(path)
 

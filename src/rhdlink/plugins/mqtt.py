@@ -168,22 +168,18 @@ class MqttStatistics(NamedTuple):
 
 
 class _Broker:
-    """A connection to a broker, and the newest payload of each topic."""
+    """A connection to a broker, which is made again by itself, and the newest payload of each topic.
+
+    Raises:
+        LocalError: paho-mqtt is not installed.
+        ConnectFailed: there is no broker.
+    """
 
     def __init__(self, address: str, port: int, topics: tuple[MqttTopic, ...]) -> None:
         self._topics = {topic.name: topic for topic in topics}
         self._place = address, port
         self._newest: dict[str, tuple[float, ...]] = {}
-        self._client: Client | None = None
         self.received = self.bad = self.sent = self.dropped = 0
-
-    def open(self) -> None:
-        """Connect; later the connection is made again by itself.
-
-        Raises:
-            LocalError: paho-mqtt is not installed.
-            ConnectFailed: there is no broker.
-        """
         try:
             from paho.mqtt.client import Client
             from paho.mqtt.enums import CallbackAPIVersion
@@ -193,13 +189,12 @@ class _Broker:
         client.connect_timeout = _CONNECT_TIMEOUT
         client.on_connect = self._on_connect
         client.on_message = self._on_message
-        address, port = self._place
         try:
             client.connect(address, port, keepalive=_KEEPALIVE)
         except (OSError, ValueError) as error:
             raise ConnectFailed(f"no MQTT broker at {address}:{port}: {error}") from error
         client.loop_start()
-        self._client = client
+        self._client: Client | None = client
 
     def _on_connect(self, client: Client, userdata: Any, flags: Any, reason: Any, properties: Any) -> None:
         if reason.is_failure:
@@ -294,7 +289,7 @@ class MqttRobot(VelocityBridge):
         self._began = 0.0
         self._told = self._seen = -math.inf
         self._twist = Twist(0.0, 0.0)
-        self._reads: list[tuple[MqttTopic, int]] = []
+        self._identities: dict[MqttTopic, int] = {}  # of the variables, by their topics
 
     @property
     def mqtt(self) -> MqttStatistics | None:
@@ -314,9 +309,8 @@ class MqttRobot(VelocityBridge):
         table = self.host.database.read
         for topic in self._topics.read:
             if topic.variable:
-                self._reads.append((topic, table.add(topic.variable, Float64.length(len(topic.values)))))
+                self._identities[topic] = table.add(topic.variable, Float64.length(len(topic.values)))
         self._broker = _Broker(broker, port, self._topics.read)
-        self._broker.open()
         self._began = time.time()
 
     def periodic(self, tick: int) -> None:
@@ -328,10 +322,9 @@ class MqttRobot(VelocityBridge):
             values = broker.take(topic)
             if values is None:
                 continue
-            for known, identity in self._reads:
-                if known is topic:
-                    words = Float64.pack_many(values, len(values), "little")
-                    self.host.database.read.set(identity, words)
+            if topic in self._identities:
+                words = Float64.pack_many(values, len(values), "little")
+                self.host.database.read.set(self._identities[topic], words)
             if topic is pose:
                 self._take_pose(dict(zip(topic.values, values, strict=True)), now)
         super().periodic(tick)
@@ -416,7 +409,6 @@ class MqttTurtle(Plugin):
         """
         broker, port, self._topics = _configured(config, *self._source)
         self._broker = _Broker(broker, port, (self._topics.command, self._topics.alive))
-        self._broker.open()
 
     def periodic(self, tick: int) -> None:
         """Drive for one period, and tell where that led."""

@@ -16,9 +16,8 @@ from linkcore.errors import BadValue
 from ..host.config import Element
 from ..host.plugin import Plugin
 from ..variables.declarations import Read, Write
-from ..variables.value_types import Int32
+from ..variables.value_types import Int32, wrapped
 from ..world import World
-from .velocity import wrapped
 
 #: The SMR's line sensors: m before the robot's middle, and m to the left of it, of each. How far apart they are follows
 #: from MRC, which takes 2 cm for each (linesensor.c); that they are 21 cm ahead from its test of `followline`.
@@ -153,7 +152,7 @@ class SmrTurtle(_InWorld):
             raise BadValue(f"encoders of {encoder_bits} bits; expected 16 or 32")
         self._width = width
         self._tick_length = tick_length
-        self._half = 1 << (encoder_bits - 1)
+        self._encoder_bits = encoder_bits
         self._left = self._right = 0.0
 
     def init(self, config: Element) -> None:
@@ -178,15 +177,12 @@ class SmrTurtle(_InWorld):
         else:
             self._left += left * seconds
             self._right += right * seconds
-        self.encl = self._counted(self._left)
-        self.encr = self._counted(self._right)
+        self.encl = wrapped(self._left / self._tick_length, self._encoder_bits)
+        self.encr = wrapped(self._right / self._tick_length, self._encoder_bits)
         if self.world.scene is not None:
             seen = self.world.brightness(_LINE_AHEAD, _LINE_ASIDE)
             self.linesensor = np.rint(_BLACK + (_WHITE - _BLACK) * seen).astype(np.int32)
         self.irsensor = [*(_raw(self.world.wall(direction)) for direction in _DIRECTIONS), 0]
-
-    def _counted(self, way: float) -> int:
-        return (round(way / self._tick_length) + self._half) % (2 * self._half) - self._half
 
 
 def _limited(speed: int) -> int:

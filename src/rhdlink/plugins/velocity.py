@@ -20,12 +20,7 @@ from linkcore.streaming.subscription import ThreadedDelivery
 from ..host.config import Element
 from ..host.plugin import Plugin
 from ..variables.declarations import Read, Write
-from ..variables.value_types import Int32
-
-
-def wrapped(count: float) -> int:
-    """The nearest 32-bit counter value: after 2147483647 comes -2147483648, as in the robots' counters."""
-    return (round(count) + (1 << 31)) % (1 << 32) - (1 << 31)
+from ..variables.value_types import Int32, wrapped
 
 
 class Odometer:
@@ -145,7 +140,7 @@ class VelocityBridge(Plugin):
         self._queue = PacketQueue(latest)
         self._delivery: ThreadedDelivery | None = None
         self._poses: deque[tuple[float, float, float]] = deque(maxlen=_MOST_POSES)
-        self._last: Twist | None = None
+        self._last = Twist(0.0, 0.0)  # the robot stands
 
     @property
     def stats(self) -> SubscriptionStatistics | None:
@@ -194,8 +189,7 @@ class VelocityBridge(Plugin):
         return Twist(0.0 if abs(linear) < self._dead_band else linear, self.cmdrotvel / self._scales[1])
 
     def _hand_over(self, twist: Twist) -> None:
-        # None at the beginning is not worth a call: the robot stands.
-        if twist == (self._last or Twist(0.0, 0.0)):
+        if twist == self._last:
             return
         self._last = twist
         if self._own_thread:

@@ -35,14 +35,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from linkcore.errors import BadValue, LocalError
 
-from ..wire.data import DataPackage, Ids, Selection, Stamps, TableLayout, Words
-from ..wire.messages import END, LONGEST_NAME, SymbolRow, encode_access, encode_data, encode_table
+from ..wire.data import DataPackage, Ids, Selection, Stamps, TableLayout, Words, remember
+from ..wire.messages import END, LONGEST_NAME, Handshake, SymbolRow, encode_access, encode_data, encode_table
 from ..wire.schema import WORD
 from .dirty_set import DirtySet
 
-#: Selections that a table remembers, one for each number of variables. Working one out takes ten times as long as using
-#: it, and a robot whose plugins set things at different rates has a few that come again and again.
-_REMEMBERED = 8
 #: A word, and a time stamp, as tables have them in memory.
 _WORD_FORM, _STAMP_FORM = struct.Struct("=i"), struct.Struct("=qq")
 
@@ -141,7 +138,7 @@ class VariableTable:
         self.changed: NDArray[np.bool_] = np.zeros(count, np.bool_)
         self.fresh: NDArray[np.bool_] = np.zeros(count, np.bool_)
         self._received: list[slice | Ids] = []
-        self._selections: dict[tuple[int, int], Selection] = {}
+        self._selections: dict[tuple[int, int], Selection] = {}  # by width and number of variables
         # What a plugin set before the next one added variables is still to be sent.
         kept = self.dirty.take()
         self.dirty = DirtySet(count)
@@ -263,10 +260,7 @@ class VariableTable:
             wanted = wanted.copy()  # whoever has it may change it
             wanted.flags.writeable = False
         selection = Selection(self.layout, wanted, width)
-        self._selections.pop(key, None)
-        if len(self._selections) >= _REMEMBERED:
-            del self._selections[next(iter(self._selections))]
-        self._selections[key] = selection
+        remember(self._selections, key, selection)
         return selection
 
     def set_many(self, selection: Selection, words: ArrayLike, stamp: TimeStamp | None = None) -> None:
@@ -365,3 +359,11 @@ class Database:
             self._tables = encode_table("w", self.write.rows) + encode_table("r", self.read.rows)
         data = [table.encode(np.arange(len(table)), width) for table in (self.write, self.read)]
         return b"".join((b"" if granted is None else encode_access(granted), self._tables, *data, END))
+
+
+def database_of(handshake: Handshake) -> Database:
+    """The tables and the values of a handshake; what was ever set is fresh."""
+    database = Database(handshake.read, handshake.write)
+    for data in handshake.data:
+        database.table(data.direction).receive(data, updates=False)
+    return database

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import html
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from linkcore.clock import Stamp
+from linkcore.text import html_table
 
-from .database import TimeStamp
+from .database import Database, TimeStamp, VariableTable
 
 
 @dataclass(frozen=True)
@@ -78,17 +78,35 @@ class Update:
         return name in self.changes
 
 
+def changes_in(
+    database: Database, names: frozenset[str] | None, value_of: Callable[[VariableTable, int], Any]
+) -> dict[str, Change]:
+    """The variables whose time stamp or value has changed in the newest batch.
+
+    Args:
+        database: has taken that batch.
+        names: of these variables; None for all.
+        value_of: the value of a variable, by its table and its id.
+    """
+    changes: dict[str, Change] = {}
+    # Of a read and a write variable with the same name the read variable stands.
+    for table in (database.write, database.read):
+        for identity in table.fresh.nonzero()[0].tolist():
+            name = table.rows[identity].name
+            if names is None or name in names:
+                value = value_of(table, identity)
+                changes[name] = Change(value, table.stamp(identity), bool(table.changed[identity]))
+    return changes
+
+
 def to_html(title: str, variables: Iterable[Variable]) -> str:
-    """The variables as a table, for notebooks. Names and text come from the robot, so they are escaped."""
-    columns = ("name", "", "value", "unit", "stamp", "", "")
-    head = "".join(f"<th>{column}</th>" for column in columns)
-    rows = "".join(_row(variable) for variable in variables)
-    return f"<table><caption>{html.escape(title)}</caption><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
+    """The variables as a table, for notebooks."""
+    return html_table(title, ("name", "", "value", "unit", "stamp", "", ""), map(_row, variables))
 
 
-def _row(variable: Variable) -> str:
+def _row(variable: Variable) -> tuple[str, ...]:
     value = str(variable.value)
-    cells = (
+    return (
         variable.name,
         "read" if variable.direction == "r" else "write",
         value if len(value) <= 80 else value[:79] + "…",
@@ -97,4 +115,3 @@ def _row(variable: Variable) -> str:
         "fresh" if variable.fresh else "",
         variable.doc,
     )
-    return "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in cells) + "</tr>"

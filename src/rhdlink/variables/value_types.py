@@ -36,6 +36,8 @@ A = TypeVar("A")
 S = TypeVar("S")
 
 _MARK: dict[str, Literal["<", ">"]] = {"little": "<", "big": ">"}
+#: struct's letters for numpy's names.
+_LETTERS = {"i4": "i", "u4": "I", "i8": "q", "f4": "f", "f8": "d"}
 _WORD_SIZE = 4
 #: One word, in the order of this machine.
 _read_word = struct.Struct("=i").unpack_from
@@ -43,6 +45,12 @@ _read_two_words = struct.Struct("=ii").unpack_from
 _ZERO = (0,)
 #: What one word can hold.
 _LEAST, _MOST = -(2**31), 2**31 - 1
+
+
+def wrapped(count: float, bits: int = 32) -> int:
+    """The nearest value of a counter of so many bits, as robots have them: after 2147483647 comes -2147483648."""
+    half = 1 << (bits - 1)
+    return (round(count) + half) % (2 * half) - half
 
 
 class ValueType(Generic[V, A, S]):
@@ -60,7 +68,9 @@ class ValueType(Generic[V, A, S]):
 
     def unpack(self, words: Words, order: Order) -> V:
         """The value in the words of a variable. Never fails."""
-        raise NotImplementedError
+        values: Any = self.unpack_many(words, 1, order)
+        value: V = values[0]
+        return value
 
     def unpack_many(self, words: Words, count: int, order: Order) -> A:
         """The values in the words of a variable, not changing with it. Never fails."""
@@ -68,7 +78,8 @@ class ValueType(Generic[V, A, S]):
 
     def pack(self, value: S, order: Order) -> Words:
         """The words of a value; raises `BadValue`."""
-        raise NotImplementedError
+        values: Any = [value]
+        return self.pack_many(values, 1, order)
 
     def pack_many(self, values: ArrayLike, count: int, order: Order) -> Words:
         """The words of so many values; raises `BadValue`."""
@@ -124,12 +135,10 @@ def _read_bool(memory: bytearray, offset: int) -> tuple[bool]:
 class _Number(ValueType[V, A, S]):
     """Numbers of one machine type."""
 
-    #: struct's letters for numpy's names
-    _LETTERS = {"i4": "i", "u4": "I", "i8": "q", "f4": "f", "f8": "d"}  # noqa: RUF012
-
     def __init__(self, name: str, type_name: str) -> None:
         self._name = name
-        self._structs = {order: struct.Struct(mark + self._LETTERS[type_name]) for order, mark in _MARK.items()}
+        self._letter = _LETTERS[type_name]
+        self._structs = {order: struct.Struct(mark + self._letter) for order, mark in _MARK.items()}
         self._types = {order: np.dtype(mark + type_name) for order, mark in _MARK.items()}
         self._native = np.dtype(type_name)
 
@@ -151,18 +160,16 @@ class _Number(ValueType[V, A, S]):
     def reader(self, count: int, order: Order) -> Reader:
         is_swapped = self._native.itemsize > _WORD_SIZE and order != sys.byteorder
         if count > 1:
-            return super().reader(count, order) if is_swapped else self._array_reader(count)
-        letter = self._LETTERS[self._native.str[1:]]
+            if is_swapped:
+                return super().reader(count, order)
+            native = self._native
+            return lambda memory, offset: (_frozen(np.frombuffer(memory, native, count, offset).copy()),)
         if not is_swapped:
-            return struct.Struct("=" + letter).unpack_from
+            return struct.Struct("=" + self._letter).unpack_from
         # Each word is in the order of this machine, so the words are put in that of the robot's before they are one.
         read_words, write_words = struct.Struct("=II").unpack_from, struct.Struct(_MARK[order] + "II").pack
         unpack = self._structs[order].unpack
         return lambda memory, offset: unpack(write_words(*read_words(memory, offset)))
-
-    def _array_reader(self, count: int) -> Reader:
-        native = self._native
-        return lambda memory, offset: (_frozen(np.frombuffer(memory, native, count, offset).copy()),)
 
     def pack(self, value: S, order: Order) -> Words:
         return _words(self._structs[order].pack(self._checked(value)), order)
@@ -272,9 +279,6 @@ class _Flag(ValueType[bool, NDArray[np.bool_], bool]):
     def unpack_many(self, words: Words, count: int, order: Order) -> NDArray[np.bool_]:
         return _frozen(words != 0)
 
-    def pack(self, value: bool, order: Order) -> Words:
-        return self.pack_many([value], 1, order)
-
     def pack_many(self, values: ArrayLike, count: int, order: Order) -> Words:
         array = _shaped(values, count, "Bool")
         if array.dtype.kind not in "b" and not (array.dtype.kind in "iu" and np.isin(array, (0, 1)).all()):
@@ -333,20 +337,15 @@ class Scaled(ValueType[float, NDArray[np.float64], SupportsFloat]):
     def unpack_many(self, words: Words, count: int, order: Order) -> NDArray[np.float64]:
         return _frozen(words * self.scale)
 
-    def pack(self, value: SupportsFloat, order: Order) -> Words:
-        return self._steps(_numbers([value], 1, repr(self)))
-
     def pack_many(self, values: ArrayLike, count: int, order: Order) -> Words:
-        return self._steps(_numbers(values, count, repr(self)))
-
-    def _steps(self, values: NDArray[np.float64]) -> Words:
+        numbers = _numbers(values, count, repr(self))
         with np.errstate(over="ignore"):  # what becomes infinite is refused below
-            steps = np.rint(values / self.scale)
-        fits = (steps >= -(2**31)) & (steps < 2**31)
+            steps = np.rint(numbers / self.scale)
+        fits = (steps >= _LEAST) & (steps <= _MOST)
         if not fits.all():
             raise BadValue(
-                f"{values[~fits][0]} does not fit; expected {self!r}, "
-                f"{-(2**31) * self.scale:g} to {(2**31 - 1) * self.scale:g}"
+                f"{numbers[~fits][0]} does not fit; expected {self!r}, "
+                f"{_LEAST * self.scale:g} to {_MOST * self.scale:g}"
             )
         return steps.astype(np.int32)
 
@@ -376,13 +375,8 @@ class _Millionths(ValueType[float, NDArray[np.float64], SupportsFloat]):
     def unpack_many(self, words: Words, count: int, order: Order) -> NDArray[np.float64]:
         return _frozen(words[0::2] + words[1::2] / 1e6)
 
-    def pack(self, value: SupportsFloat, order: Order) -> Words:
-        return self._parts(_numbers([value], 1, "Millionths"))
-
     def pack_many(self, values: ArrayLike, count: int, order: Order) -> Words:
-        return self._parts(_numbers(values, count, "Millionths"))
-
-    def _parts(self, numbers: NDArray[np.float64]) -> Words:
+        numbers = _numbers(values, count, "Millionths")
         whole = np.trunc(numbers)
         with np.errstate(invalid="ignore"):  # what is not finite is refused below
             part = np.rint((numbers - whole) * 1e6)
@@ -390,9 +384,9 @@ class _Millionths(ValueType[float, NDArray[np.float64], SupportsFloat]):
         carried = np.abs(part) == 1e6
         whole[carried] += np.sign(part[carried])
         part[carried] = 0
-        fits = (whole >= -(2**31)) & (whole < 2**31)
+        fits = (whole >= _LEAST) & (whole <= _MOST)
         if not fits.all():
-            raise BadValue(f"{numbers[~fits][0]} does not fit; expected Millionths, {-(2**31)} to {2**31 - 1}")
+            raise BadValue(f"{numbers[~fits][0]} does not fit; expected Millionths, {_LEAST} to {_MOST}")
         return np.stack((whole, part), axis=1).astype(np.int32).reshape(-1)
 
 
@@ -416,16 +410,10 @@ class Text(ValueType[str, tuple[str, ...], str]):
     def length(self, count: int) -> int:
         return -(-self.size * count // 4)
 
-    def unpack(self, words: Words, order: Order) -> str:
-        return self.unpack_many(words, 1, order)[0]
-
     def unpack_many(self, words: Words, count: int, order: Order) -> tuple[str, ...]:
         memory = _memory(words, order)
         pieces = (memory[at : at + self.size] for at in range(0, count * self.size, self.size))
         return tuple(piece.partition(b"\0")[0].decode("utf-8", "replace") for piece in pieces)
-
-    def pack(self, value: str, order: Order) -> Words:
-        return self.pack_many([value], 1, order)
 
     def pack_many(self, values: ArrayLike, count: int, order: Order) -> Words:
         if not isinstance(values, (list, tuple)) or len(values) != count:
@@ -466,15 +454,8 @@ class Structure(ValueType[np.void, NDArray[np.void], Any]):
     def length(self, count: int) -> int:
         return -(-self.dtype.itemsize * count // 4)
 
-    def unpack(self, words: Words, order: Order) -> np.void:
-        only: np.void = self.unpack_many(words, 1, order)[0]
-        return only
-
     def unpack_many(self, words: Words, count: int, order: Order) -> NDArray[np.void]:
         return np.frombuffer(_memory(words, order), self.dtype.newbyteorder(_MARK[order]), count)
-
-    def pack(self, value: Any, order: Order) -> Words:
-        return self.pack_many([value], 1, order)
 
     def pack_many(self, values: ArrayLike, count: int, order: Order) -> Words:
         wire = self.dtype.newbyteorder(_MARK[order])

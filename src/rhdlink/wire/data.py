@@ -8,7 +8,8 @@ milliseconds of a loop.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,11 @@ Stamps = NDArray[np.int64]
 #: A word on the wire.
 _WIRE = np.dtype(">i4")
 _LOW = 0xFFFFFFFF
+#: Selections that are remembered. Working one out takes ten times as long as using it, and a robot whose plugins set
+#: things at different rates has a few kinds of packages that come again and again.
+_REMEMBERED = 8
+
+K = TypeVar("K")
 
 
 class TableLayout:
@@ -159,6 +165,14 @@ class Selection:
         return words.astype(_WIRE).tobytes()
 
 
+def remember(known: dict[K, Selection], key: K, selection: Selection) -> None:
+    """Keep a selection as the newest one; of more than eight, the one that was kept first goes."""
+    known.pop(key, None)  # so that it becomes the newest: a dict keeps the order of insertion
+    if len(known) >= _REMEMBERED:
+        del known[next(iter(known))]
+    known[key] = selection
+
+
 class DataPackage:
     """One data package, checked: values for variables. Of a variable that is in it twice, the last value counts.
 
@@ -174,12 +188,6 @@ class DataPackage:
         self.direction = direction
         self.selection = selection
         self.words = words
-
-    @classmethod
-    def empty(cls, direction: str, layout: TableLayout, width: int) -> DataPackage:
-        """A package without entries."""
-        selection = Selection(layout, np.empty(0, np.int64), width)
-        return cls(direction, selection, np.empty(selection.size, np.int32))
 
     @classmethod
     def read(cls, direction: str, selection: Selection, buffer: bytes | bytearray, start: int) -> DataPackage:
@@ -203,15 +211,6 @@ class DataPackage:
     def stamps(self) -> Stamps:
         """Their time stamps, shape (n, 2): seconds and microseconds."""
         return self.selection.stamps(self.words)
-
-    def items(self) -> Iterator[tuple[int, tuple[int, int], Words]]:
-        """Each entry: id, (seconds, microseconds), values."""
-        values, selection = self.values, self.selection
-        sizes = np.diff(selection.starts, append=len(values))
-        for identity, start, size, (seconds, micros) in zip(
-            self.ids.tolist(), selection.starts.tolist(), sizes.tolist(), self.stamps.tolist(), strict=True
-        ):
-            yield identity, (seconds, micros), values[start : start + size]
 
 
 class Cursor:
@@ -248,15 +247,13 @@ class Cursor:
             self._compare(self._guess, buffer, start)
         ids, at, end = self._ids, start + self.at, len(buffer)
         sizes, head, count, read = self.layout.sizes, WORD * (1 + self.width), self.layout.count, INT.unpack_from
-        try:
-            while len(ids) < self.count and at + WORD <= end:
-                (identity,) = read(buffer, at)
-                if not 0 <= identity < count:
-                    return at
-                ids.append(identity)
-                at += head + WORD * sizes[identity]
-        finally:
-            self.at = at - start
+        while len(ids) < self.count and at + WORD <= end:
+            (identity,) = read(buffer, at)
+            if not 0 <= identity < count:
+                return at
+            ids.append(identity)
+            at += head + WORD * sizes[identity]
+        self.at = at - start
         return None
 
     def _compare(self, guess: Selection, buffer: bytes | bytearray, start: int) -> None:

@@ -13,13 +13,9 @@ from typing import NoReturn
 
 from linkcore.errors import BadValue, PacketError
 
-from .data import Cursor, DataPackage, Selection, TableLayout
+from .data import Cursor, DataPackage, Selection, TableLayout, remember
 from .messages import Batch, Handshake, Request, SymbolRow
 from .schema import ACCESS, DATA, END, HEAD_SIZE, INT, READY, TABLE, WIDTHS, WORD
-
-#: Selections that a decoder remembers, one for each direction and number of entries. A robot whose plugins set things
-#: at different rates has a few kinds of batches that come again and again.
-_REMEMBERED = 8
 
 _ACCESS, _TABLE, _DATA, _READY, _END = (ord(package.letter) for package in (ACCESS, TABLE, DATA, READY, END))
 _ROW = TABLE.item_struct
@@ -69,7 +65,7 @@ class _Decoder:
         self._start = 0  # of the batch in the buffer
         self._at = 0  # of the package in the buffer
         self._cursor: Cursor | None = None
-        self._known: dict[tuple[str, int], Selection] = {}
+        self._known: dict[tuple[str, int], Selection] = {}  # by direction and number of entries
         self._data: list[DataPackage] = []
         self._failure: PacketError | None = None
 
@@ -134,9 +130,6 @@ class _Decoder:
             count = self._take_count(f"data package 'd{direction}'", layout.count)
             if count is None:
                 return None
-            if count == 0:
-                self._at = start
-                return DataPackage.empty(direction, layout, width)
             # The common case: the same variables as in the last package with as many. One comparison of all ids, and
             # no look at the single entries.
             guess = self._known.get((direction, count))
@@ -155,16 +148,9 @@ class _Decoder:
             return None
         selection = cursor.selection()
         self._cursor = None
-        self._remember(direction, selection)
+        remember(self._known, (direction, cursor.count), selection)
         self._at = start + WORD * selection.size
         return DataPackage.read(direction, selection, buffer, start)
-
-    def _remember(self, direction: str, selection: Selection) -> None:
-        key = (direction, len(selection.ids))
-        self._known.pop(key, None)  # so that it becomes the newest: a dict keeps the order of insertion
-        if len(self._known) >= _REMEMBERED:
-            del self._known[next(iter(self._known))]
-        self._known[key] = selection
 
     def _end_batch(self, at: int) -> tuple[tuple[DataPackage, ...], int]:
         """The batch ends before `at`: its data packages and its size."""

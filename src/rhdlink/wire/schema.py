@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping, Sequence
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from linkcore.errors import BadValue
@@ -106,18 +105,14 @@ READY = Package("r", {"client": "rw"}, "as what it asks: r as reader, w as maste
 #: The end of a batch.
 END = Package("e", {"client": "", "server": ""}, "says nothing; e by convention")
 
-#: All packages by their letter.
-PACKAGES = {package.letter: package for package in (ACCESS, TABLE, DATA, READY, END)}
+#: All packages, by the names that `schema` takes, and by their letter.
+_NAMED = {"access": ACCESS, "table": TABLE, "data": DATA, "ready": READY, "end": END}
+PACKAGES = {package.letter: package for package in _NAMED.values()}
 
 #: A count, an id or a length.
 INT = struct.Struct(">i")
 #: Bytes of a package before its items: two letters and the count.
 HEAD_SIZE = 2 + INT.size
-
-#: The packages by the names that `schema` takes.
-_NAMED: Mapping[str, Package] = MappingProxyType(
-    {"access": ACCESS, "table": TABLE, "data": DATA, "ready": READY, "end": END}
-)
 
 
 def schema(

@@ -5,7 +5,7 @@ from tests.mutants.equivalent import Equivalent
 EQUIVALENT: tuple[Equivalent, ...] = (
     Equivalent(
         "rhdlink/host/config.py",
-        "read_config",
+        "read_file",
         "1",
         "2",
         "One byte beyond the largest file says that it is too large, and a second one no more than that.",

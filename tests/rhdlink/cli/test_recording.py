@@ -196,8 +196,9 @@ def test_a_lost_connection_is_in_the_recording(tmp_path: Path, own_port: int) ->
 def test_a_disk_that_fails_costs_the_recording_and_not_the_connection(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    def full(*_: object) -> None:
-        raise rhdlink.BadRecording("the disk is full")
+    def full(writer: RecordingWriter, *_: object) -> None:
+        writer.failure = "the disk is full"
+        raise rhdlink.BadRecording(writer.failure)
 
     with Host([Turtle()], port=0, pacing="lockstep") as host:
         robot = rhdlink.connect(f"127.0.0.1:{host.port}", record=tmp_path / "drive.urlog")
