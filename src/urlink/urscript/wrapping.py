@@ -329,14 +329,13 @@ def _items(lines: list[str]) -> list[_Item]:
     opened: list[tuple[str, int]] = []
     end = (0, "")
     for number, line in enumerate(lines):
-        words = [token for token in _tokens(line, number) if token]
         code = _TOKEN.sub(lambda found: "" if found[0].startswith("#") else found[0], line).strip()
         if code:
             end = (number, code)
         if not opened and code:
             first = re.match(r"\w+", code)
             items.append(_Item(first[0] if first else code[0], number, number))
-        for word in words:
+        for word in _tokens(line, number):
             if word != "end":
                 opened.append((word, number))
             elif not opened:

@@ -15,15 +15,12 @@ import re
 from collections.abc import Sequence
 
 from ..firmware import Firmware
-from .links import InputRegisters, ReverseSocket, message_loop, missable
-from .text import each, lines, number, pose, quoted, vector
+from .links import BRAKE, InputRegisters, ReverseSocket, message_loop, missable
+from .text import each, indented, lines, number, pose, quoted, vector
 
 #: The messages of a movement to a contact at its end; the first is followed by the joint positions.
 CONTACT = "urlink: contact "
 NO_CONTACT = "urlink: no contact"
-
-#: rad/s² with which an arm brakes whose mode ends.
-_DECELERATION = "stopj(4.0)"
 
 
 def force_mode(
@@ -65,7 +62,7 @@ def force_mode(
         missed = 0
         sync()
     """
-    end = f"end_force_mode()\n{_DECELERATION}"
+    end = f"end_force_mode()\n{BRAKE}"
     return _mode_loop(firmware, link, "\n".join(start), received, "sync()", end, watchdog=watchdog)
 
 
@@ -97,7 +94,7 @@ def freedrive(
         missed = 0
         sync()
     """
-    end = f"end_freedrive_mode()\n{_DECELERATION}"
+    end = f"end_freedrive_mode()\n{BRAKE}"
     return _mode_loop(firmware, link, "", received, "sync()", end, watchdog=watchdog)
 
 
@@ -120,7 +117,7 @@ def torque(
     """
     missed = call.format(f"[{each('torque[{i}] * share')}]")
     start = "torque = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]"
-    return _mode_loop(firmware, link, start, received, missed, _DECELERATION, watchdog=watchdog)
+    return _mode_loop(firmware, link, start, received, missed, BRAKE, watchdog=watchdog)
 
 
 def _mode_loop(
@@ -183,11 +180,11 @@ def until_contact(
     back = f"movej(q, a=1.4, v={number(min(speed, 1.0))})" if retracts else ""
     a = number(acceleration, "acceleration")
     text = f"""
-{_block(start, 8)}
+{indented(start)}
         touched = False
         cycles = 0
         while cycles < {cycles} and not touched:
-{_block(feel, 10)}
+{indented(feel, 10)}
           if {found}:
             touched = True
           else:
@@ -198,7 +195,7 @@ def until_contact(
         if touched:
           q = {where}
           stopl({number(max(acceleration, 2.0))})
-{_block(back, 10)}
+{indented(back, 10)}
           textmsg({quoted(CONTACT)}, q)
         else:
           stopl({a})
@@ -206,10 +203,6 @@ def until_contact(
         end
     """
     return lines(text)
-
-
-def _block(text: str, columns: int) -> str:
-    return "\n".join(" " * columns + line for line in text.splitlines())
 
 
 def contact_of(text: str) -> list[float] | None:
