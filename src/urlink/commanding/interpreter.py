@@ -28,7 +28,7 @@ from ..errors import NotRunning, SafetyStop, StatementDiscarded
 from ..firmware import Firmware
 from ..interfaces.interpreter import InterpreterProtocol, parse_reply, statement_line
 from ..ports import refusal_hint
-from ..urscript import programs as scripts
+from ..urscript import commands
 from .channel import CommandChannel
 from .programs import Programs
 from .scripts import TEXTS, Program
@@ -319,7 +319,7 @@ class Interpreters:
         try:
             # Refused before the arm's program is replaced, where the service is switched off.
             parse_reply(dialogue.ask("statelastexecuted", _REPLY))
-            wrapped = self._programs.own(scripts.interpreter_mode())
+            wrapped = self._programs.own(commands.interpreter_mode())
             self._programs.start(wrapped, life, left_alone="its program executes what it has taken", on_text=receive)
             self._await_mode(interpreter, until, start_timeout)
         except BaseException:

@@ -18,7 +18,7 @@ from ..firmware import Firmware
 from ..foreign_names import AnswersForeignNames
 from ..interfaces.realtime.packets import RealtimeState
 from ..models import Model
-from ..urscript import programs, yielding
+from ..urscript import commands, yielding
 from ..vectors import FloatArray, Numbers, numbers, six
 from .contact import ContactMotion
 from .context import MotionContext
@@ -105,7 +105,7 @@ class Motions(AnswersForeignNames):
         model = self._context.who.identity.arm
         if model is not None:
             model.check_joints(goal)
-        body = programs.move_joints(goal.tolist(), *_joint_rates(model, speed, acceleration), _time(time))
+        body = commands.move_joints(goal.tolist(), *_joint_rates(model, speed, acceleration), _time(time))
         return _waited(
             self._upload("move_joints", body, _arriving(goal, lambda state: state.q_actual), has_goal=True), seconds
         )
@@ -130,7 +130,7 @@ class Motions(AnswersForeignNames):
         """
         seconds = check_wait(wait)
         goal = check_pose(pose, "pose")
-        body = programs.move_linear(goal.tolist(), *_tool_rates(speed, acceleration), _time(time))
+        body = commands.move_linear(goal.tolist(), *_tool_rates(speed, acceleration), _time(time))
         self._check_reach(goal)
         # Only the position of the pose: one rotation has more than one rotation vector.
         gauge = _arriving(goal[:3], lambda state: state.tool_vector_actual[:3])
@@ -159,7 +159,7 @@ class Motions(AnswersForeignNames):
 
         seconds = check_wait(wait)
         between, goal = check_pose(via, "via"), check_pose(to, "to")
-        body = programs.move_circular(between.tolist(), goal.tolist(), *_tool_rates(speed, acceleration))
+        body = commands.move_circular(between.tolist(), goal.tolist(), *_tool_rates(speed, acceleration))
         self._check_reach(goal)
         # From where the arm is now; if it still moves, it stops not far from here.
         arc = Arc(self._context.state().tool_vector_actual.tolist(), between.tolist(), goal.tolist())
@@ -238,7 +238,7 @@ class Motions(AnswersForeignNames):
         seconds = check_wait(wait)
         arm = self._context.who.identity.arm
         speeds, hardest = check_joint_speeds(qd, "qd", arm), _joint_acceleration(arm, acceleration)
-        motion = self._speed("speed_joints", programs.speed_joints, speeds, hardest, duration, link)
+        motion = self._speed("speed_joints", commands.speed_joints, speeds, hardest, duration, link)
         return _waited(motion, seconds)
 
     def speed_linear(
@@ -261,7 +261,7 @@ class Motions(AnswersForeignNames):
         """
         seconds = check_wait(wait)
         speeds, hardest = check_speeds(xd, "xd"), TOOL_ACCELERATION.check(acceleration, "acceleration")
-        motion = self._speed("speed_linear", programs.speed_linear, speeds, hardest, duration, link)
+        motion = self._speed("speed_linear", commands.speed_linear, speeds, hardest, duration, link)
         return _waited(motion, seconds)
 
     def stop(self, acceleration: float = 2.0, *, wait: bool | float = False) -> Motion:
@@ -271,7 +271,7 @@ class Motions(AnswersForeignNames):
         `safety.enable()` was called. While a safety stop holds it is refused; the arm stands still then.
         """
         seconds = check_wait(wait)
-        body = programs.stop(_joint_acceleration(self._context.who.identity.arm, acceleration))
+        body = commands.stop(_joint_acceleration(self._context.who.identity.arm, acceleration))
         return _waited(self._upload("stop", body, is_stop=True), seconds)
 
     # -- motions that last, linked to a program on the robot ---------------------------------------------

@@ -25,7 +25,7 @@ from linkcore.handle import Lifecycle, Motion
 from .. import parameters
 from ..bounds import JOINT_ACCELERATION, JOINT_SPEED, TOOL_ACCELERATION, TOOL_SPEED, check_pose
 from ..interfaces.realtime.packets import RealtimeState
-from ..urscript import programs
+from ..urscript import commands
 from ..vectors import JOINTS, FloatArray, Numbers, six
 
 if TYPE_CHECKING:
@@ -200,7 +200,7 @@ class PathMotion(Motion):
 
     def _on_text(self, text: str) -> None:
         """Handle a line of text from the program."""
-        segment = programs.segment_of(text)
+        segment = commands.segment_of(text)
         if segment is not None and segment < self.segments:
             self._segment = segment
 
@@ -235,7 +235,7 @@ def plan(
     rates = [each.rates(joint_rates if isinstance(each, Joint) else tool_rates) for each in waypoints]
     body: list[str] = []
     for number, (waypoint, rate) in enumerate(zip(waypoints, rates, strict=True)):
-        body += [programs.segment(number), *_statement(waypoint, rate)]
+        body += [commands.segment(number), *_statement(waypoint, rate)]
     if arm is None:
         return Plan(body, [PathSection(1.0, lambda state: 0.0)] * len(waypoints))
     planner = _Planner(arm, state)
@@ -263,11 +263,11 @@ def shown_tcp(arm: Arm, state: RealtimeState) -> FloatArray:
 def _statement(waypoint: Waypoint, rate: Rates) -> list[str]:
     figures = (rate.speed, rate.acceleration)
     if isinstance(waypoint, Joint):
-        return programs.move_joints(waypoint.q.tolist(), *figures, blend=waypoint.blend)
+        return commands.move_joints(waypoint.q.tolist(), *figures, blend=waypoint.blend)
     if isinstance(waypoint, Linear):
-        return programs.move_linear(waypoint.pose.tolist(), *figures, blend=waypoint.blend)
+        return commands.move_linear(waypoint.pose.tolist(), *figures, blend=waypoint.blend)
     assert isinstance(waypoint, Circular)
-    return programs.move_circular(waypoint.via.tolist(), waypoint.to.tolist(), *figures, blend=waypoint.blend)
+    return commands.move_circular(waypoint.via.tolist(), waypoint.to.tolist(), *figures, blend=waypoint.blend)
 
 
 class _Planner:

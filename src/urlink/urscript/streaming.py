@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from linkcore.arguments import check_number
 
 from ..firmware import Firmware
+from .commands import takes_duration
 from .links import BRAKE, InputRegisters, ReverseSocket, message_loop, missable
-from .programs import takes_duration
 from .text import each, indented, lines, number
 
 #: Seconds for which the streaming program goes on by itself, whatever its watchdog lets it. Chosen: the default
