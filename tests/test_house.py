@@ -268,6 +268,7 @@ ROLES = {
     "robot_api": "the Robot API of PolyScope X: its requests, and the port that answers them",
     "server": "what is served to TCP clients",
     "waypoints": "a motion that is given point by point, and the text of its program",
+    "yielding": "the motions in which the arm yields, and the texts of their programs",
 }
 
 

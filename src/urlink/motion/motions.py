@@ -20,12 +20,10 @@ from ..interfaces.realtime.packets import RealtimeState
 from ..models import Model
 from ..urscript import commands, yielding
 from ..vectors import FloatArray, Numbers, numbers, six
-from .contact import ContactMotion
 from .context import MotionContext
 from .controller_clock import ProgramClock, ScalingName, end_where_moved
 from .follower import Follower
 from .following import Following, Tolerances, TrajectoryFeedback, stands
-from .force_mode import ForceMode, Freedrive, Pressing, axes_of, frame_of
 from .impedance import Impedance
 from .jerk_limited import joint_limits
 from .jog import UNLED, FrameName, HeldSpeed, Jog
@@ -37,9 +35,9 @@ from .servo import Servo
 from .setpoints import Servoing
 from .softness import Softness
 from .speed_limit import check_joint_speeds, largest_speeds
-from .torque import Torque
 from .trajectory import Trajectory
 from .waypoints import WaypointServer
+from .yielding import ContactMotion, ForceMode, Freedrive, Torque, axes_of, frame_of
 
 #: The smallest value of what must be positive; and an hour: a longer duration is a mistake.
 _LEAST, _HOUR = 1e-3, 3600.0
@@ -583,7 +581,7 @@ class Motions(AnswersForeignNames):
         Raises:
             LocalError: this firmware has no force mode, damping or gain.
         """
-        pressing = Pressing(
+        pressing = yielding.Pressing(
             frame_of(self._context, frame),
             axes_of(selection, "selection"),
             tuple(six(limits, "limits").tolist()),

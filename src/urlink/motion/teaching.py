@@ -14,8 +14,8 @@ from linkcore.streaming.stream import Stream
 from ..interfaces.enums import RobotStatusBits
 from ..interfaces.realtime.packets import RealtimeState
 from ..vectors import six
-from .force_mode import Freedrive
 from .taught import Taught, TaughtPoint
+from .yielding import Freedrive
 
 if TYPE_CHECKING:
     from typing_extensions import Self

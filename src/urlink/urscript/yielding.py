@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from ..firmware import Firmware
 from .links import BRAKE, InputRegisters, ReverseSocket, message_loop, missable
@@ -23,40 +24,48 @@ CONTACT = "urlink: contact "
 NO_CONTACT = "urlink: no contact"
 
 
+@dataclass(frozen=True)
+class Pressing:
+    """The parameters of force mode that are set once, when it begins.
+
+    Attributes:
+        frame: (6,) pose in the base frame.
+        selection: (6,) the compliant axes.
+        limits: (6,) of speed along them, m/s and rad/s; of deviation along the others, m and rad.
+        kind: 1, 2 or 3: how the controller turns the frame; see `Motions.force_mode`.
+        damping, gain: None for those of the controller.
+    """
+
+    frame: tuple[float, ...]
+    selection: tuple[bool, ...]
+    limits: tuple[float, ...]
+    kind: int
+    damping: float | None
+    gain: float | None
+
+
 def force_mode(
-    firmware: Firmware,
-    link: ReverseSocket | InputRegisters,
-    frame: Sequence[float],
-    selection: Sequence[bool],
-    limits: Sequence[float],
-    *,
-    kind: int,
-    damping: float | None,
-    gain: float | None,
-    watchdog: float,
+    firmware: Firmware, link: ReverseSocket | InputRegisters, pressing: Pressing, *, watchdog: float
 ) -> list[str]:
     """Force mode with the wrench that the messages hold, which may change.
 
     Args:
         link: how the messages come.
-        frame: (6,) pose in the base frame.
-        selection: (6,) the compliant axes.
-        limits: (6,) as `force_mode` of URScript takes them.
-        kind: 1, 2 or 3.
-        damping, gain: None leaves them as the controller has them.
+        pressing: all but the wrench.
         watchdog: s without a message after which it ends.
     """
-    settings = [
-        *([] if damping is None else [f"force_mode_set_damping({number(damping)})"]),
-        *([] if gain is None else [f"force_mode_set_gain_scaling({number(gain)})"]),
-    ]
-    axes = ", ".join("1" if is_free else "0" for is_free in selection)
-    start = ["wrench = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]", *settings]
+    frame, limits = pose(pressing.frame, "frame"), vector(pressing.limits, what="limits")
+    start = ["wrench = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]"]
+    if pressing.damping is not None:
+        start.append(f"force_mode_set_damping({number(pressing.damping)})")
+    if pressing.gain is not None:
+        start.append(f"force_mode_set_gain_scaling({number(pressing.gain)})")
+    axes = ", ".join("1" if is_free else "0" for is_free in pressing.selection)
     is_other = " or ".join(f"goal[{i}] != wrench[{i}]" for i in range(6))
     received = f"""
         if (not begun) or {is_other}:
           wrench = goal
-          force_mode({pose(frame, "frame")}, [{axes}], wrench, {kind:d}, {vector(limits, what="limits")})
+          force_mode({frame}, [{axes}], wrench, {pressing.kind:d}, {limits})
         end
         begun = True
         missed = 0
