@@ -8,8 +8,7 @@ from .path import PathMotion, Waypoint
 from .point_stream import PointStream
 from .servo import Servo, ServoStatistics
 from .stream_points import PosePoint
-from .taught import TaughtPoint
-from .teaching import Teaching
+from .teaching import TaughtPoint, Teaching
 from .yielding import Contact, ContactMotion, ForceMode, Freedrive, Torque
 
 __all__ = [
