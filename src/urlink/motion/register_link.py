@@ -49,7 +49,7 @@ _SILENCE = 1.0
 #: How many numbers of a message of a point are whole: what to do, epoch, number, length, degree, and six positions.
 _WHOLE = 11
 _MESSAGE, _REPORT = struct.Struct(f">{MESSAGE + 1}i"), struct.Struct(f">{REPORTED}i")
-#: Largest number of a message, as large as an integer register holds. After it comes 1 again, where messages are dated.
+#: Largest number of a message, as large as an integer register holds; after it, those of set-points begin at 1 again.
 _MOST = 0x7FFF_FFFF
 
 

@@ -21,12 +21,11 @@ from .following import AHEAD
 from .jerk_limited import JointLimit
 from .linked import Link
 from .linked_block import LinkedBlock
-from .paced import FilteredTargets, PacedSetpoints
+from .paced import FilteredTargets, PacedSetpoints, Schedule
 from .path import Joint, Linear, Waypoint, shown_tcp
 from .servo_delay import measure
 from .setpoints import STOP_MESSAGE, WAIT_MESSAGE, Servoing, setpoint
 from .speed_limit import LONGEST_PERIOD, SpeedLimit
-from .waypoint_schedule import Schedule
 
 #: Intervals that the statistics keep: a minute and a half at 500 Hz.
 _REMEMBERED = 50_000

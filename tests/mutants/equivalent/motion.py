@@ -308,14 +308,14 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "an angle that was computed equals the bound to the last bit",
     ),
     Equivalent(
-        "urlink/motion/waypoint_schedule.py",
+        "urlink/motion/paced.py",
         "add",
         "anchor + _CLOSEST < each[0] < at - _CLOSEST",
         "anchor + _CLOSEST <= each[0] < at - _CLOSEST",
         "times a thousandth apart, to the last bit: one waypoint or two",
     ),
     Equivalent(
-        "urlink/motion/waypoint_schedule.py",
+        "urlink/motion/paced.py",
         "add",
         "anchor + _CLOSEST < each[0] < at - _CLOSEST",
         "anchor + _CLOSEST < each[0] <= at - _CLOSEST",
