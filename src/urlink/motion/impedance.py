@@ -24,7 +24,7 @@ from .jog import FrameName
 from .linked import Link
 from .linked_block import LinkedBlock
 from .path import shown_tcp
-from .setpoints import STOP_MESSAGE, packed
+from .setpoints import LinkDialogue, packed
 from .softness import Softness, damping_of, stiffness_of
 
 #: One message of so many has the gains or the posture. No simple fraction: a program that takes each n-th message meets
@@ -128,7 +128,7 @@ class Impedance(LinkedBlock):
         )
 
 
-class _Messages:
+class _Messages(LinkDialogue):
     """The dialogue with the program: each state is answered with the target, or with the gains or the posture.
 
     Attributes:
@@ -137,21 +137,17 @@ class _Messages:
         has_posture: whether the program takes one.
     """
 
-    farewell = STOP_MESSAGE
-    is_over = False
-    survives_its_program = False
-
     def __init__(
         self,
-        body: Callable[[ReverseSocket | InputRegisters], list[str]],
+        write: Callable[[ReverseSocket | InputRegisters], list[str]],
         stiffness: Sequence[float],
         damping: Sequence[float],
         *,
         has_posture: bool,
     ) -> None:
+        super().__init__(write)
         self.gains = list(stiffness), list(damping)
         self.has_posture = has_posture
-        self._body = body
         self._goal: tuple[int, list[float], list[float] | None] = (0, [0.0] * 6, None)
         self._turn = 0.0
 
@@ -168,9 +164,6 @@ class _Messages:
         """Go to another target."""
         self._goal = (self._goal[0] % 1000 + 1, target, posture)
 
-    def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
-        return self._body(link)
-
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
         self._turn = (self._turn + _GOLDEN) % 1.0
         number, target, posture = self._goal
@@ -181,10 +174,6 @@ class _Messages:
             stiffness, damping = self.gains
             return packed([each / 1000.0 for each in stiffness], damping, GAINS)
         return packed(target, counted, FOLLOW)
-
-    def resume(self, state: RealtimeState) -> None: ...
-
-    def conclude(self) -> None: ...
 
 
 def _checked(arm: Model | None, q: Numbers, name: str) -> list[float]:

@@ -12,7 +12,6 @@ from linkcore.arguments import check_number
 from linkcore.errors import BadValue, LocalError
 
 from ..interfaces.realtime.packets import RealtimeState
-from ..urscript.links import InputRegisters, ReverseSocket
 from ..urscript.text import integer
 from ..vectors import JOINTS, Numbers, six
 from .context import MotionContext
@@ -24,7 +23,7 @@ from .linked_block import LinkedBlock
 from .paced import FilteredTargets, PacedSetpoints, Schedule
 from .path import Joint, Linear, Waypoint, shown_tcp
 from .servo_delay import measure
-from .setpoints import STOP_MESSAGE, WAIT_MESSAGE, Servoing, setpoint
+from .setpoints import WAIT_MESSAGE, LinkDialogue, Servoing, setpoint
 from .speed_limit import LONGEST_PERIOD, SpeedLimit
 
 #: Intervals that the statistics keep: a minute and a half at 500 Hz.
@@ -54,7 +53,7 @@ class ServoStatistics:
     late: int
 
 
-class _Leading:
+class _Leading(LinkDialogue):
     """Answers each state with the next set-point of a target filter or schedule.
 
     Before the first one, and if the loop sends its own set-points, it answers with `WAIT_MESSAGE`.
@@ -64,12 +63,8 @@ class _Leading:
         paced: makes the set-points; None if the loop sends its own.
     """
 
-    farewell = STOP_MESSAGE
-    is_over = False
-    survives_its_program = False
-
     def __init__(self, servoing: Servoing, paced: PacedSetpoints | None) -> None:
-        self._servoing = servoing
+        super().__init__(servoing.body)
         #: set once, by any thread
         self.paced = paced
         self._clock = ProgramClock(1.0 / servoing.firmware.rate)
@@ -80,9 +75,6 @@ class _Leading:
         self.has_begun = False
         #: after a pause: the next set-point is as the first
         self.begins_anew = False
-
-    def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
-        return self._servoing.body(link)
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
         passed, scaled = self._clock.passed(state, now)
@@ -104,8 +96,6 @@ class _Leading:
             self.paced.resume(state)
         else:
             self.here, self.begins_anew = state.q_target.tolist(), self.has_begun
-
-    def conclude(self) -> None: ...
 
 
 class Servo(LinkedBlock):
