@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,7 @@ from linkcore.errors import LinkTimeout
 
 from ..errors import ToleranceExceeded
 from ..interfaces.realtime.packets import RealtimeState
-from ..urscript.links import InputRegisters, ReverseSocket
+from ..urscript.links import Writer
 from ..vectors import JOINTS, FloatArray
 from .controller_clock import ProgramClock
 from .setpoints import LinkDialogue
@@ -134,13 +134,7 @@ class Following(LinkDialogue):
         is_over: whether the arm has arrived and stands still: of the arm, not of the motion, whose BRAKE follows.
     """
 
-    def __init__(
-        self,
-        write: Callable[[ReverseSocket | InputRegisters], list[str]],
-        trajectory: Trajectory,
-        tolerances: Tolerances,
-        clock: ProgramClock,
-    ) -> None:
+    def __init__(self, write: Writer, trajectory: Trajectory, tolerances: Tolerances, clock: ProgramClock) -> None:
         super().__init__(write)
         self.progress = 0.0
         #: s on the trajectory: its end; later, if a difference is still faded out then

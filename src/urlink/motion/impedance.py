@@ -16,7 +16,7 @@ from linkcore.errors import BadValue
 from ..bounds import check_pose
 from ..interfaces.realtime.packets import RealtimeState
 from ..models import Model
-from ..urscript.links import FOLLOW, InputRegisters, ReverseSocket
+from ..urscript.links import FOLLOW, Writer
 from ..urscript.springs import GAINS, POSTURE
 from ..vectors import FloatArray, Numbers, six
 from .context import MotionContext
@@ -138,12 +138,7 @@ class _Messages(LinkDialogue):
     """
 
     def __init__(
-        self,
-        write: Callable[[ReverseSocket | InputRegisters], list[str]],
-        stiffness: Sequence[float],
-        damping: Sequence[float],
-        *,
-        has_posture: bool,
+        self, write: Writer, stiffness: Sequence[float], damping: Sequence[float], *, has_posture: bool
     ) -> None:
         super().__init__(write)
         self.gains = list(stiffness), list(damping)

@@ -13,7 +13,7 @@ from linkcore.handle import Motion
 from ..bounds import check_speeds
 from ..commanding.section import Section
 from ..interfaces.realtime.packets import RealtimeState
-from ..urscript.links import InputRegisters, ReverseSocket
+from ..urscript.links import Writer
 from ..urscript.streaming import jogging
 from ..vectors import FloatArray, Numbers
 from .context import MotionContext
@@ -45,9 +45,7 @@ class _Jogging(LinkDialogue):
         write: makes the lines of the program.
     """
 
-    def __init__(
-        self, frame: FrameName, timeout: float, write: Callable[[ReverseSocket | InputRegisters], list[str]]
-    ) -> None:
+    def __init__(self, frame: FrameName, timeout: float, write: Writer) -> None:
         super().__init__(write)
         self._frame = frame
         self._timeout = timeout
@@ -134,13 +132,7 @@ class _Holding(LinkDialogue):
         duration: s from the first message on.
     """
 
-    def __init__(
-        self,
-        section: Section,
-        write: Callable[[ReverseSocket | InputRegisters], list[str]],
-        speeds: FloatArray,
-        duration: float,
-    ) -> None:
+    def __init__(self, section: Section, write: Writer, speeds: FloatArray, duration: float) -> None:
         super().__init__(write)
         self._section = section
         self._speeds = speeds

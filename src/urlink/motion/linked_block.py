@@ -17,7 +17,7 @@ from linkcore.handle import Event, Motion
 from linkcore.realtime import urgent
 
 from ..interfaces.realtime.packets import RealtimeState
-from ..urscript.links import InputRegisters, ReverseSocket
+from ..urscript.links import Writer
 from .context import MotionContext
 from .linked import Link, LinkedProgram
 from .setpoints import WAIT_MESSAGE, LinkDialogue, setpoint
@@ -149,9 +149,7 @@ class KeptMessage(LinkDialogue):
         is_mute: whether states are no longer answered, because the user's loop sends the messages.
     """
 
-    def __init__(
-        self, write: Callable[[ReverseSocket | InputRegisters], list[str]], values: Sequence[float] | None = None
-    ) -> None:
+    def __init__(self, write: Writer, values: Sequence[float] | None = None) -> None:
         super().__init__(write)
         self.values = values
         self.is_mute = False

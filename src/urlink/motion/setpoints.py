@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import struct
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..firmware import Firmware
 from ..interfaces.realtime.packets import RealtimeState
 from ..models import Model
-from ..urscript.links import FOLLOW, SCALE, STOP, WAIT, InputRegisters, ReverseSocket, missable
+from ..urscript.links import FOLLOW, SCALE, STOP, WAIT, InputRegisters, ReverseSocket, Writer, missable
 from ..urscript.streaming import COASTING, streaming
 from .speed_limit import SpeedLimit
 
@@ -82,7 +82,7 @@ class LinkDialogue(ABC):
     is_over = False
     survives_its_program = False
 
-    def __init__(self, write: Callable[[ReverseSocket | InputRegisters], list[str]]) -> None:
+    def __init__(self, write: Writer) -> None:
         self._write = write
 
     def body(self, link: ReverseSocket | InputRegisters) -> list[str]:

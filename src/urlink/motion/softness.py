@@ -5,7 +5,7 @@ Numbers that are out of range, or that have no effect with this frame or this fi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -21,7 +21,7 @@ from ..firmware import Firmware
 from ..models import Model
 from ..parameters import numbers as parameter
 from ..parameters import parameters
-from ..urscript.links import InputRegisters, ReverseSocket
+from ..urscript.links import Writer
 from ..urscript.springs import Springs, ToolSprings, admittance, impedance
 from ..vectors import JOINTS, FloatArray, six
 from .jog import FULL_SPEED, FrameName
@@ -79,9 +79,7 @@ class Softness:
     friction_compensation: bool
     watchdog: float
 
-    def program(
-        self, firmware: Firmware, model: Model | None
-    ) -> tuple[Callable[[ReverseSocket | InputRegisters], list[str]], FloatArray, bool]:
+    def program(self, firmware: Firmware, model: Model | None) -> tuple[Writer, FloatArray, bool]:
         """What makes the lines of the program, the stiffness that it begins with, and whether it takes a posture.
 
         Raises:

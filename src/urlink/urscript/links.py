@@ -28,6 +28,7 @@ Why such a program ended before its time is in its last ``textmsg``: `NO_CONNECT
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 from ..firmware import Firmware
@@ -99,6 +100,10 @@ class InputRegisters(NamedTuple):
     def proof(self) -> int:
         """The register that holds the token."""
         return self.first_integer + 3
+
+
+#: Makes the lines of a program, for the link by which its messages come.
+Writer = Callable[[ReverseSocket | InputRegisters], list[str]]
 
 
 def message_loop(
