@@ -163,8 +163,10 @@ class Programs:
     # -- sending -----------------------------------------------------------------------------------
 
     def life(self, name: str) -> Lifecycle:
-        """Of something that is about to be begun."""
-        return Lifecycle(name, self._callbacks, self._section.waiting)
+        """Of something that is about to be begun. Its brake stops its program, unless who begins it sets another one."""
+        life = Lifecycle(name, self._callbacks, self._section.waiting)
+        life.brake = lambda: self.stop(life)
+        return life
 
     def wrap(self, source: str) -> Wrapped:
         """A user's source as a program.

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from linkcore.arguments import check_choice, check_number, check_wait
 from linkcore.errors import BadValue, LocalError
-from linkcore.handle import Lifecycle, Motion
+from linkcore.handle import Motion
 
 from ..bounds import JOINT_ACCELERATION, JOINT_SPEED, TOOL_ACCELERATION, TOOL_SPEED, check_pose, check_speeds
 from ..firmware import Firmware
@@ -19,6 +19,7 @@ from ..foreign_names import AnswersForeignNames
 from ..interfaces.realtime.packets import RealtimeState
 from ..models import Model
 from ..urscript import commands, yielding
+from ..urscript.wrapping import HAS_REGISTERS
 from ..vectors import FloatArray, Numbers, numbers, six
 from .context import MotionContext
 from .controller_clock import ProgramClock, ScalingName, end_where_moved
@@ -41,8 +42,6 @@ from .yielding import ContactMotion, ForceMode, Freedrive, Torque, axes_of, fram
 
 #: The smallest value of what must be positive; and an hour: a longer duration is a mistake.
 _LEAST, _HOUR = 1e-3, 3600.0
-#: The first releases that have the registers from 24 on (RTDE guide of the vendor).
-_REGISTERS_CB, _REGISTERS_E = Firmware(3, 9), Firmware(5, 3)
 #: The first release in which speedl takes a time; the first that detects contacts; N that are a contact before that.
 _TIMED_SPEED, _TOOL_CONTACT, _CONTACT_FORCE = Firmware(3, 3), Firmware(5, 4), 20.0
 #: The state of a motion after its connection was lost, for messages.
@@ -136,13 +135,7 @@ class Motions(AnswersForeignNames):
         return _waited(motion, seconds)
 
     def move_circular(
-        self,
-        via: Numbers,
-        to: Numbers,
-        speed: float = 0.25,
-        acceleration: float = 1.2,
-        *,
-        wait: bool | float = False,
+        self, via: Numbers, to: Numbers, speed: float = 0.25, acceleration: float = 1.2, *, wait: bool | float = False
     ) -> Motion:
         """Move the tool along the circle through one pose to another, both in the base frame (`movec`).
 
@@ -200,7 +193,7 @@ class Motions(AnswersForeignNames):
         joint_rates = Rates(*_joint_rates(identity.arm, joint_speed, joint_acceleration, "joint_"))
         tool_rates = Rates(*_tool_rates(speed, acceleration))
         planned = plan(list(waypoints), joint_rates, tool_rates, arm, context.state())
-        life = self._life("path")
+        life = context.programs.life("path")
         motion = PathMotion(life, planned.sections, lambda: context.realtime.latest)
         wrapped = context.programs.own(planned.body)
         context.programs.start(wrapped, life, left_alone=_MAY_GO_ON, on_text=motion._on_text)
@@ -537,7 +530,7 @@ class Motions(AnswersForeignNames):
             force=None if force is None else check_number(force, "force", 1.0, 500.0, "N"),
             retracts=bool(retract),
         )
-        life = self._life("until_contact")
+        life = context.programs.life("until_contact")
         motion = ContactMotion(life, longest, self._tool_pose)
         context.programs.start(context.programs.own(body), life, left_alone=_MAY_GO_ON, on_text=motion._on_text)
         end_where_moved(life, context.realtime)
@@ -680,16 +673,7 @@ class Motions(AnswersForeignNames):
         """
         check_choice(frame, "frame", get_args(FrameName))
         softness = Softness(
-            frame,
-            stiffness,
-            damping,
-            torque,
-            speed,
-            error,
-            force,
-            posture_stiffness,
-            friction_compensation,
-            watchdog,
+            frame, stiffness, damping, torque, speed, error, force, posture_stiffness, friction_compensation, watchdog
         )
         return Impedance(self._context, softness, self._opener(link))
 
@@ -718,13 +702,6 @@ class Motions(AnswersForeignNames):
             arm = identity.kinematics
             arm.inverse(goal, state.q_target, shown_tcp(arm, state))
 
-    def _life(self, name: str) -> Lifecycle:
-        """Of a motion that the controller executes by itself."""
-        programs = self._context.programs
-        life = programs.life(name)
-        life.brake = lambda: programs.stop(life)
-        return life
-
     def _upload(
         self,
         name: str,
@@ -741,7 +718,7 @@ class Motions(AnswersForeignNames):
         After a pause one that has a goal would be led back onto its path to it.
         """
         context = self._context
-        life = self._life(name)
+        life = context.programs.life(name)
 
         def measure() -> float:
             state = context.realtime.latest
@@ -810,7 +787,7 @@ class Motions(AnswersForeignNames):
         if link == "reverse":
             return self._context.reverse.open
         firmware = self._context.who.identity.firmware
-        if firmware < (_REGISTERS_E if firmware.is_e_series else _REGISTERS_CB):
+        if firmware not in HAS_REGISTERS:
             raise LocalError(
                 f"firmware {firmware} has no input registers for this (3.9 and 5.3 are the first): without link='rtde'"
             )

@@ -34,8 +34,8 @@ from linkcore.wire.fields import Since
 from ..firmware import Firmware
 from .text import identifier, quoted
 
-#: The first firmwares with the upper range of registers, 24 to 47.
-_HAS_REGISTERS = Since("3.9/5.3")
+#: The first firmwares with the upper range of registers, 24 to 47 (RTDE guide of the vendor).
+HAS_REGISTERS = Since("3.9/5.3")
 #: Bytes. What the controller takes at most is not known; the largest public driver program has some 60 kB.
 LARGEST = 1 << 20
 
@@ -61,7 +61,7 @@ class StartPlace(NamedTuple):
 
     def on(self, firmware: Firmware) -> StartPlace:
         """What of it is used on a firmware: the register, the flags, or nothing."""
-        if self.register is not None and firmware in _HAS_REGISTERS:
+        if self.register is not None and firmware in HAS_REGISTERS:
             return StartPlace(self.register, ())
         return StartPlace(None, self.flags)
 
