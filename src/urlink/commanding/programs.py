@@ -163,7 +163,7 @@ class Programs:
     # -- sending -----------------------------------------------------------------------------------
 
     def life(self, name: str) -> Lifecycle:
-        """Of something that is about to be begun. Its brake stops its program, unless who begins it sets another one."""
+        """Of something that is about to be begun. Its brake stops its program, unless it is given another one."""
         life = Lifecycle(name, self._callbacks, self._section.waiting)
         life.brake = lambda: self.stop(life)
         return life

@@ -13,7 +13,7 @@ from linkcore.errors import BadValue, LocalError
 
 from ..interfaces.realtime.packets import RealtimeState
 from ..urscript.text import integer
-from ..vectors import JOINTS, Numbers, six
+from ..vectors import JOINTS, Numbers
 from .context import MotionContext
 from .controller_clock import ProgramClock, reported_scaling
 from .following import AHEAD
@@ -21,7 +21,7 @@ from .jerk_limited import JointLimit
 from .linked import Link
 from .linked_block import LinkedBlock
 from .paced import FilteredTargets, PacedSetpoints, Schedule
-from .path import Joint, Linear, Waypoint, shown_tcp
+from .path import Joint, Linear, Waypoint, check_joint_positions, shown_tcp
 from .servo_delay import measure
 from .setpoints import WAIT_MESSAGE, LinkDialogue, Servoing, setpoint
 from .speed_limit import LONGEST_PERIOD, SpeedLimit
@@ -158,7 +158,7 @@ class Servo(LinkedBlock):
         if self._schedule is not None:
             raise LocalError("waypoints were scheduled, so set-points are made of them; schedule the next one too")
         now = self._context.clock()
-        values = self._in_range(q)
+        values: list[float] = check_joint_positions(q, "q", self._model).tolist()
         if self._targets is not None:
             self._targets.newest = values
         else:
@@ -208,7 +208,8 @@ class Servo(LinkedBlock):
             self._schedule = schedule
         schedule = self._schedule
         here = state.q_target.tolist()
-        values = self._in_range(self._joints_of(target, state, schedule.last or here))
+        q = self._joints_of(target, state, schedule.last or here)
+        values = check_joint_positions(q, "q", self._model).tolist()
         reached = schedule.add(values, time, state.time, here)
         if reached is not None:
             self._count_one(values, self._context.clock())
@@ -316,13 +317,6 @@ class Servo(LinkedBlock):
         # Two set-points that are sent at once still are for two cycles.
         seconds = max(now - at, self._cycle)
         return [(there - here) / seconds for here, there in zip(q, values, strict=True)]
-
-    def _in_range(self, q: Numbers) -> list[float]:
-        values = six(q, "q")
-        if self._model is not None:
-            self._model.check_joints(values)
-        plain: list[float] = values.tolist()
-        return plain
 
     def _check_step(self, last: list[float] | None, values: list[float], now: float) -> None:
         """Refuse what is too far from the last set-point; the first one, also after a pause, from where the arm is."""

@@ -169,7 +169,8 @@ class Freedrive(LinkedBlock):
         super().__init__(context, "freedrive", KeptMessage(body, _NOTHING), open_link)
 
 
-_DIRECT_TORQUE = Since("5.23/10.11")
+#: The first releases that have direct torque.
+DIRECT_TORQUE = Since("5.23/10.11")
 
 
 class Torque(LinkedBlock):
@@ -196,7 +197,7 @@ class Torque(LinkedBlock):
         open_link: Callable[[], Link],
     ) -> None:
         firmware, model = context.who.identity.firmware, context.who.identity.arm
-        if firmware not in _DIRECT_TORQUE:
+        if firmware not in DIRECT_TORQUE:
             raise LocalError(f"firmware {firmware} has no direct torque: 5.23 and 10.11 are the first")
         most = [_LARGEST] * 6 if model is None else model.max_torque.tolist()
         self._limits = most
