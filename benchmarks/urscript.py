@@ -30,7 +30,7 @@ from urlink.motion.setpoints import STOP_MESSAGE, setpoint
 from urlink.simulator import Controller, Still
 from urlink.simulator.urscript import compile_script
 from urlink.simulator.urscript.errors import MAX_TOKENS
-from urlink.urscript import programs, waypoints, wrapping
+from urlink.urscript import commands, waypoints, wrapping
 from urlink.urscript.links import ReverseSocket
 from urlink.urscript.streaming import streaming as streaming_program
 
@@ -170,7 +170,7 @@ def moving(model: str, firmware: str) -> float:
     below = Arm(controller.model).forward(turned).tolist()
     below[2] -= 0.1
     half = 0.5 * SECONDS
-    run(controller, programs.move_joints(turned, 1.0, 1.0, half) + programs.move_linear(below, 1.0, 1.0, half))
+    run(controller, commands.move_joints(turned, 1.0, 1.0, half) + commands.move_linear(below, 1.0, 1.0, half))
     cycles = 0
     began = time.process_time()
     while cycles == 0 or is_running(controller):

@@ -264,11 +264,11 @@ ROLES = {
     "gripper": "the simulated gripper, and the port that serves it",
     "interpreter": "interpreter mode: what users hold, and the port that serves it",
     "packets": "the declared packets of one interface",
-    "programs": "the programs that are running, and the text of those that are sent",
     "protocol": "the protocol of one interface",
     "robot_api": "the Robot API of PolyScope X: its requests, and the port that answers them",
     "server": "what is served to TCP clients",
     "waypoints": "a motion that is given point by point, and the text of its program",
+    "yielding": "the motions in which the arm yields, and the texts of their programs",
 }
 
 

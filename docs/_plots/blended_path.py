@@ -11,7 +11,7 @@ import urlink
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.motion.path import Linear, Rates, plan
 from urlink.simulator import Controller, Still
-from urlink.urscript.programs import segment
+from urlink.urscript.commands import segment
 
 SIZE = (8.0, 3.2)
 COLOURS = ("#2b6cb0", "#c05621", "#2f855a", "#805ad5")

@@ -98,7 +98,7 @@ if TYPE_CHECKING:
     from .kinematics.arm import Unreachable as Unreachable
     from .models import UnknownModel as UnknownModel
     from .motion.path import Circular as Circular, Joint as Joint, Linear as Linear
-    from .motion.taught import Taught as Taught
+    from .motion.teaching import Taught as Taught
     from .motion.trajectory import Trajectory as Trajectory, TrajectoryPoint as TrajectoryPoint
     from .packets import RealtimeState as RealtimeState, RobotModeData as RobotModeData
     from .robot import Robot as Robot, connect as connect
@@ -146,7 +146,7 @@ else:
             ".kinematics.arm": "Unreachable",
             ".models": "UnknownModel",
             ".motion.path": "Circular Joint Linear",
-            ".motion.taught": "Taught",
+            ".motion.teaching": "Taught",
             ".motion.trajectory": "Trajectory TrajectoryPoint",
             ".packets": "RealtimeState RobotModeData",
             ".robot": "Robot connect",

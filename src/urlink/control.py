@@ -32,8 +32,7 @@ from .interfaces.realtime.packets import RealtimeState
 from .interfaces.tool_serial import ToolSerial
 from .motion.context import MotionContext
 from .motion.motions import Motions
-from .motion.point_registers import INPUTS, PointLinks
-from .motion.register_link import NAMES, RegisterLink, RegisterPort
+from .motion.register_link import POINT_INPUTS, SETPOINT_INPUTS, PointLinks, RegisterLink, RegisterPort
 from .motion.reverse import ReversePort
 
 if TYPE_CHECKING:
@@ -133,9 +132,9 @@ class Control:
         )
         self.io = IO(self.settings, primary, realtime)
         reverse = ReversePort(host, options.reverse_host, options.reverse_port, options.reverse_peer)
-        registers = RegisterPort(lambda names: rtde().inputs(*names), timeout, NAMES, RegisterLink)
+        registers = RegisterPort(lambda names: rtde().inputs(*names), timeout, SETPOINT_INPUTS, RegisterLink)
         links = PointLinks(lambda *names: rtde().outputs(*names))
-        points = RegisterPort(lambda names: rtde().inputs(*names), timeout, INPUTS, links)
+        points = RegisterPort(lambda names: rtde().inputs(*names), timeout, POINT_INPUTS, links)
         self.motion = Motions(MotionContext(programs, channel, realtime, who, reverse, registers, points, section))
 
     @property

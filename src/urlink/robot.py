@@ -43,8 +43,7 @@ if TYPE_CHECKING:
     from .kinematics import Arm
     from .motion import Freedrive, Motions
     from .motion.motions import LinkName
-    from .motion.taught import TaughtPoint
-    from .motion.teaching import Teaching
+    from .motion.teaching import TaughtPoint, Teaching
     from .rtde import OutputStream, Registers, Rtde
     from .simulator import Controller
     from .vectors import Numbers

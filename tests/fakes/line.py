@@ -243,7 +243,6 @@ class Programming(Desk):
 
     def _start(self, wrapped: Any, life: Lifecycle, **options: Any) -> Run:
         run = Run(self, life, wrapped.name)
-        life.brake = lambda: self.programs.stop(life)
         self.programs.start(wrapped, life, on_text=run.texts.append, **options)
         return run
 

@@ -20,8 +20,7 @@ from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.kinematics import Arm
 from urlink.motion.context import MotionContext
 from urlink.motion.motions import LinkName, Motions
-from urlink.motion.point_registers import INPUTS, PointRegisterLink
-from urlink.motion.register_link import NAMES, RegisterLink, RegisterPort
+from urlink.motion.register_link import POINT_INPUTS, SETPOINT_INPUTS, PointRegisterLink, RegisterLink, RegisterPort
 from urlink.motion.reverse import ReversePort
 from urlink.motion.setpoints import MESSAGE_SIZE
 from urlink.urscript.wrapping import finish_marker, start_marker
@@ -64,8 +63,8 @@ class Rehearsal(ScriptedController):
                 self.realtime,
                 self.who,
                 reverse,
-                RegisterPort(self._claim, 1.0, NAMES, RegisterLink),
-                RegisterPort(self._claim, 1.0, INPUTS, lambda inputs: PointRegisterLink(inputs, lambda: None)),
+                RegisterPort(self._claim, 1.0, SETPOINT_INPUTS, RegisterLink),
+                RegisterPort(self._claim, 1.0, POINT_INPUTS, lambda inputs: PointRegisterLink(inputs, lambda: None)),
                 self.section,
                 # Motions go by the clock of the test: one cycle passes with each state.
                 clock=lambda: self.time,
@@ -123,7 +122,7 @@ class Rehearsal(ScriptedController):
         return _ARM.forward(self.q)
 
     def _claim(self, names: tuple[str, ...]) -> InputClaim:
-        assert names == NAMES
+        assert names == SETPOINT_INPUTS
         return self.inputs
 
     def show(self) -> None:

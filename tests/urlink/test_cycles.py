@@ -32,14 +32,13 @@ from urlink.commanding.scripts import Scripts
 from urlink.interfaces.dashboard.client import Dashboard
 from urlink.interfaces.gripper.client import Gripper
 from urlink.interfaces.tool_serial import ToolSerial
-from urlink.motion.force_mode import ForceMode
 from urlink.motion.impedance import Impedance
 from urlink.motion.jog import Jog
 from urlink.motion.motions import Motions
 from urlink.motion.point_stream import PointStream
 from urlink.motion.servo import Servo
 from urlink.motion.teaching import Teaching
-from urlink.motion.torque import Torque
+from urlink.motion.yielding import ForceMode, Torque
 from urlink.packets import VersionMessage
 from urlink.robot import Robot
 from urlink.rtde import Inputs, Registers, Rtde

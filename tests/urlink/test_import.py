@@ -51,7 +51,7 @@ NOT_NEEDED_TO_READ = (
     "urlink.interfaces.rtde",
     "urlink.kinematics",
     "urlink.motion",
-    "urlink.urscript.programs",
+    "urlink.urscript.commands",
 )
 
 # A fresh interpreter: in this one everything has been imported already.

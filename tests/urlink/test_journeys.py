@@ -69,7 +69,7 @@ def test_move_joints() -> None:
     assert met >= SUBSCRIBING
     assert met - LOOKED_UP - SUBSCRIBING == {
         "urlink.motion.motions",  # arguments
-        "urlink.urscript.programs",  # the text
+        "urlink.urscript.commands",  # the text
         "urlink.urscript.wrapping",  # what is put around it
         "linkcore.handle",  # the one state machine of its life
         "linkcore.pending_call",  # does the task for which this thread makes it still want it?

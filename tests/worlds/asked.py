@@ -18,7 +18,7 @@ import urlink
 from linkcore.handle import Handle
 from urlink.compat.rtde_control import RTDEControlInterface
 from urlink.compat.urx import Robot as UrxRobot
-from urlink.motion.taught import Taught, TaughtPoint
+from urlink.motion.teaching import Taught, TaughtPoint
 
 from .world import Ask
 

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from linkcore.cli.terminal import Interruption
 from linkcore.errors import BadValue, LocalError
 
-from ..motion.taught import Taught, TaughtPoint
+from ..motion.teaching import Taught, TaughtPoint
 from ..robot import Robot, connect
 from .options import ADDRESS, argument, command
 

@@ -66,12 +66,12 @@ class CommandChannel:
             SafetyStop: a stop holds; NotEnabled if only `safety.enable()` is missing.
             NotRunning: the robot does not run, or nothing is known of it.
         """
-        self._prepare()
+        self._prepare(moves=True)
         self._monitor.require()
 
-    def _prepare(self) -> None:
-        self._monitor.listen(closely=True)
-        self._monitor.await_news(moves=True)
+    def _prepare(self, moves: bool) -> None:
+        self._monitor.listen(closely=moves)
+        self._monitor.await_news(moves)
 
     def motion(
         self,
@@ -102,7 +102,7 @@ class CommandChannel:
             RemoteError: it could not be sent.
         """
         if wait:
-            self._prepare()
+            self._prepare(moves=True)
             if not is_stop and self._section.may_wait:
                 self._recall.settle(_TAKE_BACK)
 
@@ -121,8 +121,7 @@ class CommandChannel:
             NotRunning: the robot does not run, or nothing is known of it.
             RemoteError: it could not be sent.
         """
-        self._monitor.listen()
-        self._monitor.await_news(moves=False)
+        self._prepare(moves=False)
         self._send(text, self._monitor.require_running, SEND_TIMEOUT)
 
     def check_running(self) -> None:
@@ -131,8 +130,7 @@ class CommandChannel:
         Raises:
             NotRunning: the robot does not run, or nothing is known of it.
         """
-        self._monitor.listen()
-        self._monitor.await_news(moves=False)
+        self._prepare(moves=False)
         self._monitor.require_running()
 
     def beside(self, send: Callable[[], object]) -> None:

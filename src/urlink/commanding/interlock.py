@@ -244,12 +244,7 @@ class Interlock:
             SafetyStop: a stop holds.
             NotRunning: the robot does not run, or nothing is known of it.
         """
-        blocked = self.blocked(now)
-        if blocked is not None:
-            try:
-                raise blocked
-            finally:
-                del blocked  # it refers to this frame
+        raise_if(self.blocked(now))
         self._was_enabled = self._is_enabled = True
 
     @property
@@ -265,6 +260,15 @@ class Interlock:
         if _known(policy) != self._policy:
             self._was_enabled = self._is_enabled = False
         self._policy = policy
+
+
+def raise_if(error: LinkError | None) -> None:
+    """Raise an error, if there is one."""
+    if error is not None:
+        try:
+            raise error
+        finally:
+            del error  # it refers to this frame
 
 
 def _known(policy: Policy) -> Policy:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import logging
 import time
-from collections import deque
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
@@ -28,10 +27,10 @@ from ..errors import NotRunning, SafetyStop, StatementDiscarded
 from ..firmware import Firmware
 from ..interfaces.interpreter import InterpreterProtocol, parse_reply, statement_line
 from ..ports import refusal_hint
-from ..urscript import programs as scripts
+from ..urscript import commands
 from .channel import CommandChannel
 from .programs import Programs
-from .scripts import TEXTS, Program
+from .scripts import Program
 
 _SINCE = Since("5.10")
 #: Statements after which those before are cleared on the controller, which keeps a limited number of them. As public
@@ -74,14 +73,13 @@ class Interpreter(Program):
     def __init__(
         self,
         life: Lifecycle,
-        texts: deque[str],
         dialogue: Dialogue,
         channel: CommandChannel,
         recall: Recall,
         take_back: TakeBack[Any],
         finish_timeout: float,
     ) -> None:
-        super().__init__(life, texts)
+        super().__init__(life)
         self._dialogue = dialogue
         self._channel = channel
         self._recall = recall
@@ -303,34 +301,23 @@ class Interpreters:
             raise LocalError(f"firmware {firmware} has no interpreter mode; the first that has it is 5.10")
         if self._port is None:
             raise LocalError("the controller does not serve interpreter mode")
-        dialogue = self._dialogue(self._port)
-        life = self._programs.life("interpreter mode")
-        life.brake = lambda: self._programs.stop(life)
-        texts: deque[str] = deque(maxlen=TEXTS)
         connection = partial(_connection, self._host, self._port, self._firmware, self._timeout)
+        dialogue = connection()
+        self._open = [each for each in self._open if not each.is_closed] + [dialogue]
+        life = self._programs.life("interpreter mode")
         take_back = TakeBack(connection, partial(_take_back, life))
-        interpreter = Interpreter(life, texts, dialogue, self._channel, self._recall, take_back, finish_timeout)
-
-        def receive(text: str) -> None:
-            texts.append(text)
-            if on_text is not None:
-                self._callbacks.call(on_text, text)
-
+        interpreter = Interpreter(life, dialogue, self._channel, self._recall, take_back, finish_timeout)
+        receive = interpreter._receiver(self._callbacks, on_text)
         try:
             # Refused before the arm's program is replaced, where the service is switched off.
             parse_reply(dialogue.ask("statelastexecuted", _REPLY))
-            wrapped = self._programs.own(scripts.interpreter_mode())
+            wrapped = self._programs.own(commands.interpreter_mode())
             self._programs.start(wrapped, life, left_alone="its program executes what it has taken", on_text=receive)
             self._await_mode(interpreter, until, start_timeout)
         except BaseException:
             interpreter._close()
             raise
         return interpreter
-
-    def _dialogue(self, port: int) -> Dialogue:
-        dialogue = _connection(self._host, port, self._firmware, self._timeout)
-        self._open = [each for each in self._open if not each.is_closed] + [dialogue]
-        return dialogue
 
     def _await_mode(self, interpreter: Interpreter, until: float, timeout: float) -> None:
         """Until the controller takes a statement."""

@@ -21,7 +21,7 @@ from linkcore.wire.packet import State
 from ..interfaces.primary.robot_message import SafetyModeMessage
 from ..interfaces.primary.robot_state import RobotState
 from ..interfaces.realtime.packets import RealtimeState
-from .interlock import Interlock, Status
+from .interlock import Interlock, Status, raise_if
 from .section import Section
 
 #: Seconds that an interface has for its first state.
@@ -107,12 +107,7 @@ class SafetyMonitor:
 
     def require(self, is_stop: bool = False) -> None:
         """Raise what `refusal` says."""
-        refusal = self.refusal(is_stop)
-        if refusal is not None:
-            try:
-                raise refusal
-            finally:
-                del refusal  # it refers to this frame
+        raise_if(self.refusal(is_stop))
 
     def require_running(self) -> None:
         """As `require`, for what moves nothing: a stop does not matter as long as the robot runs.
@@ -121,12 +116,7 @@ class SafetyMonitor:
             NotRunning: it does not, or nothing is known of it.
         """
         with self._section:
-            absence = self._interlock.absence(self.clock())
-        if absence is not None:
-            try:
-                raise absence
-            finally:
-                del absence  # it refers to this frame
+            raise_if(self._interlock.absence(self.clock()))
 
     # -- waiting for news ----------------------------------------------------------------------------
 

@@ -34,7 +34,7 @@ from ..errors import CompileError, NotRunning, ProgramStopped, SafetyStop, Scrip
 from ..identity import KnownIdentity
 from ..interfaces.primary.robot_message import KeyMessage, RuntimeExceptionMessage, TextMessage
 from ..interfaces.primary.robot_state import RobotModeData, RobotState
-from ..urscript import programs, wrapping
+from ..urscript import commands, wrapping
 from ..urscript.wrapping import Permission, StartPlace, Wrapped
 from .channel import CommandChannel
 from .monitor import SafetyMonitor
@@ -163,8 +163,10 @@ class Programs:
     # -- sending -----------------------------------------------------------------------------------
 
     def life(self, name: str) -> Lifecycle:
-        """Of something that is about to be begun."""
-        return Lifecycle(name, self._callbacks, self._section.waiting)
+        """Of something that is about to be begun. Its brake stops its program, unless it is given another one."""
+        life = Lifecycle(name, self._callbacks, self._section.waiting)
+        life.brake = lambda: self.stop(life)
+        return life
 
     def wrap(self, source: str) -> Wrapped:
         """A user's source as a program.
@@ -272,7 +274,7 @@ class Programs:
                 raise Cancelled("it has ended, or another was sent after it")
 
         claim()  # and once more when the channel has waited for news: another thread may send one meanwhile
-        text = wrapping.program(self._name("urlink_stop"), programs.stop(_DECELERATION)).text
+        text = wrapping.program(self._name("urlink_stop"), commands.stop(_DECELERATION)).text
         self._channel.motion(text, is_stop=True, claim=claim, wait=wait)
 
     @property

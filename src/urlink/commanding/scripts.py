@@ -16,15 +16,15 @@ from .channel import CommandChannel
 from .programs import Programs
 
 #: Lines of `textmsg` that are kept of a program.
-TEXTS = 1000
+_TEXTS = 1000
 
 
 class Program(Handle):
     """A program that was sent to the controller; made by `robot.script.run`."""
 
-    def __init__(self, life: Lifecycle, texts: deque[str]) -> None:
+    def __init__(self, life: Lifecycle) -> None:
         super().__init__(life)
-        self._texts = texts
+        self._texts: deque[str] = deque(maxlen=_TEXTS)
 
     @property
     def texts(self) -> tuple[str, ...]:
@@ -33,6 +33,17 @@ class Program(Handle):
         A controller does not say which program a line is from: those of a `sec` that runs beside are here too.
         """
         return tuple(self._texts.copy())  # in one step: another thread may be adding
+
+    def _receiver(self, callbacks: CallbackThread, on_text: Callable[[str], object] | None) -> Callable[[str], object]:
+        """What receives these lines; it refers to no more of the program than them."""
+        texts = self._texts
+
+        def receive(text: str) -> None:
+            texts.append(text)
+            if on_text is not None:
+                callbacks.call(on_text, text)
+
+        return receive
 
 
 class Scripts:
@@ -74,15 +85,8 @@ class Scripts:
             check_callable(on_text, "on_text")
         wrapped = self._programs.wrap(_text(source) if isinstance(source, os.PathLike) else source)
         life = self._programs.life(wrapped.name)
-        life.brake = lambda: self._programs.stop(life)
-        texts: deque[str] = deque(maxlen=TEXTS)
-        program = Program(life, texts)
-
-        def receive(text: str) -> None:
-            texts.append(text)
-            if on_text is not None:
-                self._callbacks.call(on_text, text)
-
+        program = Program(life)
+        receive = program._receiver(self._callbacks, on_text)
         self._programs.start(wrapped, life, is_motion=False, left_alone="it may still run", on_text=receive)
         if seconds:
             program.wait(seconds)

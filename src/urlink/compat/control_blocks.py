@@ -9,8 +9,7 @@ from typing import Literal
 import numpy as np
 
 from urlink.motion import Freedrive, Jog, Servo
-from urlink.motion.force_mode import ForceMode
-from urlink.motion.torque import Torque
+from urlink.motion.yielding import ForceMode, Torque
 from urlink.poses import rotvec_to_matrix
 from urlink.urscript import text
 from urlink.vectors import six

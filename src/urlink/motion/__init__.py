@@ -1,8 +1,6 @@
 """Motions of the arm: `robot.motion` is a `Motions`, and this is what it begins and returns."""
 
-from .contact import Contact, ContactMotion
 from .following import TrajectoryFeedback
-from .force_mode import ForceMode, Freedrive
 from .impedance import Impedance
 from .jog import Jog
 from .motions import Motions
@@ -10,9 +8,8 @@ from .path import PathMotion, Waypoint
 from .point_stream import PointStream
 from .servo import Servo, ServoStatistics
 from .stream_points import PosePoint
-from .taught import TaughtPoint
-from .teaching import Teaching
-from .torque import Torque
+from .teaching import TaughtPoint, Teaching
+from .yielding import Contact, ContactMotion, ForceMode, Freedrive, Torque
 
 __all__ = [
     "Contact",

@@ -13,8 +13,7 @@ from ..commanding.programs import Programs
 from ..commanding.section import Section
 from ..identity import KnownIdentity
 from ..interfaces.realtime.packets import RealtimeState
-from .point_registers import PointRegisterLink
-from .register_link import RegisterLink, RegisterPort
+from .register_link import PointRegisterLink, RegisterLink, RegisterPort
 from .reverse import ReversePort
 
 

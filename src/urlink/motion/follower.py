@@ -22,10 +22,9 @@ from collections.abc import Sequence
 from ..errors import ToleranceExceeded
 from ..interfaces.realtime.packets import RealtimeState
 from ..models import Model
-from ..urscript.links import InputRegisters, ReverseSocket
 from .controller_clock import ProgramClock
 from .following import AHEAD, Following, Tolerances
-from .setpoints import STOP_MESSAGE, WAIT_MESSAGE, Servoing, SetpointStream
+from .setpoints import WAIT_MESSAGE, Servoing, SetpointStream
 from .trajectory import Trajectory
 
 #: rad/s, at most, of the correction from the position of the arm to the trajectory.
@@ -112,10 +111,8 @@ class Follower(Following):
     ) -> None:
         self._stream = SetpointStream(servoing, model)
         self._cycle = self._stream.cycle
-        super().__init__(trajectory, tolerances, clock or ProgramClock(self._cycle))
+        super().__init__(servoing.body, trajectory, tolerances, clock or ProgramClock(self._cycle))
         self._lag = 0.0 if delay is None else delay - AHEAD * self._cycle
-        self.farewell = STOP_MESSAGE
-        self._servoing = servoing
         #: s that have passed on the trajectory; None before it began
         self._t: float | None = None
         # What there is once it has begun:
@@ -127,10 +124,6 @@ class Follower(Following):
         #: its own
         self._s: float
         self._pace: float
-
-    def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
-        """The lines of the program on the robot."""
-        return self._servoing.body(link)
 
     def desired(self, t: float) -> tuple[list[float], list[float]]:
         """Positions, rad, and velocities, rad/s, that the arm should have at a time."""

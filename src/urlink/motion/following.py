@@ -6,7 +6,6 @@ Sans-IO and without a clock: `urlink.motion.linked` passes states and times in.
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,9 +17,10 @@ from linkcore.errors import LinkTimeout
 
 from ..errors import ToleranceExceeded
 from ..interfaces.realtime.packets import RealtimeState
-from ..urscript.links import InputRegisters, ReverseSocket
+from ..urscript.links import Writer
 from ..vectors import JOINTS, FloatArray
 from .controller_clock import ProgramClock
+from .setpoints import LinkDialogue
 from .trajectory import Trajectory
 
 #: Cycles from a state to the one in which its set-point takes effect: it is sent within the next cycle, and the program
@@ -118,28 +118,25 @@ class Rest:
         return is_standing
 
 
-class Following(ABC):
-    """A trajectory that is being followed: the base of the two `LinkDialogue`s that do it.
+class Following(LinkDialogue):
+    """A trajectory that is being followed: the base of the two dialogues that do it.
 
     Its time is that of the program on the robot (`urlink.motion.controller_clock`).
 
     Args:
+        write: makes the lines of the program.
         trajectory: what to follow.
         tolerances: how closely.
         clock: of the trajectory.
 
     Attributes:
-        farewell: the message that ends the program.
-        survives_its_program: whether the motion goes on if the program ends before the arm has arrived.
         progress: the fraction that is over.
         is_over: whether the arm has arrived and stands still: of the arm, not of the motion, whose BRAKE follows.
     """
 
-    def __init__(self, trajectory: Trajectory, tolerances: Tolerances, clock: ProgramClock) -> None:
-        self.farewell = b""
-        self.survives_its_program = False
+    def __init__(self, write: Writer, trajectory: Trajectory, tolerances: Tolerances, clock: ProgramClock) -> None:
+        super().__init__(write)
         self.progress = 0.0
-        self.is_over = False
         #: s on the trajectory: its end; later, if a difference is still faded out then
         self._end = trajectory.duration
         self._trajectory = trajectory
@@ -152,17 +149,6 @@ class Following(ABC):
         #: s on the trajectory: the point that the program has not passed yet, as far as it reports them
         self._next_time = math.inf
         self._rest = Rest("the trajectory")
-
-    @abstractmethod
-    def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
-        """The lines of the program on the robot."""
-
-    @abstractmethod
-    def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
-        """The message that answers a state."""
-
-    def conclude(self) -> None:  # noqa: B027 -- only one of them has something left to do then
-        """Handle that the program has ended by itself."""
 
     def resume(self, state: RealtimeState) -> None:
         """Go on after a pause, from where the arm stands."""

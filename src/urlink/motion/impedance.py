@@ -15,16 +15,15 @@ from linkcore.errors import BadValue
 
 from ..bounds import check_pose
 from ..interfaces.realtime.packets import RealtimeState
-from ..models import Model
-from ..urscript.links import FOLLOW, InputRegisters, ReverseSocket
+from ..urscript.links import FOLLOW, Writer
 from ..urscript.springs import GAINS, POSTURE
-from ..vectors import FloatArray, Numbers, six
+from ..vectors import FloatArray, Numbers
 from .context import MotionContext
 from .jog import FrameName
 from .linked import Link
 from .linked_block import LinkedBlock
-from .path import shown_tcp
-from .setpoints import STOP_MESSAGE, packed
+from .path import check_joint_positions, shown_tcp
+from .setpoints import LinkDialogue, packed
 from .softness import Softness, damping_of, stiffness_of
 
 #: One message of so many has the gains or the posture. No simple fraction: a program that takes each n-th message meets
@@ -99,14 +98,15 @@ class Impedance(LinkedBlock):
         if posture is not None and not self._messages.has_posture:
             raise BadValue("a posture is for springs of the tool by direct torque; expected none")
         if self.frame == "joints":
-            self._messages.lead(_checked(identity.arm, target, "target"), None)
+            self._messages.lead(check_joint_positions(target, "target", identity.arm).tolist(), None)
             return
         goal, state = check_pose(target, "target"), self._context.state()
         if self._tcp is None:
             self._tcp = shown_tcp(identity.kinematics, state)
         near = state.q_actual if self._messages.posture is None else self._messages.posture
-        bent: list[float] = identity.kinematics.inverse(goal, near, self._tcp).tolist()
-        self._messages.lead(goal.tolist(), bent if posture is None else _checked(identity.arm, posture, "posture"))
+        bent = identity.kinematics.inverse(goal, near, self._tcp)
+        wanted = bent if posture is None else check_joint_positions(posture, "posture", identity.arm)
+        self._messages.lead(goal.tolist(), wanted.tolist())
 
     def set_gains(self, stiffness: ArrayLike | None = None, damping: ArrayLike | None = None) -> None:
         """Go over to another stiffness and damping, within some tenths of a second.
@@ -128,7 +128,7 @@ class Impedance(LinkedBlock):
         )
 
 
-class _Messages:
+class _Messages(LinkDialogue):
     """The dialogue with the program: each state is answered with the target, or with the gains or the posture.
 
     Attributes:
@@ -137,21 +137,12 @@ class _Messages:
         has_posture: whether the program takes one.
     """
 
-    farewell = STOP_MESSAGE
-    is_over = False
-    survives_its_program = False
-
     def __init__(
-        self,
-        body: Callable[[ReverseSocket | InputRegisters], list[str]],
-        stiffness: Sequence[float],
-        damping: Sequence[float],
-        *,
-        has_posture: bool,
+        self, write: Writer, stiffness: Sequence[float], damping: Sequence[float], *, has_posture: bool
     ) -> None:
+        super().__init__(write)
         self.gains = list(stiffness), list(damping)
         self.has_posture = has_posture
-        self._body = body
         self._goal: tuple[int, list[float], list[float] | None] = (0, [0.0] * 6, None)
         self._turn = 0.0
 
@@ -168,9 +159,6 @@ class _Messages:
         """Go to another target."""
         self._goal = (self._goal[0] % 1000 + 1, target, posture)
 
-    def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
-        return self._body(link)
-
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
         self._turn = (self._turn + _GOLDEN) % 1.0
         number, target, posture = self._goal
@@ -181,14 +169,3 @@ class _Messages:
             stiffness, damping = self.gains
             return packed([each / 1000.0 for each in stiffness], damping, GAINS)
         return packed(target, counted, FOLLOW)
-
-    def resume(self, state: RealtimeState) -> None: ...
-
-    def conclude(self) -> None: ...
-
-
-def _checked(arm: Model | None, q: Numbers, name: str) -> list[float]:
-    goal = six(q, name)
-    if arm is not None:
-        arm.check_joints(goal)
-    return goal.tolist()  # type: ignore[no-any-return]

@@ -91,11 +91,11 @@ def joint_limits(
     """
     rows = [six_limits(speed, "speed"), six_limits(acceleration, "acceleration"), six_limits(jerk, "jerk")]
     if model is not None:
-        for name, values, most in zip(
-            ("speed", "acceleration"), rows, (model.max_speed, model.max_acceleration), strict=False
+        for name, unit, values, most in (
+            ("speed", "rad/s", rows[0], model.max_speed),
+            ("acceleration", "rad/s²", rows[1], model.max_acceleration),
         ):
             for joint, (value, limit) in enumerate(zip(values.tolist(), most.tolist(), strict=True)):
-                unit = "rad/s" if name == "speed" else "rad/s²"
                 check_number(value, f"{name}[{joint}] ({JOINTS[joint]})", 0.0, limit, unit, f"a {model.name}")
     return tuple(JointLimit(*values) for values in zip(*(row.tolist() for row in rows), strict=True))
 
@@ -193,11 +193,6 @@ class TargetFilter:
         for joint, profile in enumerate(self._profiles):
             self._times[joint] = t = self._times[joint] + seconds
             self.q[joint], self.qd[joint], self.qdd[joint] = profile.at(t)
-
-    @property
-    def is_at_target(self) -> bool:
-        """Whether all joints rest at their targets."""
-        return all(t >= profile.duration for profile, t in zip(self._profiles, self._times, strict=True))
 
 
 def _after(x: float, v: float, a: float, jerk: float, t: float) -> tuple[float, float, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -12,13 +13,13 @@ from linkcore.handle import Motion
 from ..bounds import check_speeds
 from ..commanding.section import Section
 from ..interfaces.realtime.packets import RealtimeState
-from ..urscript.links import InputRegisters, ReverseSocket
+from ..urscript.links import Writer
 from ..urscript.streaming import jogging
 from ..vectors import FloatArray, Numbers
 from .context import MotionContext
 from .linked import Link, LinkedProgram
-from .linked_block import LinkedBlock
-from .setpoints import STOP_MESSAGE, WAIT_MESSAGE, setpoint
+from .linked_block import LinkedBlock, message
+from .setpoints import WAIT_MESSAGE, LinkDialogue
 from .speed_limit import check_joint_speeds
 
 #: The frame of the six speeds.
@@ -35,7 +36,7 @@ _REST = np.zeros(6)
 UNLED = 0.5
 
 
-class _Jogging:
+class _Jogging(LinkDialogue):
     """Answers each state with the newest speeds, or with `WAIT_MESSAGE` if they have expired.
 
     Args:
@@ -44,21 +45,12 @@ class _Jogging:
         write: makes the lines of the program.
     """
 
-    farewell = STOP_MESSAGE
-    is_over = False
-    survives_its_program = False
-
-    def __init__(
-        self, frame: FrameName, timeout: float, write: Callable[[ReverseSocket | InputRegisters], list[str]]
-    ) -> None:
+    def __init__(self, frame: FrameName, timeout: float, write: Writer) -> None:
+        super().__init__(write)
         self._frame = frame
         self._timeout = timeout
-        self._write = write
         #: the speeds, and when they were set, monotonic s; one assignment, by any thread
         self.newest: tuple[FloatArray, float] | None = None
-
-    def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
-        return self._write(link)
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
         newest = self.newest
@@ -73,11 +65,7 @@ class _Jogging:
             # From the axes of the tool, in its present orientation, to those of the base.
             turned = rotvec_to_matrix(state.tool_vector_actual[3:])
             speeds = np.concatenate([turned @ speeds[:3], turned @ speeds[3:]])
-        return setpoint(speeds.tolist(), _REST.tolist())
-
-    def resume(self, state: RealtimeState) -> None: ...
-
-    def conclude(self) -> None: ...
+        return message(speeds.tolist())
 
 
 class Jog(LinkedBlock):
@@ -98,12 +86,8 @@ class Jog(LinkedBlock):
         open_link: Callable[[], Link],
     ) -> None:
         identity = context.who.identity
-
-        def write(link: ReverseSocket | InputRegisters) -> list[str]:
-            return jogging(
-                identity.firmware, link, is_tool=frame != "joints", acceleration=acceleration, watchdog=watchdog
-            )
-
+        is_tool = frame != "joints"
+        write = partial(jogging, identity.firmware, is_tool=is_tool, acceleration=acceleration, watchdog=watchdog)
         self._dialogue = _Jogging(frame, timeout, write)
         super().__init__(context, "jog", self._dialogue, open_link)
         self.frame: FrameName = frame
@@ -138,7 +122,7 @@ class Jog(LinkedBlock):
         self.move(_REST)
 
 
-class _Holding:
+class _Holding(LinkDialogue):
     """Answers each state with one speed, until it has been held for its time.
 
     Args:
@@ -148,25 +132,12 @@ class _Holding:
         duration: s from the first message on.
     """
 
-    farewell = STOP_MESSAGE
-    survives_its_program = False
-
-    def __init__(
-        self,
-        section: Section,
-        write: Callable[[ReverseSocket | InputRegisters], list[str]],
-        speeds: FloatArray,
-        duration: float,
-    ) -> None:
+    def __init__(self, section: Section, write: Writer, speeds: FloatArray, duration: float) -> None:
+        super().__init__(write)
         self._section = section
-        self._write = write
         self._speeds = speeds
         self._duration = duration
         self._began: float | None = None
-        self.is_over = False
-
-    def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
-        return self._write(link)
 
     def change(self, speeds: FloatArray, duration: float) -> bool:
         """Hold another speed from the next state on; False if the last message has been decided on."""
@@ -180,16 +151,12 @@ class _Holding:
             if self._began is None:
                 self._began = now
             self.is_over = now - self._began >= self._duration
-            return setpoint(self._speeds.tolist(), _REST.tolist())
+            return message(self._speeds.tolist())
 
     def part(self, now: float) -> float:
         """The part of its time that is over."""
         with self._section:
             return 0.0 if self._began is None else (now - self._began) / self._duration
-
-    def resume(self, state: RealtimeState) -> None: ...
-
-    def conclude(self) -> None: ...
 
 
 class HeldSpeed(Motion):
@@ -213,10 +180,8 @@ class HeldSpeed(Motion):
         duration: float,
         open_link: Callable[[], Link],
     ) -> None:
-        def write(link: ReverseSocket | InputRegisters) -> list[str]:
-            firmware = context.who.identity.firmware
-            return jogging(firmware, link, is_tool=is_tool, acceleration=acceleration, watchdog=UNLED)
-
+        firmware = context.who.identity.firmware
+        write = partial(jogging, firmware, is_tool=is_tool, acceleration=acceleration, watchdog=UNLED)
         self._acceleration = acceleration
         self._dialogue = _Holding(context.section, write, speeds, duration)
         life = context.programs.life(name)

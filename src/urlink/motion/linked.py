@@ -1,7 +1,7 @@
 """A program on the robot that is linked to this computer, and the messages that are sent to it.
 
 Each real-time state that arrives, one per cycle of the controller, is answered with a message, so the controller's
-clock sets the pace. A `LinkDialogue`, sans-IO, decides the messages. Each message carries the cycle of the newest
+clock sets the pace. A `LinkDialogue` decides the messages. Each message carries the cycle of the newest
 state, by which the program counts one as none that is too old (`urlink.urscript.links`): so messages that waited in the
 socket of a controller that hung do not lead the arm. If no state arrives, the interlock closes after a second, which
 ends every motion; the program on the robot brakes sooner.
@@ -21,11 +21,10 @@ from linkcore.streaming.subscription import Subscription
 from ..errors import ProgramStopped, ToleranceExceeded
 from ..interfaces.realtime.packets import RealtimeState
 from ..urscript import links
-from ..urscript.links import InputRegisters, ReverseSocket
 from .context import MotionContext
 from .controller_clock import MOVED, ControllerClock, Pause, is_paused
 from .following import stands
-from .setpoints import dated
+from .setpoints import LinkDialogue, dated
 
 #: Seconds within which the program must connect.
 CONNECT_TIMEOUT = 5.0
@@ -38,34 +37,6 @@ _END_TIMEOUT = 1.0
 
 def _nothing() -> None:
     pass
-
-
-class LinkDialogue(Protocol):
-    """Decides the messages for a program, from the bytes that it sends and from the states of the robot."""
-
-    @property
-    def farewell(self) -> bytes:
-        """The message that ends the program and brakes; empty if the program ends by itself."""
-
-    @property
-    def is_over(self) -> bool:
-        """Whether no message is left to send: where it is, the BRAKE of the motion's life follows."""
-
-    @property
-    def survives_its_program(self) -> bool:
-        """Whether the program may end by itself before the dialogue is over."""
-
-    def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
-        """The lines of the program, which receives its messages over `link`."""
-
-    def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
-        """The message that answers a state; raises `LinkError` if the motion cannot go on."""
-
-    def resume(self, state: RealtimeState) -> None:
-        """Go on after a pause: the arm stands where the program has left it, or close to that."""
-
-    def conclude(self) -> None:
-        """Handle that the program has ended by itself."""
 
 
 class Link(Protocol):

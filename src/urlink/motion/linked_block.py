@@ -17,10 +17,10 @@ from linkcore.handle import Event, Motion
 from linkcore.realtime import urgent
 
 from ..interfaces.realtime.packets import RealtimeState
-from ..urscript.links import InputRegisters, ReverseSocket
+from ..urscript.links import Writer
 from .context import MotionContext
-from .linked import Link, LinkDialogue, LinkedProgram
-from .setpoints import STOP_MESSAGE, WAIT_MESSAGE, setpoint
+from .linked import Link, LinkedProgram
+from .setpoints import WAIT_MESSAGE, LinkDialogue, setpoint
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -137,11 +137,11 @@ def message(values: Sequence[float]) -> bytes:
     return setpoint(values, _NO_SPEEDS)
 
 
-class KeptMessage:
+class KeptMessage(LinkDialogue):
     """A dialogue with one such program.
 
     Args:
-        body: makes the lines of the program, for its link.
+        write: makes the lines of the program, for its link.
         values: (6,) of the message; None for a message that only shows that this computer is alive.
 
     Attributes:
@@ -149,25 +149,12 @@ class KeptMessage:
         is_mute: whether states are no longer answered, because the user's loop sends the messages.
     """
 
-    farewell = STOP_MESSAGE
-    is_over = False
-    survives_its_program = False
-
-    def __init__(
-        self, body: Callable[[ReverseSocket | InputRegisters], list[str]], values: Sequence[float] | None = None
-    ) -> None:
+    def __init__(self, write: Writer, values: Sequence[float] | None = None) -> None:
+        super().__init__(write)
         self.values = values
         self.is_mute = False
-        self._body = body
-
-    def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
-        return self._body(link)
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
         if self.is_mute:
             return b""
         return WAIT_MESSAGE if self.values is None else message(self.values)
-
-    def resume(self, state: RealtimeState) -> None: ...
-
-    def conclude(self) -> None: ...

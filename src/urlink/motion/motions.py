@@ -11,21 +11,19 @@ from numpy.typing import ArrayLike
 
 from linkcore.arguments import check_choice, check_number, check_wait
 from linkcore.errors import BadValue, LocalError
-from linkcore.handle import Lifecycle, Motion
+from linkcore.handle import Motion
 
-from ..bounds import JOINT_ACCELERATION, JOINT_SPEED, TOOL_ACCELERATION, TOOL_SPEED, check_pose, check_speeds
+from ..bounds import TOOL_ACCELERATION, TOOL_SPEED, check_pose, check_speeds
 from ..firmware import Firmware
 from ..foreign_names import AnswersForeignNames
 from ..interfaces.realtime.packets import RealtimeState
-from ..models import Model
-from ..urscript import programs, yielding
+from ..urscript import commands, yielding
+from ..urscript.wrapping import HAS_REGISTERS
 from ..vectors import FloatArray, Numbers, numbers, six
-from .contact import ContactMotion
 from .context import MotionContext
 from .controller_clock import ProgramClock, ScalingName, end_where_moved
 from .follower import Follower
 from .following import Following, Tolerances, TrajectoryFeedback, stands
-from .force_mode import ForceMode, Freedrive, Pressing, axes_of, frame_of
 from .impedance import Impedance
 from .jerk_limited import joint_limits
 from .jog import UNLED, FrameName, HeldSpeed, Jog
@@ -36,15 +34,13 @@ from .register_link import RegisterPort
 from .servo import Servo
 from .setpoints import Servoing
 from .softness import Softness
-from .speed_limit import check_joint_speeds, largest_speeds
-from .torque import Torque
+from .speed_limit import check_joint_acceleration, check_joint_rates, check_joint_speeds, largest_speeds
 from .trajectory import Trajectory
 from .waypoints import WaypointServer
+from .yielding import ContactMotion, ForceMode, Freedrive, Torque, axes_of, frame_of
 
 #: The smallest value of what must be positive; and an hour: a longer duration is a mistake.
 _LEAST, _HOUR = 1e-3, 3600.0
-#: The first releases that have the registers from 24 on (RTDE guide of the vendor).
-_REGISTERS_CB, _REGISTERS_E = Firmware(3, 9), Firmware(5, 3)
 #: The first release in which speedl takes a time; the first that detects contacts; N that are a contact before that.
 _TIMED_SPEED, _TOOL_CONTACT, _CONTACT_FORCE = Firmware(3, 3), Firmware(5, 4), 20.0
 #: The state of a motion after its connection was lost, for messages.
@@ -105,7 +101,7 @@ class Motions(AnswersForeignNames):
         model = self._context.who.identity.arm
         if model is not None:
             model.check_joints(goal)
-        body = programs.move_joints(goal.tolist(), *_joint_rates(model, speed, acceleration), _time(time))
+        body = commands.move_joints(goal.tolist(), *check_joint_rates(model, speed, acceleration), _time(time))
         return _waited(
             self._upload("move_joints", body, _arriving(goal, lambda state: state.q_actual), has_goal=True), seconds
         )
@@ -130,7 +126,7 @@ class Motions(AnswersForeignNames):
         """
         seconds = check_wait(wait)
         goal = check_pose(pose, "pose")
-        body = programs.move_linear(goal.tolist(), *_tool_rates(speed, acceleration), _time(time))
+        body = commands.move_linear(goal.tolist(), *_tool_rates(speed, acceleration), _time(time))
         self._check_reach(goal)
         # Only the position of the pose: one rotation has more than one rotation vector.
         gauge = _arriving(goal[:3], lambda state: state.tool_vector_actual[:3])
@@ -138,13 +134,7 @@ class Motions(AnswersForeignNames):
         return _waited(motion, seconds)
 
     def move_circular(
-        self,
-        via: Numbers,
-        to: Numbers,
-        speed: float = 0.25,
-        acceleration: float = 1.2,
-        *,
-        wait: bool | float = False,
+        self, via: Numbers, to: Numbers, speed: float = 0.25, acceleration: float = 1.2, *, wait: bool | float = False
     ) -> Motion:
         """Move the tool along the circle through one pose to another, both in the base frame (`movec`).
 
@@ -159,7 +149,7 @@ class Motions(AnswersForeignNames):
 
         seconds = check_wait(wait)
         between, goal = check_pose(via, "via"), check_pose(to, "to")
-        body = programs.move_circular(between.tolist(), goal.tolist(), *_tool_rates(speed, acceleration))
+        body = commands.move_circular(between.tolist(), goal.tolist(), *_tool_rates(speed, acceleration))
         self._check_reach(goal)
         # From where the arm is now; if it still moves, it stops not far from here.
         arc = Arc(self._context.state().tool_vector_actual.tolist(), between.tolist(), goal.tolist())
@@ -199,10 +189,10 @@ class Motions(AnswersForeignNames):
         context = self._context
         identity = context.who.identity
         arm = None if identity.arm is None else identity.kinematics
-        joint_rates = Rates(*_joint_rates(identity.arm, joint_speed, joint_acceleration, "joint_"))
+        joint_rates = Rates(*check_joint_rates(identity.arm, joint_speed, joint_acceleration, "joint_"))
         tool_rates = Rates(*_tool_rates(speed, acceleration))
         planned = plan(list(waypoints), joint_rates, tool_rates, arm, context.state())
-        life = self._life("path")
+        life = context.programs.life("path")
         motion = PathMotion(life, planned.sections, lambda: context.realtime.latest)
         wrapped = context.programs.own(planned.body)
         context.programs.start(wrapped, life, left_alone=_MAY_GO_ON, on_text=motion._on_text)
@@ -237,8 +227,8 @@ class Motions(AnswersForeignNames):
         """
         seconds = check_wait(wait)
         arm = self._context.who.identity.arm
-        speeds, hardest = check_joint_speeds(qd, "qd", arm), _joint_acceleration(arm, acceleration)
-        motion = self._speed("speed_joints", programs.speed_joints, speeds, hardest, duration, link)
+        speeds, hardest = check_joint_speeds(qd, "qd", arm), check_joint_acceleration(arm, acceleration)
+        motion = self._speed("speed_joints", commands.speed_joints, speeds, hardest, duration, link)
         return _waited(motion, seconds)
 
     def speed_linear(
@@ -261,7 +251,7 @@ class Motions(AnswersForeignNames):
         """
         seconds = check_wait(wait)
         speeds, hardest = check_speeds(xd, "xd"), TOOL_ACCELERATION.check(acceleration, "acceleration")
-        motion = self._speed("speed_linear", programs.speed_linear, speeds, hardest, duration, link)
+        motion = self._speed("speed_linear", commands.speed_linear, speeds, hardest, duration, link)
         return _waited(motion, seconds)
 
     def stop(self, acceleration: float = 2.0, *, wait: bool | float = False) -> Motion:
@@ -271,7 +261,7 @@ class Motions(AnswersForeignNames):
         `safety.enable()` was called. While a safety stop holds it is refused; the arm stands still then.
         """
         seconds = check_wait(wait)
-        body = programs.stop(_joint_acceleration(self._context.who.identity.arm, acceleration))
+        body = commands.stop(check_joint_acceleration(self._context.who.identity.arm, acceleration))
         return _waited(self._upload("stop", body, is_stop=True), seconds)
 
     # -- motions that last, linked to a program on the robot ---------------------------------------------
@@ -357,7 +347,14 @@ class Motions(AnswersForeignNames):
         else:
             clock = ProgramClock(1.0 / firmware.rate, scaling)
             following = Follower(trajectory, tolerances, servoing, model, _delay(delay), clock)
-        return _waited(self._follow(following, tolerances.start, feedback, open_link), seconds)
+        life = context.programs.life("follow")
+        motion = Motion(life, lambda: following.progress)
+        LinkedProgram(life, context, following, open_link, tolerance=tolerances.start).begin()
+        if feedback is not None:
+            # In a queue and a thread of its own: it may be slow, and may raise.
+            subscription = context.realtime.subscribe(_reporter(following, feedback))
+            life.on_end(lambda: subscription.close(0))
+        return _waited(motion, seconds)
 
     def servo(
         self,
@@ -479,7 +476,7 @@ class Motions(AnswersForeignNames):
         return Jog(
             self._context,
             frame,
-            _joint_acceleration(arm, acceleration)
+            check_joint_acceleration(arm, acceleration)
             if frame == "joints"
             else TOOL_ACCELERATION.check(acceleration, "acceleration"),
             check_number(timeout, "timeout", 0.01, 60.0),
@@ -539,7 +536,7 @@ class Motions(AnswersForeignNames):
             force=None if force is None else check_number(force, "force", 1.0, 500.0, "N"),
             retracts=bool(retract),
         )
-        life = self._life("until_contact")
+        life = context.programs.life("until_contact")
         motion = ContactMotion(life, longest, self._tool_pose)
         context.programs.start(context.programs.own(body), life, left_alone=_MAY_GO_ON, on_text=motion._on_text)
         end_where_moved(life, context.realtime)
@@ -583,7 +580,7 @@ class Motions(AnswersForeignNames):
         Raises:
             LocalError: this firmware has no force mode, damping or gain.
         """
-        pressing = Pressing(
+        pressing = yielding.Pressing(
             frame_of(self._context, frame),
             axes_of(selection, "selection"),
             tuple(six(limits, "limits").tolist()),
@@ -682,16 +679,7 @@ class Motions(AnswersForeignNames):
         """
         check_choice(frame, "frame", get_args(FrameName))
         softness = Softness(
-            frame,
-            stiffness,
-            damping,
-            torque,
-            speed,
-            error,
-            force,
-            posture_stiffness,
-            friction_compensation,
-            watchdog,
+            frame, stiffness, damping, torque, speed, error, force, posture_stiffness, friction_compensation, watchdog
         )
         return Impedance(self._context, softness, self._opener(link))
 
@@ -720,13 +708,6 @@ class Motions(AnswersForeignNames):
             arm = identity.kinematics
             arm.inverse(goal, state.q_target, shown_tcp(arm, state))
 
-    def _life(self, name: str) -> Lifecycle:
-        """Of a motion that the controller executes by itself."""
-        programs = self._context.programs
-        life = programs.life(name)
-        life.brake = lambda: programs.stop(life)
-        return life
-
     def _upload(
         self,
         name: str,
@@ -743,7 +724,7 @@ class Motions(AnswersForeignNames):
         After a pause one that has a goal would be led back onto its path to it.
         """
         context = self._context
-        life = self._life(name)
+        life = context.programs.life(name)
 
         def measure() -> float:
             state = context.realtime.latest
@@ -789,30 +770,13 @@ class Motions(AnswersForeignNames):
             left_alone=f"the arm brakes by itself, {duration:g} s after it began",
         )
 
-    def _follow(
-        self,
-        following: Following,
-        tolerance: float,
-        feedback: Callable[[TrajectoryFeedback], object] | None,
-        open_link: Callable[[], Link],
-    ) -> Motion:
-        """A motion whose program receives set-points or points while it runs."""
-        life = self._context.programs.life("follow")
-        motion = Motion(life, lambda: following.progress)
-        LinkedProgram(life, self._context, following, open_link, tolerance=tolerance).begin()
-        if feedback is not None:
-            # In a queue and a thread of its own: it may be slow, and may raise.
-            subscription = self._context.realtime.subscribe(_reporter(following, feedback))
-            life.on_end(lambda: subscription.close(0))
-        return motion
-
     def _opener(self, link: LinkName, registers: RegisterPort[Any] | None = None) -> Callable[[], Link]:
         """The function that opens the link to a program; `registers`: other than those of messages of two times six."""
         check_choice(link, "link", get_args(LinkName))
         if link == "reverse":
             return self._context.reverse.open
         firmware = self._context.who.identity.firmware
-        if firmware < (_REGISTERS_E if firmware.is_e_series else _REGISTERS_CB):
+        if firmware not in HAS_REGISTERS:
             raise LocalError(
                 f"firmware {firmware} has no input registers for this (3.9 and 5.3 are the first): without link='rtde'"
             )
@@ -873,16 +837,6 @@ def _delay(delay: float | None) -> float | None:
 
 def _tool_rates(speed: float, acceleration: float) -> tuple[float, float]:
     return TOOL_SPEED.check(speed, "speed"), TOOL_ACCELERATION.check(acceleration, "acceleration")
-
-
-def _joint_rates(arm: Model | None, speed: float, acceleration: float, prefix: str = "") -> tuple[float, float]:
-    most, whose = (None, "") if arm is None else (float(arm.max_speed.max()), f"a {arm.name}")
-    return JOINT_SPEED.check(speed, f"{prefix}speed", most, whose), _joint_acceleration(arm, acceleration, prefix)
-
-
-def _joint_acceleration(arm: Model | None, value: float, prefix: str = "") -> float:
-    most, whose = (None, "") if arm is None else (float(arm.max_acceleration.max()), f"a {arm.name}")
-    return JOINT_ACCELERATION.check(value, f"{prefix}acceleration", most, whose)
 
 
 def _time(time: float | None) -> float | None:

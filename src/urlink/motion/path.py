@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from linkcore.arguments import check_number
 from linkcore.errors import BadValue
@@ -25,8 +26,10 @@ from linkcore.handle import Lifecycle, Motion
 from .. import parameters
 from ..bounds import JOINT_ACCELERATION, JOINT_SPEED, TOOL_ACCELERATION, TOOL_SPEED, check_pose
 from ..interfaces.realtime.packets import RealtimeState
-from ..urscript import programs
+from ..models import Model
+from ..urscript import commands
 from ..vectors import JOINTS, FloatArray, Numbers, six
+from .speed_limit import check_joint_rates
 
 if TYPE_CHECKING:
     from ..curves import Curve
@@ -58,6 +61,18 @@ class Rates:
         if way * self.acceleration > self.speed * self.speed:
             return way / self.speed + self.speed / self.acceleration
         return 2.0 * math.sqrt(way / self.acceleration)
+
+
+def check_joint_positions(values: ArrayLike, name: str, model: Model | None) -> FloatArray:
+    """Positions of the joints as (6,) numbers, rad, read-only.
+
+    Raises:
+        BadValue: not six finite numbers, or out of the range of the arm, if that is known.
+    """
+    q = six(values, name)
+    if model is not None:
+        model.check_joints(q)
+    return q
 
 
 class Waypoint:
@@ -200,7 +215,7 @@ class PathMotion(Motion):
 
     def _on_text(self, text: str) -> None:
         """Handle a line of text from the program."""
-        segment = programs.segment_of(text)
+        segment = commands.segment_of(text)
         if segment is not None and segment < self.segments:
             self._segment = segment
 
@@ -235,7 +250,7 @@ def plan(
     rates = [each.rates(joint_rates if isinstance(each, Joint) else tool_rates) for each in waypoints]
     body: list[str] = []
     for number, (waypoint, rate) in enumerate(zip(waypoints, rates, strict=True)):
-        body += [programs.segment(number), *_statement(waypoint, rate)]
+        body += [commands.segment(number), *_statement(waypoint, rate)]
     if arm is None:
         return Plan(body, [PathSection(1.0, lambda state: 0.0)] * len(waypoints))
     planner = _Planner(arm, state)
@@ -263,11 +278,11 @@ def shown_tcp(arm: Arm, state: RealtimeState) -> FloatArray:
 def _statement(waypoint: Waypoint, rate: Rates) -> list[str]:
     figures = (rate.speed, rate.acceleration)
     if isinstance(waypoint, Joint):
-        return programs.move_joints(waypoint.q.tolist(), *figures, blend=waypoint.blend)
+        return commands.move_joints(waypoint.q.tolist(), *figures, blend=waypoint.blend)
     if isinstance(waypoint, Linear):
-        return programs.move_linear(waypoint.pose.tolist(), *figures, blend=waypoint.blend)
+        return commands.move_linear(waypoint.pose.tolist(), *figures, blend=waypoint.blend)
     assert isinstance(waypoint, Circular)
-    return programs.move_circular(waypoint.via.tolist(), waypoint.to.tolist(), *figures, blend=waypoint.blend)
+    return commands.move_circular(waypoint.via.tolist(), waypoint.to.tolist(), *figures, blend=waypoint.blend)
 
 
 class _Planner:
@@ -287,10 +302,7 @@ class _Planner:
     def _joint(self, waypoint: Joint, rate: Rates, blend: float) -> PathSection:
         model = self._arm.model
         model.check_joints(waypoint.q)
-        JOINT_SPEED.check(rate.speed, "speed", float(model.max_speed.max()), f"a {model.name}")
-        JOINT_ACCELERATION.check(
-            rate.acceleration, "acceleration", float(model.max_acceleration.max()), f"a {model.name}"
-        )
+        check_joint_rates(model, rate.speed, rate.acceleration)
         start, way = self._q, waypoint.q - self._q
         places = self._arm.forward(np.stack([start, waypoint.q]), self._tcp)
         _check_blends(blend, waypoint.blend, math.dist(places[0, :3].tolist(), places[1, :3].tolist()))
@@ -314,10 +326,7 @@ class _Planner:
             curve = Arc(start, waypoint.via.tolist(), waypoint.to.tolist())
         _check_blends(blend, waypoint.blend, curve.length)
         self._q = self._follow(curve, rate, blend > 0.0, waypoint.blend > 0.0)
-        return PathSection(
-            rate.seconds(_counted(curve)),
-            lambda state: curve.part(state.tool_vector_actual.tolist()),
-        )
+        return PathSection(rate.seconds(_counted(curve)), lambda state: curve.part(state.tool_vector_actual.tolist()))
 
     def _follow(self, curve: Curve, rate: Rates, is_fast_at_start: bool, is_fast_at_end: bool) -> FloatArray:
         """The joint positions at its end, if the arm can follow it.

@@ -12,21 +12,19 @@ from linkcore.arguments import check_number
 from linkcore.errors import BadValue, LocalError
 
 from ..interfaces.realtime.packets import RealtimeState
-from ..urscript.links import InputRegisters, ReverseSocket
 from ..urscript.text import integer
-from ..vectors import JOINTS, Numbers, six
+from ..vectors import JOINTS, Numbers
 from .context import MotionContext
 from .controller_clock import ProgramClock, reported_scaling
 from .following import AHEAD
 from .jerk_limited import JointLimit
 from .linked import Link
 from .linked_block import LinkedBlock
-from .paced import FilteredTargets, PacedSetpoints
-from .path import Joint, Linear, Waypoint, shown_tcp
+from .paced import FilteredTargets, PacedSetpoints, Schedule
+from .path import Joint, Linear, Waypoint, check_joint_positions, shown_tcp
 from .servo_delay import measure
-from .setpoints import STOP_MESSAGE, WAIT_MESSAGE, Servoing, setpoint
+from .setpoints import WAIT_MESSAGE, LinkDialogue, Servoing, setpoint
 from .speed_limit import LONGEST_PERIOD, SpeedLimit
-from .waypoint_schedule import Schedule
 
 #: Intervals that the statistics keep: a minute and a half at 500 Hz.
 _REMEMBERED = 50_000
@@ -55,7 +53,7 @@ class ServoStatistics:
     late: int
 
 
-class _Leading:
+class _Leading(LinkDialogue):
     """Answers each state with the next set-point of a target filter or schedule.
 
     Before the first one, and if the loop sends its own set-points, it answers with `WAIT_MESSAGE`.
@@ -65,12 +63,8 @@ class _Leading:
         paced: makes the set-points; None if the loop sends its own.
     """
 
-    farewell = STOP_MESSAGE
-    is_over = False
-    survives_its_program = False
-
     def __init__(self, servoing: Servoing, paced: PacedSetpoints | None) -> None:
-        self._servoing = servoing
+        super().__init__(servoing.body)
         #: set once, by any thread
         self.paced = paced
         self._clock = ProgramClock(1.0 / servoing.firmware.rate)
@@ -81,9 +75,6 @@ class _Leading:
         self.has_begun = False
         #: after a pause: the next set-point is as the first
         self.begins_anew = False
-
-    def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
-        return self._servoing.body(link)
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
         passed, scaled = self._clock.passed(state, now)
@@ -105,8 +96,6 @@ class _Leading:
             self.paced.resume(state)
         else:
             self.here, self.begins_anew = state.q_target.tolist(), self.has_begun
-
-    def conclude(self) -> None: ...
 
 
 class Servo(LinkedBlock):
@@ -169,7 +158,7 @@ class Servo(LinkedBlock):
         if self._schedule is not None:
             raise LocalError("waypoints were scheduled, so set-points are made of them; schedule the next one too")
         now = self._context.clock()
-        values = self._in_range(q)
+        values: list[float] = check_joint_positions(q, "q", self._model).tolist()
         if self._targets is not None:
             self._targets.newest = values
         else:
@@ -219,7 +208,8 @@ class Servo(LinkedBlock):
             self._schedule = schedule
         schedule = self._schedule
         here = state.q_target.tolist()
-        values = self._in_range(self._joints_of(target, state, schedule.last or here))
+        q = self._joints_of(target, state, schedule.last or here)
+        values = check_joint_positions(q, "q", self._model).tolist()
         reached = schedule.add(values, time, state.time, here)
         if reached is not None:
             self._count_one(values, self._context.clock())
@@ -327,13 +317,6 @@ class Servo(LinkedBlock):
         # Two set-points that are sent at once still are for two cycles.
         seconds = max(now - at, self._cycle)
         return [(there - here) / seconds for here, there in zip(q, values, strict=True)]
-
-    def _in_range(self, q: Numbers) -> list[float]:
-        values = six(q, "q")
-        if self._model is not None:
-            self._model.check_joints(values)
-        plain: list[float] = values.tolist()
-        return plain
 
     def _check_step(self, last: list[float] | None, values: list[float], now: float) -> None:
         """Refuse what is too far from the last set-point; the first one, also after a pause, from where the arm is."""

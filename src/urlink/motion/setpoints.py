@@ -1,14 +1,19 @@
-"""Set-points: the messages of the streaming program, how it follows them, and what is sent, one for each cycle."""
+"""Set-points: the messages of the streaming program, how it follows them, and what is sent, one for each cycle.
+
+A `LinkDialogue` decides the messages, for this program and for others that are linked to this computer.
+"""
 
 from __future__ import annotations
 
 import struct
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..firmware import Firmware
+from ..interfaces.realtime.packets import RealtimeState
 from ..models import Model
-from ..urscript.links import FOLLOW, SCALE, STOP, WAIT, InputRegisters, ReverseSocket, missable
+from ..urscript.links import FOLLOW, SCALE, STOP, WAIT, InputRegisters, ReverseSocket, Writer, missable
 from ..urscript.streaming import COASTING, streaming
 from .speed_limit import SpeedLimit
 
@@ -59,6 +64,40 @@ def read_message(message: bytes) -> tuple[list[float], list[float], int]:
     *numbers, mode = _MESSAGE.unpack(message)
     values = [each / SCALE for each in numbers]
     return values[:6], values[6:], mode
+
+
+class LinkDialogue(ABC):
+    """Decides the messages for a program, from the bytes that it sends and from the states of the robot; sans-IO.
+
+    Args:
+        write: makes the lines of the program, for its link.
+
+    Attributes:
+        farewell: the message that ends the program and brakes; empty if the program ends by itself.
+        is_over: whether no message is left to send: where it is, the BRAKE of the motion's life follows.
+        survives_its_program: whether the program may end by itself before the dialogue is over.
+    """
+
+    farewell = STOP_MESSAGE
+    is_over = False
+    survives_its_program = False
+
+    def __init__(self, write: Writer) -> None:
+        self._write = write
+
+    def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
+        """The lines of the program, which receives its messages over `link`."""
+        return self._write(link)
+
+    @abstractmethod
+    def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
+        """The message that answers a state; raises `LinkError` if the motion cannot go on."""
+
+    def resume(self, state: RealtimeState) -> None:  # noqa: B027 -- most have nothing to do then
+        """Go on after a pause: the arm stands where the program has left it, or close to that."""
+
+    def conclude(self) -> None:  # noqa: B027 -- only one of them has something left to do then
+        """Handle that the program has ended by itself."""
 
 
 @dataclass(frozen=True)

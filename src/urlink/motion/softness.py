@@ -5,7 +5,7 @@ Numbers that are out of range, or that have no effect with this frame or this fi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -21,12 +21,12 @@ from ..firmware import Firmware
 from ..models import Model
 from ..parameters import numbers as parameter
 from ..parameters import parameters
-from ..urscript.links import InputRegisters, ReverseSocket
+from ..urscript.links import Writer
 from ..urscript.springs import Springs, ToolSprings, admittance, impedance
 from ..vectors import JOINTS, FloatArray, six
 from .jog import FULL_SPEED, FrameName
+from .yielding import DIRECT_TORQUE
 
-_DIRECT_TORQUE = Since("5.23/10.11")
 #: The first firmware of arms whose wrist measures force that computes with whole lists.
 _MEASURED_FORCE = Since("5.10/10.0")
 _AXES = ("x", "y", "z", "rx", "ry", "rz")
@@ -42,11 +42,9 @@ _SLOWEST, _FURTHEST, _FURTHEST_TOOL = 0.01, (3.0,) * 6, (0.5,) * 3 + (1.5,) * 3
 _SHARE, _BRAKING = 0.5, 4.0
 #: Of the tool, if nothing else is given: N/m and Nm/rad, N and Nm, m and rad. Chosen: as much as the vendor's torques
 #: can hold at half of the reach of a UR5e.
-_TOOL_STIFFNESS, _TOOL_FORCE, _TOOL_ERROR = (
-    (500.0,) * 3 + (30.0,) * 3,
-    (50.0,) * 3 + (5.0,) * 3,
-    (0.1,) * 3 + (0.5,) * 3,
-)
+_TOOL_STIFFNESS = (500.0,) * 3 + (30.0,) * 3
+_TOOL_FORCE = (50.0,) * 3 + (5.0,) * 3
+_TOOL_ERROR = (0.1,) * 3 + (0.5,) * 3
 #: N and Nm at most.
 _STRONGEST = (200.0,) * 3 + (30.0,) * 3
 #: Nm/rad to the posture if nothing else is given, and at most; rad/s of a joint under springs of the tool at most.
@@ -79,15 +77,13 @@ class Softness:
     friction_compensation: bool
     watchdog: float
 
-    def program(
-        self, firmware: Firmware, model: Model | None
-    ) -> tuple[Callable[[ReverseSocket | InputRegisters], list[str]], FloatArray, bool]:
+    def program(self, firmware: Firmware, model: Model | None) -> tuple[Writer, FloatArray, bool]:
         """What makes the lines of the program, the stiffness that it begins with, and whether it takes a posture.
 
         Raises:
             BadValue, LocalError: as `Motions.impedance`.
         """
-        has_torque = firmware in _DIRECT_TORQUE
+        has_torque = firmware in DIRECT_TORQUE
         if not has_torque:
             self._check_measured(firmware)
         if model is None:

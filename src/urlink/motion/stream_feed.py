@@ -42,6 +42,7 @@ from ..urscript.links import SCALE, STOP, WAIT
 from .common_time import MemberPace
 from .controller_clock import ProgramClock
 from .following import AHEAD, Rest
+from .setpoints import LinkDialogue
 from .stream_steps import Aim, Bounds, Handed, JointMoment, Mark, Step, onto
 
 _MESSAGE, _REPORT = struct.Struct(f">{MESSAGE}i"), struct.Struct(f">{REPORTED}i")
@@ -121,7 +122,7 @@ class _Cut:
     request: _Request | None
 
 
-class StreamFeed:
+class StreamFeed(LinkDialogue):
     """Sends points to the program, as many as it is to hold.
 
     Args:
@@ -140,8 +141,6 @@ class StreamFeed:
     """
 
     farewell = _STOP_MESSAGE
-    is_over = False
-    survives_its_program = False
 
     def __init__(
         self,
@@ -152,7 +151,7 @@ class StreamFeed:
         capacity: int,
         buffer: float,
     ) -> None:
-        self._write = write
+        super().__init__(write)
         self._section = section
         self._bounds = bounds
         self._cycle = cycle
@@ -313,15 +312,13 @@ class StreamFeed:
 
     def body(self, link: Any) -> list[str]:
         self._is_lossy = isinstance(link, PointRegisters)
-        return self._write(link)
+        return super().body(link)
 
     def resume(self, state: RealtimeState) -> None:
         """Go on after a pause: with the points, or where the arm has braked to, if the program finds it elsewhere."""
         with self._section:
             self._clock.restart()
             self._found = self._messages, JointMoment.at_rest(state.q_target)
-
-    def conclude(self) -> None: ...
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
         """The message that answers a state.

@@ -12,17 +12,18 @@ import math
 from collections.abc import Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from linkcore.arguments import other_unit
 from linkcore.errors import BadValue
 from linkcore.pending_call import PendingCall, current_call
 
 from ..models import Model
 from ..urscript.buffering import BRAKING_FACTOR, STRAY
-from ..vectors import JOINTS, FloatArray
+from ..vectors import FloatArray
 from .jerk_limited import JointLimit
+from .trajectory import refuse_beyond
 
 #: Places in a step at which it is compared with limits (see `urlink.motion.trajectory`).
 _PLACES = np.linspace(0.0, 1.0, 17)
@@ -203,35 +204,18 @@ class Bounds:
         rows = np.array([step.rows for step in steps])
         lengths = np.array([step.length for step in steps])
         q, qd, qdd, _ = _sampled(rows, lengths)
+        refuse = partial(refuse_beyond, lambda step, place: names[step], self._arm)
         low, high = self._low, self._high
-        self._refuse(names, q, "position", "rad", np.where(q < low, low, high), (q < low) | (q > high))
+        refuse(q, "position", "rad", np.where(q < low, low, high), (q < low) | (q > high))
         for values, limit, what, unit in (
             (qd, self._speeds, "speed", "rad/s"),
             (qdd, self._accelerations, "acceleration", "rad/s²"),
         ):
             beyond = np.abs(values) > limit * (1.0 + _SLACK)
-            self._refuse(names, values, what, unit, np.broadcast_to(limit, values.shape), beyond)
+            refuse(values, what, unit, np.broadcast_to(limit, values.shape), beyond)
         rests = np.array([[self.braked(step.end).q] for step in steps])
         what = "position where it would brake to if nothing followed"
-        self._refuse(names, rests, what, "rad", np.where(rests < low, low, high), (rests < low) | (rests > high))
-
-    def _refuse(
-        self,
-        names: Sequence[str],
-        values: FloatArray,
-        what: str,
-        unit: str,
-        limits: FloatArray,
-        beyond: np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
-    ) -> None:
-        if not beyond.any():
-            return
-        step, place, joint = (int(index) for index in np.argwhere(beyond)[0])
-        value, limit = float(values[step, place, joint]), float(limits[step, place, joint])
-        raise BadValue(
-            f"{names[step]}: {what} of {JOINTS[joint]} (joint {joint}) is {value:.4f} {unit}; the limit of {self._arm} "
-            f"is {limit:.4f} {unit}" + other_unit(abs(value), unit, 0.0, abs(limit))
-        )
+        refuse(rests, what, "rad", np.where(rests < low, low, high), (rests < low) | (rests > high))
 
     def way(self, begin: JointMoment, end: JointMoment, least: float) -> Step | None:
         """The quickest polynomial from one moment to another within the limits; None if there is none.

@@ -12,8 +12,9 @@ from __future__ import annotations
 import math
 import os
 from bisect import bisect_right
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -352,15 +353,23 @@ class Trajectory:
             times = self.time[segments][:, None] + u * np.diff(self.time)[segments][:, None]
             times[:, -1] = self.time[segments + 1]
             q, qd, qdd = self._curve(times)
+            refuse = partial(refuse_beyond, partial(self._place, times), f"a {model.name}")
             low, high = model.position_limits.T
             below, above = q < low, q > high
-            self._refuse(model, times, q, "position", "rad", np.where(below, low, high), below | above)
+            refuse(q, "position", "rad", np.where(below, low, high), below | above)
             for values, limit, name, unit in (
                 (qd, model.max_speed, "velocity", "rad/s"),
                 (qdd, model.max_acceleration, "acceleration", "rad/s²"),
             ):
                 beyond = np.abs(values) > limit * (1.0 + _SLACK)
-                self._refuse(model, times, values, name, unit, np.broadcast_to(limit, values.shape), beyond)
+                refuse(values, name, unit, np.broadcast_to(limit, values.shape), beyond)
+
+    def _place(self, times: FloatArray, segment: int, place: int) -> str:
+        """One of these times, (segments, places), for messages."""
+        t = times[segment, place]
+        after = int(np.searchsorted(self.time, t, side="right")) - 1
+        where = f"point {after}" if t == self.time[after] else f"between points {after} and {after + 1}"
+        return f"{where} (t = {t:.4f} s)"
 
     def plot(self, model: Model | None = None) -> Figure:
         """Positions, speeds and accelerations over time, as a matplotlib figure: ``plot().savefig("it.png")``.
@@ -389,28 +398,36 @@ class Trajectory:
                     "and ends at rest"
                 )
 
-    def _refuse(
-        self,
-        model: Model,
-        times: FloatArray,
-        values: FloatArray,
-        name: str,
-        unit: str,
-        limits: FloatArray,
-        beyond: np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
-    ) -> None:
-        if not beyond.any():
-            return
-        segment, place, joint = (int(index) for index in np.argwhere(beyond)[0])
-        t = times[segment, place]
-        after = int(np.searchsorted(self.time, t, side="right")) - 1
-        where = f"point {after}" if t == self.time[after] else f"between points {after} and {after + 1}"
-        raise BadValue(
-            f"{where} (t = {t:.4f} s): {name} of {JOINTS[joint]} (joint {joint}) is "
-            f"{values[segment, place, joint]:.4f} {unit}; the limit of a {model.name} is "
-            f"{limits[segment, place, joint]:.4f} {unit}"
-            + other_unit(abs(values[segment, place, joint]), unit, 0.0, abs(limits[segment, place, joint]))
-        )
+
+def refuse_beyond(
+    where: Callable[[int, int], str],
+    whose: str,
+    values: FloatArray,
+    what: str,
+    unit: str,
+    limits: FloatArray,
+    beyond: np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
+) -> None:
+    """Raise if one of the values of a curve, (segments, places, joints), is beyond its limit.
+
+    Args:
+        where: names a place by its segment and its number in that, for the message.
+        whose: the limits are.
+        values, what, unit: of the joints.
+        limits: of the values; of those within, any.
+        beyond: whether each value is.
+
+    Raises:
+        BadValue: one is.
+    """
+    if not beyond.any():
+        return
+    segment, place, joint = (int(index) for index in np.argwhere(beyond)[0])
+    value, limit = float(values[segment, place, joint]), float(limits[segment, place, joint])
+    raise BadValue(
+        f"{where(segment, place)}: {what} of {JOINTS[joint]} (joint {joint}) is {value:.4f} {unit}; the limit of "
+        f"{whose} is {limit:.4f} {unit}" + other_unit(abs(value), unit, 0.0, abs(limit))
+    )
 
 
 def _no_time(time: object) -> float:

@@ -36,19 +36,20 @@ class WaypointServer(Following):
         lookahead_time, gain: of ``servoj``.
     """
 
+    farewell = b""
+
     def __init__(
-        self,
-        trajectory: Trajectory,
-        tolerances: Tolerances,
-        firmware: Firmware,
-        lookahead_time: float,
-        gain: float,
+        self, trajectory: Trajectory, tolerances: Tolerances, firmware: Firmware, lookahead_time: float, gain: float
     ) -> None:
-        super().__init__(trajectory, tolerances, ProgramClock(1.0 / firmware.rate))
+        def write(link: ReverseSocket | InputRegisters) -> list[str]:
+            assert isinstance(link, ReverseSocket), "it asks for its points, and registers answer nothing"
+            is_quintic = trajectory.is_quintic
+            return waypoints.interpolating(
+                firmware, *link, is_quintic=is_quintic, lookahead_time=lookahead_time, gain=gain
+            )
+
+        super().__init__(write, trajectory, tolerances, ProgramClock(1.0 / firmware.rate))
         self._next_time = float(trajectory.time[1])
-        self._firmware = firmware
-        self._lookahead_time = lookahead_time
-        self._gain = gain
         self._line = b""
         self._requests: list[int] = []
         #: s on the trajectory that the arm has gone on in a pause; and then: when that was, s, and (6,) rad from there
@@ -58,17 +59,6 @@ class WaypointServer(Following):
         self._has_arrived = False
         #: s that have passed on the trajectory; None before it began
         self._t: float | None = None
-
-    def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
-        """The lines of the program on the robot."""
-        assert isinstance(link, ReverseSocket), "it asks for its points, and registers answer nothing"
-        return waypoints.interpolating(
-            self._firmware,
-            *link,
-            is_quintic=self._trajectory.is_quintic,
-            lookahead_time=self._lookahead_time,
-            gain=self._gain,
-        )
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
         """The message that answers a state, and the requests that the program has sent since the last one.

@@ -41,15 +41,18 @@ from typing import NamedTuple
 
 from ..firmware import Firmware
 from .links import (
+    BRAKE,
     LINK_ENDED,
     NO_CONNECTION,
     SCALE,
+    SLOWEST,
     STARVED,
     STOP,
     TOO_FAR,
     WAIT,
     ReverseSocket,
     introduction,
+    keep_quickest,
     missable,
     over_registers,
 )
@@ -79,8 +82,6 @@ _REPORTING = 0.02
 _BRAKES = 2.0
 #: rad between the place where the arm is and the one from which the stream is to begin.
 _NEAR = 0.05
-#: More than the difference between a count of cycles and a date can be at first.
-_SLOWEST = 1_000_000_000
 #: Names of the lists in which points are held, one for each of their eighteen numbers.
 _KEPT = [f"kept_{quantity}{joint}" for quantity in "qva" for joint in range(6)]
 #: The position on the present step, `t` s after its beginning.
@@ -134,7 +135,6 @@ def buffering(
     watchdog: float,
     lookahead_time: float = 0.03,
     gain: float = 300.0,
-    deceleration: float = 4.0,
 ) -> list[str]:
     """Hold points, move through them, and brake where none is left.
 
@@ -144,7 +144,6 @@ def buffering(
         acceleration, jerk: (6,) rad/s² and rad/s³ with which the joints brake.
         watchdog: seconds without a message after which it brakes and ends.
         lookahead_time, gain: of ``servoj``.
-        deceleration: rad/s² of the ``stopj`` at its end, when the arm rests on its last set-point.
     """
     period, change = number(1.0 / firmware.rate), number(PACING / firmware.rate)
     most_missed = missable(watchdog, firmware.rate)
@@ -203,7 +202,7 @@ def buffering(
           if starved and not leaving:
             textmsg({quoted(STARVED)})
           end
-          stopj({number(deceleration)})
+          {BRAKE}
         end
 {indented(follow)}
     """
@@ -232,10 +231,7 @@ def _over_socket(firmware: Firmware, link: ReverseSocket, most_missed: int) -> s
               reading = False
             else:
               enter_critical
-              behind = cycle - message[{MESSAGE + 1}]
-              if behind < quickest:
-                quickest = behind
-              end
+{indented(keep_quickest(f"message[{MESSAGE + 1}]"), 14)}
               messages = messages + 1
               if behind - quickest <= {most_missed}:
                 missed = 0
@@ -296,10 +292,7 @@ def _over_registers(firmware: Firmware, link: PointRegisters, most_missed: int, 
               messages = seen
               message = [{MESSAGE}, {", ".join(whole)}]
               rates = [{", ".join(parts)}]
-              behind = cycle - read_input_integer_register({link.date})
-              if behind < quickest:
-                quickest = behind
-              end
+{indented(keep_quickest(f"read_input_integer_register({link.date})"), 14)}
               if message[1] == {STOP}:
                 reading = False
               elif behind - quickest <= {most_missed}:
@@ -357,7 +350,7 @@ def _variables(capacity: int, acceleration: Sequence[float], jerk: Sequence[floa
         messages = 0
         missed = 0
         cycle = 0
-        quickest = {_SLOWEST}
+        quickest = {SLOWEST}
         starved = False
         leaving = False
 {indented(LAST_PLACE)}
@@ -373,38 +366,13 @@ def _geometry(period: str, change: str) -> str:
         period: s of a cycle.
         change: of the pace in a cycle.
     """
-    way = "(" + "kept_q{i}[first] - at_q[{i}]) / h"
-    ends = {"w": "kept_v{i}[first]", "b": "kept_a{i}[first]"}
-    cubic = {
-        "c2": "(3.0 * (" + way + ") - 2.0 * at_v[{i}] - " + ends["w"] + ") / h",
-        "c3": "(at_v[{i}] + " + ends["w"] + " - 2.0 * (" + way + ")) / (h * h)",
-    }
-    quintic = {
-        "c3": "(10.0 * ("
-        + way
-        + ") - 6.0 * at_v[{i}] - 4.0 * "
-        + ends["w"]
-        + " + h * (0.5 * "
-        + ends["b"]
-        + " - 1.5 * "
-        "at_a[{i}])) / (h * h)",
-        "c4": "(8.0 * at_v[{i}] + 7.0 * "
-        + ends["w"]
-        + " - 15.0 * ("
-        + way
-        + ") + h * (1.5 * at_a[{i}] - "
-        + ends["b"]
-        + "))"
-        " / (h * h * h)",
-        "c5": "(6.0 * ("
-        + way
-        + ") - 3.0 * at_v[{i}] - 3.0 * "
-        + ends["w"]
-        + " + h * 0.5 * ("
-        + ends["b"]
-        + " - at_a[{i}]))"
-        " / (h * h * h * h)",
-    }
+    way = "(kept_q{i}[first] - at_q[{i}]) / h"
+    v0, v1, a0, a1 = "at_v[{i}]", "kept_v{i}[first]", "at_a[{i}]", "kept_a{i}[first]"
+    cubic_2 = f"(3.0 * ({way}) - 2.0 * {v0} - {v1}) / h"
+    cubic_3 = f"({v0} + {v1} - 2.0 * ({way})) / (h * h)"
+    quintic_3 = f"(10.0 * ({way}) - 6.0 * {v0} - 4.0 * {v1} + h * (0.5 * {a1} - 1.5 * {a0})) / (h * h)"
+    quintic_4 = f"(8.0 * {v0} + 7.0 * {v1} - 15.0 * ({way}) + h * (1.5 * {a0} - {a1})) / (h * h * h)"
+    quintic_5 = f"(6.0 * ({way}) - 3.0 * {v0} - 3.0 * {v1} + h * 0.5 * ({a1} - {a0})) / (h * h * h * h)"
     return f"""
         def reach(t):
           at_q = [{each(_PLACE)}]
@@ -425,14 +393,14 @@ def _geometry(period: str, change: str) -> str:
             c1 = [{each(way)}]
           elif kept_degree[first] < 5:
             c1 = at_v
-            c2 = [{each(cubic["c2"])}]
-            c3 = [{each(cubic["c3"])}]
+            c2 = [{each(cubic_2)}]
+            c3 = [{each(cubic_3)}]
           else:
             c1 = at_v
             c2 = [{each("0.5 * at_a[{i}]")}]
-            c3 = [{each(quintic["c3"])}]
-            c4 = [{each(quintic["c4"])}]
-            c5 = [{each(quintic["c5"])}]
+            c3 = [{each(quintic_3)}]
+            c4 = [{each(quintic_4)}]
+            c5 = [{each(quintic_5)}]
           end
           degree = kept_degree[first]
           length = h

@@ -1,8 +1,8 @@
-"""The commands that move nothing, as URScript of each firmware.
+"""The commands as URScript of each firmware: those that move the arm, as the lines of a program, and those that do not.
 
-What is sure: the names of the output functions by generation and the numbering of digital outputs (three public
-drivers), `set_payload` with a mass alone, `set_tool_voltage`, `set_flag`, `set_tcp`, `popup`, `set_target_payload`
-from 5.10, and the line ``set speed`` (reports of users). What is not:
+Of those that move nothing, what is sure: the names of the output functions by generation and the numbering of digital
+outputs (three public drivers), `set_payload` with a mass alone, `set_tool_voltage`, `set_flag`, `set_tcp`, `popup`,
+`set_target_payload` from 5.10, and the line ``set speed`` (reports of users). What is not:
 
 - that tool outputs of CB2 are 8 and 9 of `set_digital_out`: its masterboard has 16 bits, of which 0 to 7 are the box's;
 - that analogue outputs take a fraction of their range, 0 to 1, whether they drive a current or a voltage: so the
@@ -15,13 +15,14 @@ from 5.10, and the line ``set speed`` (reports of users). What is not:
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
 from linkcore.errors import BadValue
 from linkcore.wire.fields import Since
-from urlink.firmware import Firmware
 
+from ..firmware import Firmware
 from .text import boolean, integer, number, pose, quoted, vector
 
 #: Bd; those of the tool's serial line.
@@ -33,6 +34,96 @@ _TARGET_PAYLOAD = Since("5.10")
 _LONGEST_TRANSITION, _GRAVITIES = 60.0, (5.0, 15.0)
 #: kg. No arm lifts it; it distinguishes kilograms from grams.
 _HEAVIEST = 100.0
+
+#: What announces a movement of a path, before its number.
+_SEGMENT = "urlink: segment "
+
+
+# -- what moves the arm --------------------------------------------------------------------------------
+
+
+def move_joints(
+    q: Sequence[float], speed: float, acceleration: float, time: float | None = None, blend: float = 0.0
+) -> list[str]:
+    """Move the joints to `q` (6, rad), at most so fast (rad/s, rad/s²), or in `time` seconds."""
+    return [f"movej({vector(q, what='q')}, {_how(speed, acceleration, time, blend)})"]
+
+
+def move_linear(
+    target: Sequence[float], speed: float, acceleration: float, time: float | None = None, blend: float = 0.0
+) -> list[str]:
+    """Move the tool in a straight line to a pose (m, rad), at most so fast (m/s, m/s²), or in `time` seconds."""
+    return [f"movel({pose(target)}, {_how(speed, acceleration, time, blend)})"]
+
+
+def move_circular(
+    via: Sequence[float], to: Sequence[float], speed: float, acceleration: float, blend: float = 0.0
+) -> list[str]:
+    """Move the tool along the circle through one pose to another (m, rad), at most so fast (m/s, m/s²)."""
+    return [f"movec({pose(via, 'via')}, {pose(to, 'to')}, {_how(speed, acceleration, None, blend)})"]
+
+
+def _how(speed: float, acceleration: float, time: float | None, blend: float) -> str:
+    figures = f"a={number(acceleration, 'acceleration')}, v={number(speed, 'speed')}"
+    if time is not None:
+        figures += f", t={number(time, 'time')}"
+    return f"{figures}, r={number(blend, 'blend')}" if blend else figures
+
+
+def segment(index: int) -> str:
+    """The `textmsg` before movement `index` of a path; after a blend it is executed as the blend begins.
+
+    A `textmsg` takes no time. That it does not end a blend, as no statement does that takes none, is how the vendor's
+    own programs look, which set outputs between blended waypoints.
+    """
+    return f"textmsg({quoted(f'{_SEGMENT}{index}')})"
+
+
+def segment_of(text: str) -> int | None:
+    """Which movement a line of text announces; None if it is another text."""
+    found = re.fullmatch(rf"{_SEGMENT}(\d{{1,4}})", text)
+    return int(found[1]) if found else None
+
+
+def speed_joints(firmware: Firmware, qd: Sequence[float], acceleration: float, duration: float) -> list[str]:
+    """Turn the joints at `qd` (6, rad/s) for `duration` seconds, then brake."""
+    return _speed(firmware, "speedj", vector(qd, what="qd"), acceleration, duration, "stopj")
+
+
+def speed_linear(firmware: Firmware, xd: Sequence[float], acceleration: float, duration: float) -> list[str]:
+    """Move the tool at `xd` (6, m/s and rad/s) for `duration` seconds, then brake."""
+    return _speed(firmware, "speedl", vector(xd, what="xd"), acceleration, duration, "stopl")
+
+
+def _speed(
+    firmware: Firmware, function: str, speeds: str, acceleration: float, duration: float, brake: str
+) -> list[str]:
+    a, t = number(acceleration, "acceleration"), number(duration, "duration")
+    timed = [f"{function}({speeds}, {a}, {t})"]
+    untimed = [f"{function}({speeds}, {a})", f"sleep({t})"]
+    return [*(timed if takes_duration(firmware) else untimed), f"{brake}({a})"]
+
+
+def takes_duration(firmware: Firmware) -> bool:
+    """Whether ``speedj`` and ``speedl`` take a time.
+
+    In 3.1 and 3.2 they do not: they return once the speed is reached, and keep it (docs/protocols/urscript.md,
+    Differences).
+    """
+    return not (3, 1) <= firmware[:2] < (3, 3)
+
+
+def interpreter_mode() -> list[str]:
+    """Take statements of clients until one of them ends it."""
+    return ["interpreter_mode()"]
+
+
+def stop(acceleration: float) -> list[str]:
+    """Brake all joints with so many rad/s²."""
+    return [f"stopj({number(acceleration, 'acceleration')})"]
+
+
+# -- what moves nothing --------------------------------------------------------------------------------
 
 
 def secondary(*statements: str) -> str:

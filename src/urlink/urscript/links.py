@@ -28,6 +28,7 @@ Why such a program ended before its time is in its last ``textmsg``: `NO_CONNECT
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 from ..firmware import Firmware
@@ -45,6 +46,8 @@ LINK_ENDED = "urlink: the link ended"
 STARVED = "urlink: nothing to go to"
 TOO_FAR = "urlink: the first point is too far away"
 
+#: What brakes an arm whose program ends, with 4 rad/s².
+BRAKE = "stopj(4.0)"
 #: Seconds for which a program waits for the first message in its registers.
 _LINK_TIMEOUT = 5.0
 
@@ -97,6 +100,10 @@ class InputRegisters(NamedTuple):
     def proof(self) -> int:
         """The register that holds the token."""
         return self.first_integer + 3
+
+
+#: Makes the lines of a program, for the link by which its messages come.
+Writer = Callable[[ReverseSocket | InputRegisters], list[str]]
 
 
 def message_loop(
@@ -154,7 +161,7 @@ def message_loop(
         followed = {WAIT}
         starved = False
         cycle = 0
-        quickest = {_SLOWEST}
+        quickest = {SLOWEST}
         {kind} servo():
 {indented(start, 10)}
           going = True
@@ -188,7 +195,7 @@ def message_loop(
 
 
 #: More than the difference between a count of cycles and a date can be at first.
-_SLOWEST = 1_000_000_000
+SLOWEST = 1_000_000_000
 #: Numbers of a message.
 _MESSAGE = 14
 #: Seconds for which a read waits for one.
@@ -245,7 +252,7 @@ def _over_socket(link: ReverseSocket, firmware: Firmware, watchdog: float) -> st
             else:
               silent = 0
               date_read = message[14]
-{indented(_keep_quickest("date_read"), 14)}
+{indented(keep_quickest("date_read"), 14)}
               if not (message[13] == {WAIT}):
                 goal_read = [{each("message[{n}] / " + number(SCALE))}]
                 speed_read = [{each("message[{way}] / " + number(SCALE), [str(7 + i) for i in range(6)])}]
@@ -281,7 +288,7 @@ def _take_registers(link: InputRegisters) -> str:
         seen = number
         date = read_input_integer_register({link.date})
         if is_new:
-{indented(_keep_quickest("date"), 10)}
+{indented(keep_quickest("date"), 10)}
         end
         goal = [{each("read_input_float_register({way})", [str(link.first_float + i) for i in range(6)])}]
         speed = [{each("read_input_float_register({way})", [str(link.first_float + 6 + i) for i in range(6)])}]
@@ -316,7 +323,7 @@ def over_registers(at: int, message: int, token: int, follow: str, firmware: Fir
     """
 
 
-def _keep_quickest(date: str) -> str:
+def keep_quickest(date: str) -> str:
     """Keep the difference of the message that came quickest; messages without a set-point count too."""
     return f"""
         behind = cycle - {date}

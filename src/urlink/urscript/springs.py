@@ -17,7 +17,7 @@ from pathlib import Path
 from string import Template
 
 from ..firmware import Firmware
-from .links import InputRegisters, ReverseSocket, message_loop, missable
+from .links import BRAKE, InputRegisters, ReverseSocket, message_loop, missable
 from .text import indented, number, vector
 
 #: What to do, beside `STOP`, `FOLLOW` and `WAIT`: take gains, or a posture.
@@ -43,8 +43,6 @@ _WEIGHING = 0.05
 LOOSE = 1.0
 #: s in which the springs are let go of.
 _FADING = 0.2
-#: rad/s² with which the arm brakes that stands already.
-_DECELERATION = "stopj(4.0)"
 #: The speed slider does not scale torques; so it scales the way to the target.
 _SLIDER = 'get_rtde_value("target_speed_fraction")'
 #: The branch for messages that have a posture.
@@ -141,7 +139,7 @@ def impedance(firmware: Firmware, link: ReverseSocket | InputRegisters, springs:
     )
     call = f"direct_torque(torques(), friction_comp={'True' if springs.friction_compensation else 'False'})"
     received = _TAKE_POSTURE if tool is not None else ""
-    return _led(firmware, link, program, call, received, _DECELERATION, springs.watchdog)
+    return _led(firmware, link, program, call, received, BRAKE, springs.watchdog)
 
 
 def admittance(

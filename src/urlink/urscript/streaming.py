@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from linkcore.arguments import check_number
 
 from ..firmware import Firmware
-from .links import InputRegisters, ReverseSocket, message_loop, missable
-from .programs import takes_duration
+from .commands import takes_duration
+from .links import BRAKE, InputRegisters, ReverseSocket, message_loop, missable
 from .text import each, indented, lines, number
 
 #: Seconds for which the streaming program goes on by itself, whatever its watchdog lets it. Chosen: the default
@@ -35,7 +35,6 @@ def streaming(
     coasting: float = COASTING,
     lookahead_time: float = 0.1,
     gain: float = 300.0,
-    deceleration: float = 4.0,
 ) -> list[str]:
     """Follow set-points, one per cycle, and brake where they stay away.
 
@@ -54,7 +53,6 @@ def streaming(
         watchdog: seconds without a set-point after which it brakes.
         coasting: seconds without one after which the arm has come to rest.
         lookahead_time, gain: of ``servoj``, where the firmware has them.
-        deceleration: rad/s² with which it brakes.
     """
     servo = servo_cycle(firmware, lookahead_time, gain)
     most_missed = missable(watchdog, firmware.rate)
@@ -121,9 +119,8 @@ def streaming(
 {indented(coast)}
         {servo}
     """
-    end = f"stopj({number(deceleration)})"
     loop = message_loop(
-        firmware, link, start, received, late, end, watchdog=watchdog, most_missed=most_missed, guard=guard
+        firmware, link, start, received, late, BRAKE, watchdog=watchdog, most_missed=most_missed, guard=guard
     )
     return [*lines(bounds), *loop]
 
@@ -195,12 +192,7 @@ def servo_cycle(firmware: Firmware, lookahead_time: float, gain: float) -> str:
 
 
 def jogging(
-    firmware: Firmware,
-    link: ReverseSocket | InputRegisters,
-    *,
-    is_tool: bool,
-    acceleration: float,
-    watchdog: float,
+    firmware: Firmware, link: ReverseSocket | InputRegisters, *, is_tool: bool, acceleration: float, watchdog: float
 ) -> list[str]:
     """Move at the speeds of the newest message, and brake where none has come for a while.
 

@@ -71,8 +71,11 @@ def number(value: Any, what: str = "value", least: float = -_LARGEST, most: floa
     return "0.0" if digits == "-0.0" else digits
 
 
-def numbers(values: Iterable[Any], length: int, what: str = "value") -> str:
-    """So many numbers, separated by commas.
+def vector(values: Iterable[Any], length: int = 6, what: str = "value") -> str:
+    """A list of numbers: six joints, a centre of gravity.
+
+    >>> vector([1, 2, 3], 3)
+    '[1.0, 2.0, 3.0]'
 
     Raises:
         BadValue: there are more or fewer of them, or one is not finite.
@@ -85,19 +88,7 @@ def numbers(values: Iterable[Any], length: int, what: str = "value") -> str:
         raise BadValue(f"{what} is {values!r}; expected {length} numbers") from None
     if len(items) != length:
         raise BadValue(f"{what} has {len(items)} values; expected {length}")
-    return ", ".join(number(item, f"{what}[{index}]") for index, item in enumerate(items))
-
-
-def vector(values: Iterable[Any], length: int = 6, what: str = "value") -> str:
-    """A list of numbers: six joints, a centre of gravity.
-
-    >>> vector([1, 2, 3], 3)
-    '[1.0, 2.0, 3.0]'
-
-    Raises:
-        BadValue: as `numbers`.
-    """
-    return f"[{numbers(values, length, what)}]"
+    return f"[{', '.join(number(item, f'{what}[{index}]') for index, item in enumerate(items))}]"
 
 
 def pose(values: Sequence[Any], what: str = "pose") -> str:
@@ -109,7 +100,7 @@ def pose(values: Sequence[Any], what: str = "pose") -> str:
     Raises:
         BadValue: it does not have six finite numbers.
     """
-    return f"p[{numbers(values, 6, what)}]"
+    return f"p{vector(values, 6, what)}"
 
 
 def quoted(text: object, what: str = "text") -> str:

@@ -9,10 +9,9 @@ for 0.1. See `urlink.urscript.links` for what it has in common with other progra
 from __future__ import annotations
 
 import math
-from textwrap import dedent, indent
 
 from ..firmware import Firmware
-from .links import LINK_ENDED, NO_CONNECTION, STARVED, TOO_FAR, introduction
+from .links import BRAKE, LINK_ENDED, NO_CONNECTION, STARVED, TOO_FAR, introduction
 from .streaming import LAST_PLACE, found_elsewhere, servo_cycle
 from .text import each, indented, integer, lines, number, quoted
 
@@ -25,8 +24,13 @@ NO_MORE = -1
 _SETTLING = 0.2
 #: Seconds in which a difference to the path is faded out after a pause.
 FADING = 0.4
-#: rad/s; at a waypoint that is faster there is no waiting for the next one.
-_SLOW = 0.05
+#: rad/s; at a waypoint that is faster there is no waiting for the next one: it brakes at once. Seconds for which it
+#: waits where the last one was slow.
+_SLOW, _PATIENCE = 0.05, 2.0
+#: rad that the first waypoint may be away from the joints.
+_NEAR = 0.01
+#: Seconds between two questions whether this computer is there, while it needs no waypoint.
+_HEARTBEAT = 0.25
 
 
 def numbers_of_point(is_quintic: bool) -> int:
@@ -43,10 +47,6 @@ def interpolating(
     is_quintic: bool,
     lookahead_time: float = 0.1,
     gain: float = 300.0,
-    deceleration: float = 4.0,
-    max_difference: float = 0.01,
-    max_wait: float = 2.0,
-    heartbeat: float = 0.25,
 ) -> list[str]:
     """Ask for waypoints one after the other and interpolate between them; for 3.x and later.
 
@@ -57,10 +57,6 @@ def interpolating(
         token: by which it shows that it is the program that is waited for.
         is_quintic: waypoints have accelerations.
         lookahead_time, gain: of ``servoj``.
-        deceleration: rad/s² with which it brakes.
-        max_difference: rad that the first waypoint may be away from the joints.
-        max_wait: seconds for which it waits for a waypoint, where the last one was slow; else it brakes at once.
-        heartbeat: seconds between two questions whether this computer is there, while it needs no waypoint.
     """
     servo = servo_cycle(firmware, lookahead_time, gain)
     go = f"""
@@ -136,7 +132,7 @@ def interpolating(
               h = next[{count}]
               i = 0
               while i < 6:
-{indent(dedent(coefficients), " " * 16).rstrip()}
+{indented(coefficients, 16)}
                 i = i + 1
               end
               while t < h and not leave:
@@ -164,11 +160,11 @@ def interpolating(
               i = 0
               while i < 6:
                 if before[8 + i] > {number(_SLOW)} or before[8 + i] < {number(-_SLOW)}:
-                  waited = {number(max_wait)}
+                  waited = {number(_PATIENCE)}
                 end
                 i = i + 1
               end
-              if waited < {number(max_wait)}:
+              if waited < {number(_PATIENCE)}:
                 q = [{each("before[{q}]")}]
                 go()
                 waited = waited + {period}
@@ -179,7 +175,7 @@ def interpolating(
               end
             end
           end
-          stopj({number(deceleration)})
+          {BRAKE}
           moving = False
         end
         def pause():
@@ -195,7 +191,7 @@ def interpolating(
               skipped = message[1] - 1.0
               held = False
             end
-          elif cycles < {max(math.ceil(heartbeat * firmware.rate), 1)}:
+          elif cycles < {math.ceil(_HEARTBEAT * firmware.rate)}:
             sync()
           else:
             cycles = 0
@@ -227,7 +223,7 @@ def interpolating(
                 k = 0
                 while k < 6:
                   away = answer[2 + k] - here[k]
-                  if away > {number(max_difference)} or away < {number(-max_difference)}:
+                  if away > {number(_NEAR)} or away < {number(-_NEAR)}:
                     leave = True
                   end
                   k = k + 1

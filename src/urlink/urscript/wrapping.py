@@ -34,8 +34,8 @@ from linkcore.wire.fields import Since
 from ..firmware import Firmware
 from .text import identifier, quoted
 
-#: The first firmwares with the upper range of registers, 24 to 47.
-_HAS_REGISTERS = Since("3.9/5.3")
+#: The first firmwares with the upper range of registers, 24 to 47 (RTDE guide of the vendor).
+HAS_REGISTERS = Since("3.9/5.3")
 #: Bytes. What the controller takes at most is not known; the largest public driver program has some 60 kB.
 LARGEST = 1 << 20
 
@@ -61,7 +61,7 @@ class StartPlace(NamedTuple):
 
     def on(self, firmware: Firmware) -> StartPlace:
         """What of it is used on a firmware: the register, the flags, or nothing."""
-        if self.register is not None and firmware in _HAS_REGISTERS:
+        if self.register is not None and firmware in HAS_REGISTERS:
             return StartPlace(self.register, ())
         return StartPlace(None, self.flags)
 
@@ -329,14 +329,13 @@ def _items(lines: list[str]) -> list[_Item]:
     opened: list[tuple[str, int]] = []
     end = (0, "")
     for number, line in enumerate(lines):
-        words = [token for token in _tokens(line, number) if token]
         code = _TOKEN.sub(lambda found: "" if found[0].startswith("#") else found[0], line).strip()
         if code:
             end = (number, code)
         if not opened and code:
             first = re.match(r"\w+", code)
             items.append(_Item(first[0] if first else code[0], number, number))
-        for word in words:
+        for word in _tokens(line, number):
             if word != "end":
                 opened.append((word, number))
             elif not opened:

@@ -13,59 +13,65 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from ..firmware import Firmware
-from .links import InputRegisters, ReverseSocket, message_loop, missable
-from .text import each, lines, number, pose, quoted, vector
+from .links import BRAKE, InputRegisters, ReverseSocket, message_loop, missable
+from .text import each, indented, lines, number, pose, quoted, vector
 
 #: The messages of a movement to a contact at its end; the first is followed by the joint positions.
 CONTACT = "urlink: contact "
 NO_CONTACT = "urlink: no contact"
 
-#: rad/s² with which an arm brakes whose mode ends.
-_DECELERATION = "stopj(4.0)"
+
+@dataclass(frozen=True)
+class Pressing:
+    """The parameters of force mode that are set once, when it begins.
+
+    Attributes:
+        frame: (6,) pose in the base frame.
+        selection: (6,) the compliant axes.
+        limits: (6,) of speed along them, m/s and rad/s; of deviation along the others, m and rad.
+        kind: 1, 2 or 3: how the controller turns the frame; see `Motions.force_mode`.
+        damping, gain: None for those of the controller.
+    """
+
+    frame: tuple[float, ...]
+    selection: tuple[bool, ...]
+    limits: tuple[float, ...]
+    kind: int
+    damping: float | None
+    gain: float | None
 
 
 def force_mode(
-    firmware: Firmware,
-    link: ReverseSocket | InputRegisters,
-    frame: Sequence[float],
-    selection: Sequence[bool],
-    limits: Sequence[float],
-    *,
-    kind: int,
-    damping: float | None,
-    gain: float | None,
-    watchdog: float,
+    firmware: Firmware, link: ReverseSocket | InputRegisters, pressing: Pressing, *, watchdog: float
 ) -> list[str]:
     """Force mode with the wrench that the messages hold, which may change.
 
     Args:
         link: how the messages come.
-        frame: (6,) pose in the base frame.
-        selection: (6,) the compliant axes.
-        limits: (6,) as `force_mode` of URScript takes them.
-        kind: 1, 2 or 3.
-        damping, gain: None leaves them as the controller has them.
+        pressing: all but the wrench.
         watchdog: s without a message after which it ends.
     """
-    settings = [
-        *([] if damping is None else [f"force_mode_set_damping({number(damping)})"]),
-        *([] if gain is None else [f"force_mode_set_gain_scaling({number(gain)})"]),
-    ]
-    axes = ", ".join("1" if is_free else "0" for is_free in selection)
-    start = ["wrench = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]", *settings]
+    frame, limits = pose(pressing.frame, "frame"), vector(pressing.limits, what="limits")
+    start = ["wrench = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]"]
+    if pressing.damping is not None:
+        start.append(f"force_mode_set_damping({number(pressing.damping)})")
+    if pressing.gain is not None:
+        start.append(f"force_mode_set_gain_scaling({number(pressing.gain)})")
+    axes = ", ".join("1" if is_free else "0" for is_free in pressing.selection)
     is_other = " or ".join(f"goal[{i}] != wrench[{i}]" for i in range(6))
     received = f"""
         if (not begun) or {is_other}:
           wrench = goal
-          force_mode({pose(frame, "frame")}, [{axes}], wrench, {kind:d}, {vector(limits, what="limits")})
+          force_mode({frame}, [{axes}], wrench, {pressing.kind:d}, {limits})
         end
         begun = True
         missed = 0
         sync()
     """
-    end = f"end_force_mode()\n{_DECELERATION}"
+    end = f"end_force_mode()\n{BRAKE}"
     return _mode_loop(firmware, link, "\n".join(start), received, "sync()", end, watchdog=watchdog)
 
 
@@ -97,7 +103,7 @@ def freedrive(
         missed = 0
         sync()
     """
-    end = f"end_freedrive_mode()\n{_DECELERATION}"
+    end = f"end_freedrive_mode()\n{BRAKE}"
     return _mode_loop(firmware, link, "", received, "sync()", end, watchdog=watchdog)
 
 
@@ -120,7 +126,7 @@ def torque(
     """
     missed = call.format(f"[{each('torque[{i}] * share')}]")
     start = "torque = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]"
-    return _mode_loop(firmware, link, start, received, missed, _DECELERATION, watchdog=watchdog)
+    return _mode_loop(firmware, link, start, received, missed, BRAKE, watchdog=watchdog)
 
 
 def _mode_loop(
@@ -183,11 +189,11 @@ def until_contact(
     back = f"movej(q, a=1.4, v={number(min(speed, 1.0))})" if retracts else ""
     a = number(acceleration, "acceleration")
     text = f"""
-{_block(start, 8)}
+{indented(start)}
         touched = False
         cycles = 0
         while cycles < {cycles} and not touched:
-{_block(feel, 10)}
+{indented(feel, 10)}
           if {found}:
             touched = True
           else:
@@ -198,7 +204,7 @@ def until_contact(
         if touched:
           q = {where}
           stopl({number(max(acceleration, 2.0))})
-{_block(back, 10)}
+{indented(back, 10)}
           textmsg({quoted(CONTACT)}, q)
         else:
           stopl({a})
@@ -206,10 +212,6 @@ def until_contact(
         end
     """
     return lines(text)
-
-
-def _block(text: str, columns: int) -> str:
-    return "\n".join(" " * columns + line for line in text.splitlines())
 
 
 def contact_of(text: str) -> list[float] | None:

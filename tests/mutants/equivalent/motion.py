@@ -217,7 +217,7 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "a value of zero is good enough at either end of the bracket",
     ),
     Equivalent(
-        "urlink/motion/taught.py",
+        "urlink/motion/teaching.py",
         "save",
         "1",
         "2",
@@ -225,7 +225,7 @@ EQUIVALENT: tuple[Equivalent, ...] = (
     ),
     Equivalent(
         "urlink/motion/register_link.py",
-        "random_token",
+        "_random_token",
         "1",
         "2",
         "one of two thousand million tokens is never chosen; what counts is that none is 0",
@@ -308,14 +308,14 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "an angle that was computed equals the bound to the last bit",
     ),
     Equivalent(
-        "urlink/motion/waypoint_schedule.py",
+        "urlink/motion/paced.py",
         "add",
         "anchor + _CLOSEST < each[0] < at - _CLOSEST",
         "anchor + _CLOSEST <= each[0] < at - _CLOSEST",
         "times a thousandth apart, to the last bit: one waypoint or two",
     ),
     Equivalent(
-        "urlink/motion/waypoint_schedule.py",
+        "urlink/motion/paced.py",
         "add",
         "anchor + _CLOSEST < each[0] < at - _CLOSEST",
         "anchor + _CLOSEST < each[0] <= at - _CLOSEST",

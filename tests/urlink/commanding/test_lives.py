@@ -493,8 +493,8 @@ def test_what_is_sent_while_a_stop_waits_for_news_is_not_stopped(
     one, others = desk.motion(), list[Any]()
     prepare = desk.channel._prepare
 
-    def prepare_beside() -> None:
-        prepare()
+    def prepare_beside(moves: bool) -> None:
+        prepare(moves)
         monkeypatch.setattr(desk.channel, "_prepare", prepare)
         others.append(desk.motion())  # of another thread
 

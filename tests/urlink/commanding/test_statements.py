@@ -84,7 +84,7 @@ class Mode(Programming):
             raise AssertionError("nothing was given up")
 
         take_back = TakeBack(client, lambda client, is_wanted: None)
-        self.interpreter = Interpreter(self.life, deque(), dialogue, self.channel, self.recall, take_back, 42.0)
+        self.interpreter = Interpreter(self.life, dialogue, self.channel, self.recall, take_back, 42.0)
 
 
 @pytest.fixture

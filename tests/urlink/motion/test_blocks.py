@@ -17,12 +17,11 @@ from tests.fakes.rehearsal import FOLLOW, HOME, STOP, TIMEOUT, WAIT, Rehearsal, 
 from tests.urlink.motion.test_servo import Beside
 from tests.waiting import until
 from urlink.errors import NoContact, ProgramStopped
-from urlink.firmware import Firmware
 from urlink.kinematics import Arm
 from urlink.models import model
-from urlink.motion.force_mode import ForceMode, Pressing
 from urlink.motion.linked_block import LinkedBlock
 from urlink.motion.motions import LinkName
+from urlink.motion.yielding import ForceMode
 from urlink.vectors import FloatArray, Numbers
 
 pytestmark = pytest.mark.simulated_time
@@ -81,10 +80,9 @@ def test_force_mode_tells_its_wrench_with_every_state_and_the_rest_once(led: Reh
 
 
 @pytest.mark.parametrize(("kind", "is_taken"), [(0, False), (1, True), (2, True), (3, True), (4, False)])
-def test_the_frame_is_turned_in_one_of_three_ways(kind: int, is_taken: bool) -> None:
-    pressing = Pressing((0.0,) * 6, (True,) * 6, (0.1,) * 6, kind, None, None)
+def test_the_frame_is_turned_in_one_of_three_ways(robot: Rehearsal, kind: int, is_taken: bool) -> None:
     with contextlib.nullcontext() if is_taken else pytest.raises(BadValue, match=f"kind is {kind}"):
-        pressing.check(Firmware.parse("5.11"))
+        press(robot, "base", kind=kind)
 
 
 def test_a_frame_that_nobody_knows(robot: Rehearsal) -> None:

@@ -12,7 +12,8 @@ from tests.urlink.motion.test_servo import Beside
 from urlink.errors import ProgramStopped
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.models import model
-from urlink.motion.impedance import _checked, _Messages
+from urlink.motion.impedance import _Messages
+from urlink.motion.path import check_joint_positions
 from urlink.motion.setpoints import read_message
 from urlink.urscript.links import FOLLOW
 from urlink.urscript.springs import GAINS, POSTURE
@@ -69,13 +70,13 @@ def test_targets_are_numbered_from_one_to_a_thousand() -> None:
 @pytest.mark.parametrize(("arm", "is_taken"), [("UR5e", False), (None, True)])
 def test_a_target_is_in_the_range_of_the_joints_of_an_arm_that_is_known(arm: str | None, is_taken: bool) -> None:
     known = None if arm is None else model(arm)
-    assert _checked(known, READY, "target") == READY
+    assert check_joint_positions(READY, "target", known).tolist() == READY
     far = [*READY[:5], 7.0]
     if is_taken:
-        assert _checked(known, far, "target") == far
+        assert check_joint_positions(far, "target", known).tolist() == far
     else:
         with pytest.raises(BadValue, match="wrist 3"):
-            _checked(known, far, "target")
+            check_joint_positions(far, "target", known)
 
 
 @pytest.mark.simulated_time

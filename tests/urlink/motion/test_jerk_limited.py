@@ -82,16 +82,20 @@ def test_it_brakes_and_no_more_where_that_leads_to_the_target(
             assert is_beyond == (further < 0.0)
 
 
+def rests_at_target(led: TargetFilter) -> bool:
+    return (led.q, led.qd, led.qdd) == (led.target, [0.0] * 6, [0.0] * 6)
+
+
 def test_it_is_there_when_its_time_is_over_and_stays() -> None:
     limit = JointLimit(1.0, 1.0, 1.0)
     led = TargetFilter([0.5] * 6, [limit] * 6)
     led.advance(1.0)
-    is_there = [led.is_at_target]
+    is_there = [rests_at_target(led)]
     assert (led.q, led.qd, led.qdd) == ([0.5] * 6, [0.0] * 6, [0.0] * 6)
     led.aim([0.5] * 5 + [2.5])
-    is_there.append(led.is_at_target)
+    is_there.append(rests_at_target(led))
     led.advance(JointProfile(0.5, 0.0, 0.0, 2.5, limit).duration)
-    is_there.append(led.is_at_target)
+    is_there.append(rests_at_target(led))
     assert is_there == [True, False, True]
     assert led.q == led.target == [0.5] * 5 + [2.5]
 
@@ -119,7 +123,7 @@ def test_going_on_from_elsewhere_no_limit_is_exceeded() -> None:
     kept = math.sqrt(2.0 * 60.0 * 0.03)  # the speed grows by a² / 2j while the acceleration dies away
     assert led.qdd == pytest.approx([0.0, 3.0, kept, 0.0, -3.0, -kept])
     seen = []
-    while not led.is_at_target:
+    while not rests_at_target(led):
         led.advance(0.001)
         seen.append((led.qd, led.qdd))
         assert len(seen) < 5000
@@ -160,7 +164,7 @@ def test_targets_whatever_they_are_and_whenever_they_come(
             assert (np.abs(now[1:]) <= most[:2] * (1 + 1e-9)).all()
             assert ((low - 1e-9 <= now[0]) & (now[0] <= high + 1e-9)).all()
     led.advance(2000.0)
-    assert led.is_at_target
+    assert rests_at_target(led)
     assert led.q == course[-1][0]
     assert led.qd == led.qdd == [0.0] * 6
 

@@ -16,13 +16,13 @@ from urlink.errors import NotRunning, ProgramStopped, SafetyStop, ToleranceExcee
 from urlink.interfaces.enums import ProgramState, SafetyMode
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.motion.linked import LinkedProgram
-from urlink.motion.setpoints import setpoint
+from urlink.motion.setpoints import LinkDialogue, setpoint
 from urlink.urscript.links import InputRegisters, ReverseSocket
 
 pytestmark = pytest.mark.simulated_time
 
 
-class Talk:
+class Talk(LinkDialogue):
     """A dialogue, its link, and the program that they lead; each does as the test has set it."""
 
     endpoint = ReverseSocket("10.0.0.1", 50001, 7)
@@ -78,8 +78,6 @@ class Talk:
         if self.failure is not None:
             raise self.failure
         return self.answer
-
-    def resume(self, state: RealtimeState) -> None: ...
 
     def conclude(self) -> None:
         self.concluded += 1

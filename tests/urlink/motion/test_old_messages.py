@@ -21,7 +21,7 @@ from urlink.robot import Robot
 from urlink.simulator import Controller, Still
 from urlink.urscript.links import LINK_ENDED, STARVED, ReverseSocket
 from urlink.urscript.streaming import jogging, streaming
-from urlink.urscript.yielding import force_mode, freedrive
+from urlink.urscript.yielding import Pressing, force_mode, freedrive
 
 STILL = [0.0] * 6
 LINK = ReverseSocket("10.0.0.1", 50001, 7)
@@ -156,9 +156,9 @@ class Yielding(Bench):
 def test_a_mode_with_old_messages_ends_as_one_without(version: str, kind: str) -> None:
     firmware = Firmware.parse(version)
     if kind == "force_mode":
-        frame, axes, limits = STILL, [False, False, True, False, False, False], [0.1] * 6
-        how: dict[str, Any] = {"kind": 2, "damping": None, "gain": None, "watchdog": WATCHDOG}
-        body = force_mode(firmware, LINK, frame, axes, limits, **how)
+        axes, limits = (False, False, True, False, False, False), (0.1,) * 6
+        pressing = Pressing(tuple(STILL), axes, limits, kind=2, damping=None, gain=None)
+        body = force_mode(firmware, LINK, pressing, watchdog=WATCHDOG)
     else:
         body = freedrive(firmware, LINK, None, STILL, watchdog=WATCHDOG)
     bench = Yielding(body, firmware)

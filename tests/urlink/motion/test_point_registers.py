@@ -14,7 +14,7 @@ from tests.urlink.motion.streamed import Streamed
 from tests.urlink.motion.test_register_link import FIRMWARES, Inputs, write
 from tests.urlink.motion.test_stream import BESIDE, E_SERIES, wave, waves
 from urlink.firmware import Firmware
-from urlink.motion.point_registers import INPUTS, OUTPUTS, PointLinks, PointRegisterLink
+from urlink.motion.register_link import POINT_INPUTS, POINT_OUTPUTS, PointLinks, PointRegisterLink
 from urlink.motion.setpoints import dated
 from urlink.motion.stream_feed import StreamFeed
 from urlink.motion.trajectory import Trajectory
@@ -50,7 +50,7 @@ class Registered(Streamed):
 
     def _outputs(self) -> SimpleNamespace:
         integers = self.bench.registers.outputs.integers
-        return SimpleNamespace(**{name: integers[int(name.rpartition("_")[2])] for name in OUTPUTS})
+        return SimpleNamespace(**{name: integers[int(name.rpartition("_")[2])] for name in POINT_OUTPUTS})
 
 
 @pytest.mark.slow
@@ -102,9 +102,9 @@ def test_a_tail_is_replaced_and_cleared() -> None:
 
 def test_which_registers_it_has() -> None:
     """Integers from 24 to 29 are left to users, and so are outputs below 30 and above 36."""
-    assert [name for name in INPUTS if "int" in name] == [f"input_int_register_{i}" for i in range(30, 44)]
-    assert [name for name in INPUTS if "double" in name] == [f"input_double_register_{i}" for i in range(24, 36)]
-    assert [*OUTPUTS] == [f"output_int_register_{i}" for i in range(30, 37)]
+    assert [name for name in POINT_INPUTS if "int" in name] == [f"input_int_register_{i}" for i in range(30, 44)]
+    assert [name for name in POINT_INPUTS if "double" in name] == [f"input_double_register_{i}" for i in range(24, 36)]
+    assert [*POINT_OUTPUTS] == [f"output_int_register_{i}" for i in range(30, 37)]
     endpoint = PointRegisterLink(Inputs(lambda package: None), lambda: None).endpoint
     assert (endpoint.first_float, endpoint.first_integer, endpoint.first_output) == (24, 30, 30)
 
@@ -124,7 +124,7 @@ def test_the_outputs_are_asked_for_once() -> None:
         link = links(Inputs(lambda package: None))
         assert link._outputs() == "newest"
         assert len(started) == count
-    assert asked == [OUTPUTS]
+    assert asked == [POINT_OUTPUTS]
 
 
 def test_the_number_of_a_message_has_an_end() -> None:
@@ -142,7 +142,7 @@ def test_outputs_may_stay_away_for_a_second() -> None:
     link = PointRegisterLink(Inputs(lambda package: None), lambda: there[0], lambda: now[0])
     now[0] = 9.0
     assert link.received() == b""
-    there[0], now[0] = SimpleNamespace(**dict.fromkeys(OUTPUTS, 0)), 16.0
+    there[0], now[0] = SimpleNamespace(**dict.fromkeys(POINT_OUTPUTS, 0)), 16.0
     link.received()
     there[0], now[0] = None, 17.0
     assert link.received() == b""
@@ -162,12 +162,12 @@ def test_what_is_written_and_what_is_heard() -> None:
     link.send(StreamFeed.farewell + (7).to_bytes(4, "big"))
     link.send(b"".join(each.to_bytes(4, "big") for each in (*numbers, 500)))
     token = link.endpoint.token
-    assert [tuple(package) for package in packages] == [INPUTS, INPUTS]
+    assert [tuple(package) for package in packages] == [POINT_INPUTS, POINT_INPUTS]
     assert list(packages[0].values())[:14] == [links.STOP, *[0] * 10, 7, 1, token]
     assert list(packages[1].values()) == [*range(1, 12), 500, 2, token, *range(12, 24)]
-    there[0] = SimpleNamespace(**dict(zip(OUTPUTS, [1, 2, 3, 4, 5, 6, token + 1], strict=True)))
+    there[0] = SimpleNamespace(**dict(zip(POINT_OUTPUTS, [1, 2, 3, 4, 5, 6, token + 1], strict=True)))
     assert link.received() == b""  # it is another program's
-    there[0] = SimpleNamespace(**dict(zip(OUTPUTS, [1, 2, 3, 4, 5, 6, token], strict=True)))
+    there[0] = SimpleNamespace(**dict(zip(POINT_OUTPUTS, [1, 2, 3, 4, 5, 6, token], strict=True)))
     assert link.received() == b"".join(each.to_bytes(4, "big") for each in range(1, 7))
     assert link.received() == b""
     there[0], now[0] = None, 0.9

@@ -11,7 +11,7 @@ from tests.urlink.motion.bench import Bench
 from urlink.firmware import Firmware
 from urlink.motion.setpoints import STOP_MESSAGE, WAIT_MESSAGE, setpoint
 from urlink.motion.trajectory import Trajectory
-from urlink.urscript import links, programs, waypoints
+from urlink.urscript import commands, links, waypoints
 from urlink.urscript.streaming import streaming as streaming_program
 from urlink.urscript.text import number
 from urlink.urscript.wrapping import Permission, expiry_marker, grant
@@ -302,7 +302,7 @@ def test_a_first_waypoint_that_is_too_far_away(firmware: Firmware) -> None:
 @pytest.mark.parametrize("version", ["1.8", "3.1", "3.4", "5.11"])
 def test_a_speed_lasts_as_long_as_it_was_told_to(version: str) -> None:
     firmware = Firmware.parse(version)
-    bench = Bench(programs.speed_joints(firmware, [0, 0, 0, 0, 0, 0.5], 2.0, 0.5), firmware)
+    bench = Bench(commands.speed_joints(firmware, [0, 0, 0, 0, 0, 0.5], 2.0, 0.5), firmware)
     bench.run(round(2.0 / bench.period))
     assert bench.has_finished
     assert bench.motion.is_standing
@@ -321,7 +321,7 @@ def permission_on(firmware: Firmware, token: int = 5) -> Permission:
 @pytest.mark.parametrize("after", [0, 1, 38])
 def test_waits_to_be_let_go_on(firmware: Firmware, after: int) -> None:
     permission = permission_on(firmware)
-    bench = Bench(programs.move_joints(turned(0.1), 1.0, 5.0), firmware, permission=permission)
+    bench = Bench(commands.move_joints(turned(0.1), 1.0, 5.0), firmware, permission=permission)
     bench.beside(grant(permission))  # left over from an earlier program with the same token
     bench.run(1 + after)
     assert bench.texts == ["tried started"]
@@ -335,7 +335,7 @@ def test_waits_to_be_let_go_on(firmware: Firmware, after: int) -> None:
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
 def test_ends_without_moving_where_nobody_lets_it_go_on(firmware: Firmware) -> None:
     permission = permission_on(firmware)
-    bench = Bench(programs.move_joints(turned(0.1), 1.0, 5.0), firmware, permission=permission)
+    bench = Bench(commands.move_joints(turned(0.1), 1.0, 5.0), firmware, permission=permission)
     bench.beside(grant(permission))
     bench.run(40)
     assert [bench.execution.is_over] == [False]
@@ -350,7 +350,7 @@ def test_ends_without_moving_where_nobody_lets_it_go_on(firmware: Firmware) -> N
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
 def test_another_programs_permission_does_not_start_it_and_is_no_loss(firmware: Firmware) -> None:
     permission = permission_on(firmware)
-    bench = Bench(programs.move_joints(turned(0.1), 1.0, 5.0), firmware, permission=permission)
+    bench = Bench(commands.move_joints(turned(0.1), 1.0, 5.0), firmware, permission=permission)
     bench.run(2)
     bench.beside(grant(permission))
     bench.beside(grant(permission_on(firmware, 7)))  # which overwrites its own before the program has looked

@@ -13,7 +13,7 @@ from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout
 from tests.fakes.rehearsal import HOME, turned
 from tests.urlink.motion.bench import Bench
 from urlink.firmware import Firmware
-from urlink.motion.register_link import NAMES, RegisterLink, RegisterPort
+from urlink.motion.register_link import SETPOINT_INPUTS, RegisterLink, RegisterPort
 from urlink.motion.setpoints import STOP_MESSAGE, WAIT_MESSAGE, dated, setpoint
 from urlink.motion.trajectory import Trajectory
 from urlink.simulator.registers import Bank
@@ -76,7 +76,7 @@ def test_what_is_written() -> None:
     assert link.poll(has_begun=True)
     link.send(dated(setpoint([0.1, -0.2, 0.3, -0.4, 0.5, -0.6], [1.1, -1.2, 1.3, -1.4, 1.5, -1.6]), 500))
     link.send(dated(STOP_MESSAGE, 501))
-    assert [tuple(package) for package in packages] == [NAMES, NAMES]
+    assert [tuple(package) for package in packages] == [SETPOINT_INPUTS, SETPOINT_INPUTS]
     token = link.endpoint.token
     assert list(packages[0].values()) == pytest.approx(
         [0.1, -0.2, 0.3, -0.4, 0.5, -0.6, 1.1, -1.2, 1.3, -1.4, 1.5, -1.6, 500, 1, links.FOLLOW, token]
@@ -109,10 +109,10 @@ def test_registers_are_claimed_for_the_first_program_alone() -> None:
         claimed.append(names)
         return Inputs(lambda package: None)
 
-    port = RegisterPort(claim, 1.0, NAMES, RegisterLink)
+    port = RegisterPort(claim, 1.0, SETPOINT_INPUTS, RegisterLink)
     assert claimed == []
     opened = [port.open() for _ in range(3)]
-    assert claimed == [NAMES]
+    assert claimed == [SETPOINT_INPUTS]
     # Each has a token of its own, which no register holds by itself.
     tokens = {link.endpoint.token for link in opened}
     assert len(tokens) == 3
@@ -128,7 +128,7 @@ def test_two_threads_claim_the_registers_once() -> None:
         time.sleep(0.5)  # until the controller answers
         return Inputs(lambda package: None)
 
-    port = RegisterPort(claim, 1.0, NAMES, RegisterLink)
+    port = RegisterPort(claim, 1.0, SETPOINT_INPUTS, RegisterLink)
     opened: list[RegisterLink] = []
     threads = [threading.Thread(target=lambda: opened.append(port.open())) for _ in range(2)]
     for thread in threads:
@@ -146,7 +146,7 @@ def test_a_claim_is_waited_for_no_longer_than_the_timeout() -> None:
             port.open()  # as a signal handler does
         raise ConnectionLost("cut")
 
-    port = RegisterPort(claim, 1.0, NAMES, RegisterLink)
+    port = RegisterPort(claim, 1.0, SETPOINT_INPUTS, RegisterLink)
     for _ in range(2):  # the next one tries again
         with pytest.raises(ConnectionLost, match=r"^cut$"):
             port.open()

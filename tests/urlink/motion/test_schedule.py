@@ -23,10 +23,10 @@ from urlink.kinematics import Arm, Unreachable
 from urlink.models import model
 from urlink.motion.follower import Follower
 from urlink.motion.following import Tolerances
+from urlink.motion.paced import Schedule
 from urlink.motion.servo_delay import measure
 from urlink.motion.setpoints import read_message, setpoint
 from urlink.motion.trajectory import Trajectory
-from urlink.motion.waypoint_schedule import Schedule
 from urlink.poses import compose, invert
 
 pytestmark = pytest.mark.simulated_time

@@ -14,6 +14,7 @@ from urlink.simulator import Controller, Plane, Still
 from urlink.urscript import links, yielding
 from urlink.urscript.links import FOLLOW, STOP, InputRegisters
 from urlink.urscript.wrapping import program
+from urlink.urscript.yielding import Pressing
 
 LINK = InputRegisters(first_float=36, first_integer=44, token=77)
 DOWN = (False, False, True, False, False, False)
@@ -72,17 +73,8 @@ class Bench:
 def pressing(firmware: str) -> Bench:
     bench = Bench(firmware)
     is_new = bench.firmware >= (5, 0)
-    body = yielding.force_mode(
-        bench.firmware,
-        LINK,
-        [0.0] * 6,
-        DOWN,
-        [0.1] * 6,
-        kind=2,
-        damping=0.01,
-        gain=1.0 if is_new else None,
-        watchdog=0.2,
-    )
+    pressing = Pressing((0.0,) * 6, DOWN, (0.1,) * 6, kind=2, damping=0.01, gain=1.0 if is_new else None)
+    body = yielding.force_mode(bench.firmware, LINK, pressing, watchdog=0.2)
     bench.table(0.002)
     bench.take(body)
     return bench
@@ -209,7 +201,9 @@ def test_over_a_socket_they_compile_too(firmware: str) -> None:
     version = Firmware.parse(firmware)
     link = links.ReverseSocket("10.0.0.1", 50001, 5)
     bodies = [
-        yielding.force_mode(version, link, [0.0] * 6, DOWN, [0.1] * 6, kind=2, damping=None, gain=None, watchdog=0.5),
+        yielding.force_mode(
+            version, link, Pressing((0.0,) * 6, DOWN, (0.1,) * 6, kind=2, damping=None, gain=None), watchdog=0.5
+        ),
         yielding.freedrive(version, link, None, [0.0] * 6, watchdog=0.5),
     ]
     for body, end in zip(bodies, ("end_force_mode()", "end_freedrive_mode()"), strict=True):

@@ -13,7 +13,7 @@ import pytest
 
 from linkcore.errors import BadValue
 from urlink.firmware import Firmware
-from urlink.urscript import programs, waypoints
+from urlink.urscript import commands, waypoints
 from urlink.urscript.links import ReverseSocket
 from urlink.urscript.streaming import streaming
 
@@ -22,11 +22,11 @@ SPEEDS = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
 GOLDEN = Path(__file__).parent / "golden"
 
 PROGRAMS: dict[str, Callable[[Firmware], list[str]]] = {
-    "move_joints": lambda firmware: programs.move_joints([0, -1.5, 0.25, 0, 1e-12, 3], 1.05, 1.4),
-    "move_linear": lambda firmware: programs.move_linear([0.1, -0.2, 0.3, 0, 3.14, 0], 0.25, 1.2, 4),
-    "speed_joints": lambda firmware: programs.speed_joints(firmware, [0.1, 0, 0, 0, 0, -0.5], 1.4, 0.5),
-    "speed_linear": lambda firmware: programs.speed_linear(firmware, [0.1, 0, 0, 0, 0, -0.5], 1.2, 0.5),
-    "stop": lambda firmware: programs.stop(2),
+    "move_joints": lambda firmware: commands.move_joints([0, -1.5, 0.25, 0, 1e-12, 3], 1.05, 1.4),
+    "move_linear": lambda firmware: commands.move_linear([0.1, -0.2, 0.3, 0, 3.14, 0], 0.25, 1.2, 4),
+    "speed_joints": lambda firmware: commands.speed_joints(firmware, [0.1, 0, 0, 0, 0, -0.5], 1.4, 0.5),
+    "speed_linear": lambda firmware: commands.speed_linear(firmware, [0.1, 0, 0, 0, 0, -0.5], 1.2, 0.5),
+    "stop": lambda firmware: commands.stop(2),
     "streaming": lambda firmware: streaming(firmware, ReverseSocket("192.168.56.1", 50001, 123456789), speeds=SPEEDS),
 }
 WAYPOINTS: dict[str, Callable[[Firmware], list[str]]] = {
@@ -74,7 +74,7 @@ def test_nothing_that_the_oldest_firmware_does_not_have() -> None:
 
 @pytest.mark.parametrize("version", ["3.1", "3.2", "3.2.19171"])
 def test_speeds_without_a_time(version: str) -> None:
-    assert programs.speed_joints(Firmware.parse(version), [0] * 6, 1, 2) == [
+    assert commands.speed_joints(Firmware.parse(version), [0] * 6, 1, 2) == [
         "speedj([0.0, 0.0, 0.0, 0.0, 0.0, 0.0], 1.0)",
         "sleep(2.0)",
         "stopj(1.0)",
@@ -96,8 +96,8 @@ def test_the_watchdog_counts_cycles() -> None:
 @pytest.mark.parametrize(
     "call",
     [
-        lambda: programs.move_joints([0] * 5, 1, 1),
-        lambda: programs.move_linear([float("nan")] * 6, 1, 1),
+        lambda: commands.move_joints([0] * 5, 1, 1),
+        lambda: commands.move_linear([float("nan")] * 6, 1, 1),
         lambda: streaming(Firmware(5, 11), ReverseSocket('h"', 1, 0), speeds=SPEEDS),
         lambda: streaming(Firmware(5, 11), ReverseSocket("h", 0, 0), speeds=SPEEDS),
         lambda: streaming(Firmware(5, 11), ReverseSocket("h", 1, 1 << 31), speeds=SPEEDS),
