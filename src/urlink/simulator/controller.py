@@ -158,11 +158,15 @@ class Controller:
         # Of the cycles that were stepped, until they are taken.
         self._messages: deque[bytes] = deque()
 
-        def source() -> SetpointSource:
-            return motion or Still()
-
         self._state = state = ControllerState(
-            kinematics, chosen, source(), serial=serial, seed=seed, noise=noise, scaling_parameters=scaling, like=like
+            kinematics,
+            chosen,
+            motion or Still(),
+            serial=serial,
+            seed=seed,
+            noise=noise,
+            scaling_parameters=scaling,
+            like=like,
         )
         self._runner = ProgramRunner(state, self._route)
         self._loader = ProgramLoader(state, self._runner)
@@ -171,17 +175,17 @@ class Controller:
         self._rtde = RtdePort(state, lambda text: self.received.append(("rtde", text)))
         self.faults = Faults(state, self._runner, self._link, self._rtde, seed=seed, call=self.call)
         self._schedule = FaultSchedule(self.faults)
-        self._control = ControlLoop(state, self._runner, self._schedule, source)
+        self._control = ControlLoop(state, self._runner, self._schedule)
         self._states = StatePackages(state)
         self._dashboard = DashboardPort(state, self.pendant)
         self._robot_api = RobotApiPort(state, self._dashboard, self.pendant)
         self._gripper = SimulatedGripper(lambda: state.time) if gripper else None
         device = None if self._gripper is None else ModbusGripper(self._gripper)
         self._tool_serial = SerialLinePort(state, device)
-        self._realtime = RealtimePort(state, lambda client: self._script_receiver("realtime", client))
+        self._realtime = RealtimePort(state, self._script_receiver)
         self._ports: dict[str, Port] = {
-            "primary": PrimaryPort(state, self._states, lambda client: self._script_receiver("primary", client)),
-            "secondary": SecondaryPort(state, self._states, lambda client: self._script_receiver("secondary", client)),
+            "primary": PrimaryPort(state, self._states, self._script_receiver),
+            "secondary": SecondaryPort(state, self._states, self._script_receiver),
             "realtime": self._realtime,
             "rtde": self._rtde,
             "dashboard": self._dashboard,
@@ -546,7 +550,6 @@ class Controller:
                 output_limit=self._output_limit,
                 clock=self._clock,
             )
-            self._loader.on_compiled = server.wake
             self._server = server
             server.start()
         return self

@@ -31,7 +31,7 @@ from urlink.interfaces.enums import ProgramState
 from ..programs.pendant import Pendant
 from ..robot.modes import StopState
 from ..state import ControllerState
-from .port import AnsweringPort, LineReceiver, PortClient
+from .port import LineReceiver, Port, PortClient
 
 #: Seconds for which a protective stop cannot be unlocked.
 UNLOCK_AFTER = 5.0
@@ -53,7 +53,7 @@ _UNNAMED = "<unnamed>"
 _BY_LENGTH = sorted(COMMANDS.values(), key=lambda command: -len(command.name))
 
 
-class DashboardPort(AnsweringPort):
+class DashboardPort(Port):
     """The dashboard server of one controller: answers the lines of all its clients.
 
     state: of the controller.

@@ -25,7 +25,7 @@ from urlink.interfaces.dashboard.stored_programs import PROGRAMS, parse_form, pr
 from ..programs.pendant import Pendant
 from ..state import ControllerState
 from .dashboard import DashboardPort
-from .port import AnsweringPort, PortClient, PortReceiver
+from .port import Port, PortClient, PortReceiver
 
 _REASONS = {
     200: "OK",
@@ -39,7 +39,7 @@ _REASONS = {
 _COMMANDS = {"resume": "play"}
 
 
-class RobotApiPort(AnsweringPort):
+class RobotApiPort(Port):
     """The Robot API of one controller.
 
     Args:
@@ -180,7 +180,7 @@ class RobotApiPort(AnsweringPort):
         return self.operational_mode
 
 
-class _Exchange:
+class _Exchange(PortReceiver):
     """The one request of a connection."""
 
     def __init__(self, port: RobotApiPort, client: PortClient) -> None:
@@ -201,9 +201,6 @@ class _Exchange:
             answer = _refusal(400, str(error))
         self._client.send(answer.encode())
         self._client.finish()
-
-    def end(self) -> None:
-        return None
 
 
 def _answer(status: int, body: Mapping[str, Any]) -> HttpResponse:

@@ -55,7 +55,7 @@ from urlink.interfaces.rtde.variables import IN_USE, INPUTS, NOT_FOUND, OUTPUTS,
 from ..registers import FIELDBUSES
 from ..rtde_variables import OUTPUT_VALUES, write_inputs
 from ..state import ControllerState
-from .port import Form, PortClient
+from .port import Form, Port, PortClient, PortReceiver
 
 _log = logging.getLogger("urlink.simulator")
 
@@ -100,7 +100,7 @@ class Disturbance:
     stale: int = 0
 
 
-class RtdePort:
+class RtdePort(Port):
     """RTDE of one controller.
 
     Args:
@@ -135,9 +135,6 @@ class RtdePort:
             session.advance(cycle)
         return []
 
-    def skip(self) -> None:
-        return None
-
     def receiver(self, client: PortClient) -> RtdeSession:
         session = RtdeSession(self, client)
         self.sessions.append(session)
@@ -167,7 +164,7 @@ class _Outputs:
         return self._form.pack({key: value(state) for key, value in self._values})
 
 
-class RtdeSession:
+class RtdeSession(PortReceiver):
     """One connection: its protocol, its recipes and whether it is started. Sans-IO: bytes and cycles, no socket.
 
     Attributes:
