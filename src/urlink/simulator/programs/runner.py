@@ -41,11 +41,7 @@ class RunningProgram:
     """
 
     def __init__(
-        self,
-        state: ControllerState,
-        script: Script,
-        route: Route,
-        on_end: Callable[[RunningProgram], object],
+        self, state: ControllerState, script: Script, route: Route, on_end: Callable[[RunningProgram], object]
     ) -> None:
         self.name = script.name
         self.is_program = True

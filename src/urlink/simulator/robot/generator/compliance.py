@@ -39,14 +39,14 @@ from urlink.dynamics import Dynamics
 from urlink.kinematics import Arm
 from urlink.motors import Motors
 from urlink.parameters import number, numbers
-from urlink.poses import compose, rotvec_to_matrix
+from urlink.poses import rotvec_to_matrix
 from urlink.vectors import FloatArray
 
 from ..sources import Setpoint
-from .joint_limits import JointLimits, LimitViolation, OutOfReach
+from .joint_limits import JointLimits, LimitViolation
 from .path_motion import Move
 from .streamed_motion import JointSpeed
-from .tool_paths import setpoint_at
+from .tool_paths import moved, setpoint_at
 
 _REST = [0.0] * 6
 # s: times the change of a torque or a force, this brakes.
@@ -291,17 +291,9 @@ class Compliance:
         return both
 
     def _move(self, speed: FloatArray, seconds: float) -> Setpoint:
-        step = (0.5 * seconds * (self._speed + speed)).tolist()
+        pose = moved(self._pose, (0.5 * seconds * (self._speed + speed)).tolist())
         self._speed = speed
-        pose = [a + b for a, b in zip(self._pose[:3], step[:3], strict=True)]
-        if any(step[3:]):
-            pose += compose((0.0, 0.0, 0.0, *step[3:]), (0.0, 0.0, 0.0, *self._pose[3:])).tolist()[3:]
-        else:
-            pose += self._pose[3:]
-        try:
-            setpoint = setpoint_at(self._kinematics, pose, self._tcp, self._last, seconds)
-        except OutOfReach as error:
-            raise LimitViolation(str(error)) from None
+        setpoint = setpoint_at(self._kinematics, pose, self._tcp, self._last, seconds)
         self._limits.check(self._last, setpoint, seconds)
         self._pose, self._last = pose, setpoint
         return setpoint

@@ -110,16 +110,15 @@ class Blend:
 
         It takes longer if a joint would exceed its acceleration, rad/s².
         """
-        worst = max(
-            max(abs(6.0 * d / duration - 4.0 * v), abs(2.0 * v - 6.0 * d / duration)) / (duration * limit)
-            for d, v, limit in zip(way, qd, acceleration, strict=True)
-        )
-        while worst > 1.0 + 1e-9:
-            duration *= 1.25
-            worst = max(
+
+        def worst() -> float:
+            return max(
                 max(abs(6.0 * d / duration - 4.0 * v), abs(2.0 * v - 6.0 * d / duration)) / (duration * limit)
                 for d, v, limit in zip(way, qd, acceleration, strict=True)
             )
+
+        while worst() > 1.0 + 1e-9:
+            duration *= 1.25
         self.duration = duration
         self._time = 0.0
         # In u = time / duration: q = -way + speed u + c u² + e u³, which is at rest at nothing where u is 1.

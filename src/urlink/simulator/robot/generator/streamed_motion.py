@@ -27,12 +27,12 @@ from operator import le, mul, sub
 
 from urlink.kinematics import Arm
 from urlink.parameters import number
-from urlink.poses import compose
+from urlink.vectors import JOINTS
 
 from ..sources import Setpoint
-from .joint_limits import JOINTS, JointLimits, LimitViolation, OutOfReach
+from .joint_limits import JointLimits, LimitViolation
 from .path_motion import Move
-from .tool_paths import setpoint_at
+from .tool_paths import moved, setpoint_at
 
 _REST = [0.0] * 6
 _OF_LOOKAHEAD = number("servoj_lag_of_lookahead")
@@ -263,18 +263,14 @@ class ToolSpeed:
         turn, turn_reached = _towards(self._speed[3:], target[3:], self._a_rot * seconds)
         speed = line + turn
         step = [0.5 * seconds * (old + new) for old, new in zip(self._speed, speed, strict=True)]
-        pose = [a + b for a, b in zip(self._pose[:3], step[:3], strict=True)]
-        if any(step[3:]):
-            pose += compose((0.0, 0.0, 0.0, *step[3:]), (0.0, 0.0, 0.0, *self._pose[3:])).tolist()[3:]
-        else:
-            pose += self._pose[3:]
+        pose = moved(self._pose, step)
         try:
             setpoint = setpoint_at(self._kinematics, pose, self._tcp, last, seconds)
             if self._stops:
                 self._limits.check(last, setpoint, seconds)
-        except (OutOfReach, LimitViolation) as error:
+        except LimitViolation:
             if not self._stops:
-                raise LimitViolation(str(error)) from None
+                raise
             self._brake = JointSpeed(_REST, self._limits.acceleration, None)
             return self._braking(self._brake, last, seconds)
         self._pose, self._speed = pose, speed
