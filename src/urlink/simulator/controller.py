@@ -37,8 +37,7 @@ from .programs.pendant import Pendant
 from .programs.runner import ProgramRunner
 from .registers import FIELDBUSES, RegisterBanks
 from .robot.arm import SimulatedArm
-from .robot.gripper import SimulatedGripper
-from .robot.modbus_gripper import ModbusGripper
+from .robot.gripper import ModbusGripper, SimulatedGripper
 from .robot.modes import Modes
 from .robot.robot_parameters import ScalingParameters
 from .robot.scene import open_scene
