@@ -261,6 +261,11 @@ class ControllerState:
         """Whether it is up; False while it reboots."""
         return self.cycles_down == 0
 
+    @property
+    def is_local(self) -> bool:
+        """Whether it accepts commands from the pendant alone: an e-Series in local control."""
+        return self.firmware.is_e_series and not self.remote_control
+
     def move_slider(self, seconds: float) -> None:
         """Let the speed slider take effect, as far as it does in some seconds."""
         if self.slider != self.speed_fraction:

@@ -107,13 +107,9 @@ class DashboardPort(Port):
 
     def carry_out(self, name: str, argument: str) -> str | None:
         """Execute a command of the table, on any firmware; returns its reply as `reply` does."""
-        if COMMANDS[name].needs_remote_control and self._is_local:
+        if COMMANDS[name].needs_remote_control and self._state.is_local:
             return NOT_IN_REMOTE_CONTROL
         return self._actions[name](argument)
-
-    @property
-    def _is_local(self) -> bool:
-        return self._state.firmware.is_e_series and not self._state.remote_control
 
     # -- power ---------------------------------------------------------------------------------------
 

@@ -55,8 +55,7 @@ class InterpreterPort(Port):
         statements = self._runner.statements or StatementQueue()
         found = statements.obey(text)
         if found is None:
-            is_local = self._state.firmware.is_e_series and not self._state.remote_control
-            found = StatementReply("discard", 0) if is_local else statements.put(text)
+            found = StatementReply("discard", 0) if self._state.is_local else statements.put(text)
         return f"{found.word}: {found.number}: {text}"
 
 

@@ -264,12 +264,11 @@ class RtdeSession(PortReceiver):
 
     def _set_up_outputs(self, request: OutputsRequest) -> bytes:
         self._outputs, self.is_started = None, False
-        names, types = self._looked_up(request.names, OUTPUTS, lambda name: False)
+        names, types = self._looked_up(request.names, OUTPUTS)
         step = self._step(request.frequency)
-        is_good = bool(names) and step is not None and NOT_FOUND not in types
-        if is_good and step is not None:
+        if names and step is not None and NOT_FOUND not in types:
             self._outputs = _Outputs(Recipe(names, types, None if self.protocol == 1 else 1), step)
-        return self._reply(OutputsReply, recipe=int(is_good), types=join_names(types))
+        return self._reply(OutputsReply, recipe=int(self._outputs is not None), types=join_names(types))
 
     def _step(self, frequency: float | None) -> int | None:
         """Cycles from one package to the next; None if the frequency is invalid."""
@@ -283,7 +282,7 @@ class RtdeSession(PortReceiver):
 
     def _set_up_inputs(self, request: InputsRequest) -> bytes:
         self._requests += 1
-        names, types = self._looked_up(request.names, INPUTS, self._is_in_use)
+        names, types = self._looked_up(request.names, INPUTS)
         is_good = bool(names) and self._requests <= MOST_RECIPES and not {NOT_FOUND, IN_USE}.intersection(types)
         if is_good:
             self._state.claims.claim(names, self)
@@ -296,9 +295,7 @@ class RtdeSession(PortReceiver):
             return True
         return state.claims.holder(name, state.cycle) not in (None, self)
 
-    def _looked_up(
-        self, text: str, table: Mapping[str, Variable], is_in_use: Callable[[str], bool]
-    ) -> tuple[Sequence[str], Sequence[str]]:
+    def _looked_up(self, text: str, table: Mapping[str, Variable]) -> tuple[Sequence[str], Sequence[str]]:
         """The names, and a type or a refusal for each."""
         if len(text.encode()) > MOST_NAMES:
             return (), ()
@@ -310,7 +307,7 @@ class RtdeSession(PortReceiver):
             if variable is None or not variable.is_in(firmware):
                 types.append(NOT_FOUND)
             else:
-                types.append(IN_USE if is_in_use(name) else variable.type)
+                types.append(IN_USE if table is INPUTS and self._is_in_use(name) else variable.type)
         return names, types
 
     def _start(self, request: StartRequest) -> bytes:
