@@ -372,8 +372,8 @@ class Controller:
     @property
     def program_name(self) -> str | None:
         """Name of the program that runs or is paused, or None."""
-        main = self._runner.main
-        return main.name if main is not None and main.is_program else None
+        program = self._runner.program
+        return None if program is None else program.name
 
     @property
     def is_running_program(self) -> bool:

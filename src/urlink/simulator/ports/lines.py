@@ -52,7 +52,8 @@ class InterpreterPort(Port):
         text = " ".join(line.splitlines()).strip()
         if not text:
             return ""
-        statements = self._runner.statements or StatementQueue()
+        program = self._runner.program
+        statements = StatementQueue() if program is None else program.statements
         found = statements.obey(text)
         if found is None:
             found = StatementReply("discard", 0) if self._state.is_local else statements.put(text)

@@ -150,12 +150,10 @@ class _Outputs:
     """The output recipe of a client, and the period of its packages.
 
     Attributes:
-        recipe: names and types.
         step: cycles from one package to the next.
     """
 
     def __init__(self, recipe: Recipe, step: int) -> None:
-        self.recipe = recipe
         self.step = step
         self._form = Form(recipe.layout)
         self._values = [(key, OUTPUT_VALUES[name]) for key, name in zip(recipe.fields, recipe.names, strict=True)]
@@ -170,15 +168,11 @@ class RtdeSession(PortReceiver):
     Attributes:
         protocol: 1, until the client requests 2.
         is_started: whether data packages are sent.
-        unread: number of data packages that were left out, because older ones were waiting.
-        ignored: number of packages from the client that do not fit.
     """
 
     def __init__(self, port: RtdePort, client: PortClient) -> None:
         self.protocol: Protocol = 1
         self.is_started = False
-        self.unread = 0
-        self.ignored = 0
         self._port = port
         self._state = port._state
         self._client = client
@@ -246,7 +240,6 @@ class RtdeSession(PortReceiver):
         self._client.send(reply)
 
     def _ignore(self, why: str) -> None:
-        self.ignored += 1
         self._state.counters.ignored_packages += 1
         _log.info("RTDE package ignored: %s", why)
 
@@ -383,7 +376,6 @@ class RtdeSession(PortReceiver):
 
     def _drop(self, cycle: int) -> None:
         """Handle a package that cannot be sent, because older ones still wait for the client."""
-        self.unread += 1
         self._state.counters.unread += 1
         if self._unread_since is None:
             self._unread_since = cycle
