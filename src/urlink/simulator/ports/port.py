@@ -46,7 +46,6 @@ class Form:
         header = layout.header.pack(**{**layout.constants, "size": layout.size})
         self._struct = struct.Struct(f">{len(header)}s{packed}")
         self._header = header
-        self.size = layout.size
 
     def pack(self, fields: Fields) -> bytes:
         """The packet with these fields, others unchanged; fields that are not in the layout are skipped."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Protocol
 
 from urlink.kinematics import Arm
@@ -189,7 +190,6 @@ class JointPath:
         self.length = max(map(abs, way))
         self._shares = [part / self.length for part in way] if self.length > 0.0 else list(_REST)
         self._limits = limits
-        self._end_pose: list[float] | None = None
 
     def fastest(self) -> tuple[float, float]:
         """The largest speed and acceleration along the path at which no joint exceeds its limits."""
@@ -211,12 +211,11 @@ class JointPath:
         """Distance of the TCP from the end when the joints are at `q`, m."""
         return math.dist(self._kinematics.forward(q, self._tcp)[:3].tolist(), self.end_pose[:3])
 
-    @property
+    @cached_property
     def end_pose(self) -> list[float]:
         """The pose of the TCP at the end, m and rad."""
-        if self._end_pose is None:
-            self._end_pose = self._kinematics.forward(self._end, self._tcp).tolist()
-        return self._end_pose
+        pose: list[float] = self._kinematics.forward(self._end, self._tcp).tolist()
+        return pose
 
 
 def _within(limits: Sequence[float], shares: Sequence[float]) -> float:

@@ -67,10 +67,10 @@ class ServoMotion:
         t: float,
         lag: float,
         *,
-        begun: float = 0.0,
-        speeds: Sequence[float] = _REST,
-        excess: Sequence[float] = _REST,
-        stretches: bool = True,
+        begun: float,
+        speeds: Sequence[float],
+        excess: Sequence[float],
+        stretches: bool,
     ) -> None:
         """A set-point of which `begun` s are over; `stretches`: whether the scaling stretches the lag."""
         self.move = Move()
