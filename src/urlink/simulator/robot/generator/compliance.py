@@ -44,7 +44,7 @@ from urlink.vectors import FloatArray
 
 from ..sources import Setpoint
 from .joint_limits import JointLimits, LimitViolation
-from .path_motion import Move
+from .path_motion import Command
 from .streamed_motion import JointSpeed
 from .tool_paths import moved, setpoint_at
 
@@ -105,7 +105,7 @@ class FreeJoints:
         return setpoint
 
 
-class TorqueMotion:
+class TorqueMotion(Command):
     """Direct torque for one cycle.
 
     Args:
@@ -116,7 +116,7 @@ class TorqueMotion:
         acceleration: (6,) rad/s² with which the arm brakes if no torque follows.
 
     Attributes:
-        move: over after one cycle.
+        is_over: after one cycle.
     """
 
     def __init__(
@@ -127,19 +127,16 @@ class TorqueMotion:
         friction: Sequence[float],
         acceleration: Sequence[float],
     ) -> None:
-        self.move = Move()
-        self.is_at_rest = False
-        self.overrun = 0.0
         self._dynamics, self._motors, self._torque, self._friction = dynamics, motors, torque, np.array(friction)
         self._brake = JointSpeed(_REST, acceleration, None)
 
     def advance(self, last: Setpoint, seconds: float, scaling: float, change: float) -> Setpoint:
         """The set-point one cycle later."""
-        if self.move.is_over:
+        if self.is_over:
             setpoint = self._brake.advance(last, seconds, scaling, change)
             self.is_at_rest = self._brake.is_at_rest
             return setpoint
-        self.move.is_over = True
+        self.is_over = True
         speed = np.array(last.qd)
         rub, slope = (self._friction * each for each in self._motors.friction_torque(last.qd))
         left = self._torque - rub - self._dynamics.coriolis_torque(last.q, last.qd)
