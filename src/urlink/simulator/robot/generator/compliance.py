@@ -33,7 +33,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from urlink.dynamics import Dynamics
 from urlink.kinematics import Arm
@@ -250,7 +249,7 @@ class Compliance:
 
         speed = axes @ self._yielding * math.exp(-_DAMPING * task.damping * seconds)
         speed += (task.gain * (self._wanted + felt) * seconds + _BRAKE * change) / _MASS
-        self._check_driven(is_free, speed, limits, felt, seconds)
+        self._check_driven(speed, felt, seconds)
         speed = np.where(is_free, np.minimum(np.maximum(speed, -limits), limits), 0.0)
 
         deviation = axes @ self._deviation
@@ -264,15 +263,13 @@ class Compliance:
         self._yielding, self._deviation = axes.T @ speed, axes.T @ deviation
         return self._move(axes.T @ np.where(is_free, speed, axes @ followed + giving), seconds)
 
-    def _check_driven(
-        self, is_free: NDArray[np.bool_], speed: FloatArray, limits: FloatArray, felt: FloatArray, seconds: float
-    ) -> None:
+    def _check_driven(self, speed: FloatArray, felt: FloatArray, seconds: float) -> None:
         """Raise if something pushes the tool at the limit of its speed."""
-        driven = is_free & (np.abs(speed) > limits) & (speed * felt > 0.0) & (np.abs(felt) > _DRIVEN)
+        driven = self._is_free & (np.abs(speed) > self._most) & (speed * felt > 0.0) & (np.abs(felt) > _DRIVEN)
         self._driven = self._driven + seconds if driven.any() else 0.0
         if self._driven > _DRIVEN_FOR:
             axis = int(np.argmax(driven))
-            raise LimitViolation(f"force mode: pushed along {_AXES[axis]} at its largest speed of {limits[axis]:g}")
+            raise LimitViolation(f"force mode: pushed along {_AXES[axis]} at its largest speed of {self._most[axis]:g}")
 
     def _axes(self, followed: FloatArray) -> FloatArray:
         """(6, 6): from the base frame to the axes of the task, for forces and speeds."""
