@@ -20,7 +20,6 @@ from linkcore.threads import started
 from . import messages
 from .faults import FaultSchedule
 from .programs.runner import ProgramRunner
-from .robot.sources import SetpointSource
 from .state import ControllerState
 
 
@@ -31,20 +30,12 @@ class ControlLoop:
         state: of the controller.
         runner: of its programs.
         schedule: of its faults.
-        make_source: makes what the arm follows when the controller has come up.
     """
 
-    def __init__(
-        self,
-        state: ControllerState,
-        runner: ProgramRunner,
-        schedule: FaultSchedule,
-        make_source: Callable[[], SetpointSource],
-    ) -> None:
+    def __init__(self, state: ControllerState, runner: ProgramRunner, schedule: FaultSchedule) -> None:
         self._state = state
         self._runner = runner
         self._schedule = schedule
-        self._make_source = make_source
 
     def next_event(self, cycle: int) -> int | None:
         """The first cycle after this one that must be executed at its time; None if there is none.
@@ -65,7 +56,7 @@ class ControlLoop:
         if not state.is_up:
             state.cycles_down -= 1
             if state.cycles_down == 0:
-                state.come_up(self._make_source())
+                state.come_up()
             return
         state.uptime += 1
         setpoint = self._runner.advance(state.period)

@@ -37,8 +37,7 @@ from .programs.pendant import Pendant
 from .programs.runner import ProgramRunner
 from .registers import FIELDBUSES, RegisterBanks
 from .robot.arm import SimulatedArm
-from .robot.gripper import SimulatedGripper
-from .robot.modbus_gripper import ModbusGripper
+from .robot.gripper import ModbusGripper, SimulatedGripper
 from .robot.modes import Modes
 from .robot.robot_parameters import ScalingParameters
 from .robot.scene import open_scene
@@ -105,6 +104,10 @@ class Controller:
         faults: faults to cause on demand.
         pendant: its saved programs, what it shows, and its buttons.
         received: (name of the port, line of text) of the latest lines that clients sent.
+        rtde: the RTDE interface: its connections, for a stepped controller; and which client holds an input.
+        dashboard: answers the lines of dashboard clients.
+        robot_api: answers the HTTP requests of PolyScope X; holds the operational mode.
+        tool_serial: the serial line in the tool connector: its `device`, the gripper by Modbus RTU unless it is set.
 
     Raises:
         UnknownModel: no such arm.
@@ -157,38 +160,35 @@ class Controller:
         self._clock: Callable[[], float] = self._stepped or monotonic
         # Of the cycles that were stepped, until they are taken.
         self._messages: deque[bytes] = deque()
-
-        def source() -> SetpointSource:
-            return motion or Still()
-
+        source = motion or Still()
         self._state = state = ControllerState(
-            kinematics, chosen, source(), serial=serial, seed=seed, noise=noise, scaling_parameters=scaling, like=like
+            kinematics, chosen, source, serial=serial, seed=seed, noise=noise, scaling_parameters=scaling, like=like
         )
         self._runner = ProgramRunner(state, self._route)
         self._loader = ProgramLoader(state, self._runner)
         self.pendant = Pendant(state, self._runner, files or {})
         self._link = LinkFaults(lambda: state.cycle)
-        self._rtde = RtdePort(state, lambda text: self.received.append(("rtde", text)))
-        self.faults = Faults(state, self._runner, self._link, self._rtde, seed=seed, call=self.call)
+        self.rtde = RtdePort(state, lambda text: self.received.append(("rtde", text)))
+        self.faults = Faults(state, self._runner, self._link, self.rtde, seed=seed, call=self.call)
         self._schedule = FaultSchedule(self.faults)
-        self._control = ControlLoop(state, self._runner, self._schedule, source)
+        self._control = ControlLoop(state, self._runner, self._schedule)
         self._states = StatePackages(state)
-        self._dashboard = DashboardPort(state, self.pendant)
-        self._robot_api = RobotApiPort(state, self._dashboard, self.pendant)
+        self.dashboard = DashboardPort(state, self.pendant)
+        self.robot_api = RobotApiPort(state, self.dashboard, self.pendant)
         self._gripper = SimulatedGripper(lambda: state.time) if gripper else None
         device = None if self._gripper is None else ModbusGripper(self._gripper)
-        self._tool_serial = SerialLinePort(state, device)
-        self._realtime = RealtimePort(state, lambda client: self._script_receiver("realtime", client))
+        self.tool_serial = SerialLinePort(state, device)
+        self._realtime = RealtimePort(state, self._script_receiver)
         self._ports: dict[str, Port] = {
-            "primary": PrimaryPort(state, self._states, lambda client: self._script_receiver("primary", client)),
-            "secondary": SecondaryPort(state, self._states, lambda client: self._script_receiver("secondary", client)),
+            "primary": PrimaryPort(state, self._states, self._script_receiver),
+            "secondary": SecondaryPort(state, self._states, self._script_receiver),
             "realtime": self._realtime,
-            "rtde": self._rtde,
-            "dashboard": self._dashboard,
-            "robot_api": self._robot_api,
+            "rtde": self.rtde,
+            "dashboard": self.dashboard,
+            "robot_api": self.robot_api,
             "interpreter": InterpreterPort(state, self._runner),
             "gripper": GripperPort(state, self._gripper),
-            "tool_serial": self._tool_serial,
+            "tool_serial": self.tool_serial,
         }
         if scene is not None:
             self.world.scene = open_scene(scene, self)
@@ -283,16 +283,6 @@ class Controller:
         return self._state.flags
 
     @property
-    def dashboard(self) -> DashboardPort:
-        """Answers the lines of dashboard clients."""
-        return self._dashboard
-
-    @property
-    def robot_api(self) -> RobotApiPort:
-        """Answers the HTTP requests of PolyScope X; holds the operational mode."""
-        return self._robot_api
-
-    @property
     def gripper(self) -> SimulatedGripper:
         """The mounted gripper: the object between its fingers, and its faults.
 
@@ -302,16 +292,6 @@ class Controller:
         if self._gripper is None:
             raise LocalError("no gripper is mounted: the controller was made with gripper=False")
         return self._gripper
-
-    @property
-    def tool_serial(self) -> SerialLinePort:
-        """The serial line in the tool connector: its `device`, which is the gripper by Modbus RTU unless it is set."""
-        return self._tool_serial
-
-    @property
-    def rtde(self) -> RtdePort:
-        """The RTDE interface: its connections, for a stepped controller; and which client holds an input."""
-        return self._rtde
 
     @property
     def fieldbus(self) -> str | None:
@@ -369,8 +349,8 @@ class Controller:
     @property
     def program_name(self) -> str | None:
         """Name of the program that runs or is paused, or None."""
-        main = self._runner.main
-        return main.name if main is not None and main.is_program else None
+        program = self._runner.program
+        return None if program is None else program.name
 
     @property
     def is_running_program(self) -> bool:
@@ -546,7 +526,6 @@ class Controller:
                 output_limit=self._output_limit,
                 clock=self._clock,
             )
-            self._loader.on_compiled = server.wake
             self._server = server
             server.start()
         return self

@@ -53,11 +53,10 @@ def greeting(state: ControllerState, kind: str) -> list[bytes]:
         # The two forms of date that captures show.
         "build_date": "01-01-2024, 00:00:00" if firmware >= (3, 4) else "Jan 01 2016, 00:00:00",
     }
-    packages = [VersionMessage.LAYOUTS.of(firmware).encode({**on_connect, **version})]
+    packages = [_message(state, VersionMessage, **on_connect, **version)]
     if firmware in _HAS_MESSAGE_12:
         # 0, 0, 1 on simulated controllers.
-        message_12 = {**on_connect, "first": 0, "second": 0, "third": 1}
-        packages.append(UnnamedMessage12.LAYOUTS.of(firmware).encode(message_12))
+        packages.append(_message(state, UnnamedMessage12, **on_connect, first=0, second=0, third=1))
     if kind == "primary" and firmware in _HAS_TOLERANCES:
         # The fourth number is 3 on 3.10 and 2 on 5.4.
         fourth = 2.0 if firmware.is_e_series else 3.0
@@ -75,27 +74,17 @@ def safety_messages(state: ControllerState, cause: StopCause) -> list[bytes]:
     is C209A0 at the level of a warning is what the tests of UR Client Library expect. The others, the order, the
     sources and the other levels are guesses.
     """
-    firmware, mode = state.firmware, state.modes.safety_mode
-    stamp = round(state.time * 1e6)
+    mode = state.modes.safety_mode
     messages = []
     report = _BY_PROGRAM if cause.by_program else _REPORTS.get(mode)
     if report is not None:
         code, level, text = report
         if cause.reason:
             text = f"{text.partition(':')[0]}: {cause.reason}"
-        fields = {
-            "timestamp": stamp,
-            "source": MessageSource.CONTROLLER,
-            "code": code,
-            "argument": 0,
-            "report_level": level,
-            "data_type": ReportDataType.NONE,
-            "text": text,
-        }
-        messages.append(RobotCommMessage.LAYOUTS.of(firmware).encode(fields))
-    if not firmware.is_cb2:
-        fields = {"timestamp": stamp, "source": MessageSource.REALTIME_MACHINE, "safety_mode": mode}
-        messages.append(SafetyModeMessage.LAYOUTS.of(firmware).encode(fields))
+        fields = {"code": code, "argument": 0, "report_level": level, "data_type": ReportDataType.NONE, "text": text}
+        messages.append(_message(state, RobotCommMessage, source=MessageSource.CONTROLLER, **fields))
+    if not state.firmware.is_cb2:
+        messages.append(_message(state, SafetyModeMessage, safety_mode=mode))
     return messages
 
 
@@ -148,5 +137,6 @@ def popup_message(
 
 def _message(state: ControllerState, kind: type[RobotMessage], **fields: Any) -> bytes:
     common = {"timestamp": round(state.time * 1e6), "source": MessageSource.REALTIME_MACHINE}
-    fields["text"] = fields["text"][:_LONGEST_TEXT]
+    if "text" in fields:
+        fields["text"] = fields["text"][:_LONGEST_TEXT]
     return kind.LAYOUTS.of(state.firmware).encode({**common, **fields})

@@ -227,10 +227,9 @@ def write_inputs(state: ControllerState, values: Mapping[str, Any]) -> None:
     In local control an e-Series accepts registers, but no outputs and no slider: a cautious guess. It is known that it
     accepts no URScript then.
     """
-    is_local = state.firmware.is_e_series and not state.remote_control
     state.rtde_inputs.update(values)
     for change in dict.fromkeys(_CHANGES[name] for name in values):
-        if not is_local or change is _input_registers:
+        if not state.is_local or change is _input_registers:
             change(state, values)
 
 

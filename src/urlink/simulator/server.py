@@ -12,13 +12,12 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping
 
-from linkcore.clock import monotonic
 from linkcore.net.loop import Connection, Handler, ListeningPort, SelectorLoop
 from urlink.ports import interface
 
 from .control_loop import ControlLoop, SteppedClock
 from .faults.link import LinkFaults, Segmenter
-from .ports.port import Port, PortReceiver, ReadOnlyReceiver
+from .ports.port import Port, ReadOnlyReceiver
 from .programs.loader import ProgramLoader
 from .state import ControllerState
 
@@ -45,11 +44,11 @@ class _Client(Handler):
 
     def __init__(self, server: Server, name: str, port: Port, connection: Connection) -> None:
         self.name = name
-        self.port = port
         self.connection = connection
         self.segmenter: Segmenter | None = None
         self._server = server
-        self._receiver: PortReceiver = server.receiver(name, port, self)
+        is_read_only = name.endswith("_readonly")
+        self._receiver = ReadOnlyReceiver(server.counters) if is_read_only else port.receiver(self)
 
     @property
     def is_open(self) -> bool:
@@ -92,6 +91,10 @@ class Server:
         output_limit: bytes that may wait for one client.
         clock: seconds, monotonic; a test may have one of its own.
 
+    Attributes:
+        counters: of events on the ports.
+        is_open: whether the ports are open; after a reboot a moment later than the controller is up.
+
     Raises:
         BadAddress: a port cannot be listened on.
     """
@@ -107,14 +110,14 @@ class Server:
         host: str,
         numbers: Mapping[str, int],
         output_limit: int,
-        clock: Callable[[], float] = monotonic,
+        clock: Callable[[], float],
     ) -> None:
         # The clients of each port, and the names of the interfaces that have any.
         self._clients: dict[str, list[_Client]] = {name: [] for name in numbers}
         self._watched: set[str] = set()
         self._control = loop
         self._state = state
-        self._counters = state.counters
+        self.counters = state.counters
         self._ports = ports
         self._loader = loader
         self._link = link
@@ -130,8 +133,8 @@ class Server:
         self._epoch = 0.0
         self._first = state.cycle
         self._segments_seen = link.segments_changed
-        # Whether the ports were opened when they were last looked at, and whether any was paused.
-        self._is_open = True
+        self.is_open = True
+        # Whether any port was paused when the ports were last looked at.
         self._was_stalled = False
         self._listening: dict[str, ListeningPort] = {}
         try:
@@ -143,6 +146,7 @@ class Server:
         except BaseException:
             self._sockets.close()
             raise
+        loader.on_compiled = self._sockets.wake
         self._thread = threading.Thread(target=self._run, name=f"urlink sim {state.model.name}", daemon=True)
 
     def _bind(self, name: str, host: str, number: int, output_limit: int) -> ListeningPort:
@@ -163,11 +167,6 @@ class Server:
         return {name: port.number for name, port in self._listening.items()}
 
     @property
-    def is_open(self) -> bool:
-        """Whether the ports are open; after a reboot a moment later than the controller is up."""
-        return self._is_open
-
-    @property
     def peers(self) -> set[str]:
         """Numeric addresses of the clients."""
         return {client.connection.peer[0] for clients in self._clients.values() for client in clients}
@@ -184,10 +183,6 @@ class Server:
         self._sockets.wake()
         if self._thread is not threading.current_thread():
             self._thread.join(TIMEOUT)
-
-    def wake(self) -> None:
-        """Something has to be done before the next cycle that is due."""
-        self._sockets.wake()
 
     def call(self, change: Callable[[], object]) -> None:
         """Call a function in the server's thread between two cycles, and wait until it returns.
@@ -215,7 +210,7 @@ class Server:
         try:
             self._serve()
         finally:
-            self._is_closing, self._is_open = True, False
+            self._is_closing, self.is_open = True, False
             self._loader.close()
             self._sockets.close()
 
@@ -237,7 +232,7 @@ class Server:
 
     def catch_up(self) -> None:
         """Advance the controller to the present, and send the packets of its cycles."""
-        rate, state, counters = self._rate, self._state, self._counters
+        rate, state, counters = self._rate, self._state, self.counters
         behind = int((self._clock() - self._epoch) * rate) - (state.cycle - self._first)
         if behind > ASLEEP * rate:
             self._epoch += (behind - 1) / rate
@@ -301,7 +296,7 @@ class Server:
                 for client in clients:
                     if client.pending + len(data) > client.connection.port.output_limit:
                         # Public clients send programs here for hours and never read, to real controllers too.
-                        self._counters.unread += 1
+                        self.counters.unread += 1
                     else:
                         self._put(client, data)
 
@@ -311,7 +306,7 @@ class Server:
             self._put(client, self._link.on_the_wire(client.name, packet))
 
     def _put(self, client: _Client, data: bytes) -> None:
-        self._counters.sent += 1
+        self.counters.sent += 1
         if client.segmenter is None:
             self._write(client, data)
         else:
@@ -322,7 +317,7 @@ class Server:
         port = client.connection.port
         overflowed = port.overflowed
         client.connection.write(data)
-        self._counters.dropped += port.overflowed - overflowed
+        self.counters.dropped += port.overflowed - overflowed
 
     # -- clients -------------------------------------------------------------------------------------
 
@@ -334,7 +329,7 @@ class Server:
         port = self._ports[interface(name)]
         client = _Client(self, name, port, connection)
         client.segmenter = self._link.segmenter(name)
-        self._counters.connections += 1
+        self.counters.connections += 1
         self._clients[name].append(client)
         self._watched.add(interface(name))
         for packet in port.greeting():
@@ -347,10 +342,6 @@ class Server:
         kind = interface(client.name)
         if not self._clients.get(kind) and not self._clients.get(f"{kind}_readonly"):
             self._watched.discard(kind)
-
-    def receiver(self, name: str, port: Port, client: _Client) -> PortReceiver:
-        """Make the receiver for a new client."""
-        return ReadOnlyReceiver(self._counters) if name.endswith("_readonly") else port.receiver(client)
 
     # -- faults --------------------------------------------------------------------------------------
 
@@ -368,7 +359,7 @@ class Server:
 
     def _open_or_refuse(self) -> None:
         is_up, is_stalled = self._state.is_up, self._link.is_any_stalled
-        if is_up and self._is_open and not is_stalled and not self._was_stalled:
+        if is_up and self.is_open and not is_stalled and not self._was_stalled:
             return  # the usual case, in nearly every cycle
         if not is_up:
             self._loader.clear()
@@ -383,7 +374,7 @@ class Server:
             elif port.is_listening:
                 port.refuse()
                 self._reset({name})
-        self._is_open, self._was_stalled = is_up, is_stalled
+        self.is_open, self._was_stalled = is_up, is_stalled
 
     def _segment_anew(self) -> None:
         for client in [client for clients in self._clients.values() for client in clients]:

@@ -113,6 +113,7 @@ class ControllerState:
     Args:
         kinematics: of the arm.
         firmware: the first one.
+        source: what the arm follows when the controller has come up.
         serial: serial number of the arm.
         seed: of the noise on the sensors.
         noise: whether there is any.
@@ -185,16 +186,17 @@ class ControllerState:
         self.outbox = StateOutbox(self.counters)
         self.surroundings = Surroundings()
         self._like = like
-        self.arm = self._make_arm(source)
+        self._first_source = source
+        self.arm = self._make_arm()
         if like is not None:
             self.arm.take_tool(like)
         self._next_firmware = firmware
-        self._begin(firmware, source)
+        self._begin()
 
-    def _begin(self, firmware: Firmware, source: SetpointSource) -> None:
-        self.firmware = firmware
+    def _begin(self) -> None:
+        self.firmware = firmware = self._next_firmware
         self.rate, self.period = firmware.rate, 1.0 / firmware.rate
-        self.source = source
+        self.source = self._first_source
         self.uptime = 0
         self.modes = Modes(firmware)
         self.is_paused = self.resumes = False
@@ -214,11 +216,11 @@ class ControllerState:
         self._announced = self.modes.safety_mode
         self.update_modes(0.0)
 
-    def _make_arm(self, source: SetpointSource) -> SimulatedArm:
+    def _make_arm(self) -> SimulatedArm:
         motors, measuring = None, SensorParameters.of(self.model)
         if self._like is not None:
             motors, measuring = self._like.motors, measuring.like(self._like)
-        setpoint = source.advance(0.0)
+        setpoint = self._first_source.advance(0.0)
         return SimulatedArm(self.kinematics, setpoint, self._noise_seed, self.surroundings, motors, measuring)
 
     def go_down(self, firmware: Firmware | None, seconds: float) -> None:
@@ -231,16 +233,16 @@ class ControllerState:
         self.outbox.take()
         self.arm.advance(self.period, Setpoint(self.arm.setpoint.q, [0.0] * 6, [0.0] * 6))
 
-    def come_up(self, source: SetpointSource) -> None:
+    def come_up(self) -> None:
         """End the reboot. The arm has not moved; tool and payload are in the installation, and stay.
 
         That popup and loaded program are gone, and signals, remote control and log stay, is a guess.
         """
         before = self.arm
-        source.start(before.setpoint.q)
-        self.arm = self._make_arm(source)
+        self._first_source.start(before.setpoint.q)
+        self.arm = self._make_arm()
         self.arm.take_tool_of(before)
-        self._begin(self._next_firmware, source)
+        self._begin()
 
     # -- time ----------------------------------------------------------------------------------------
 
@@ -258,6 +260,11 @@ class ControllerState:
     def is_up(self) -> bool:
         """Whether it is up; False while it reboots."""
         return self.cycles_down == 0
+
+    @property
+    def is_local(self) -> bool:
+        """Whether it accepts commands from the pendant alone: an e-Series in local control."""
+        return self.firmware.is_e_series and not self.remote_control
 
     def move_slider(self, seconds: float) -> None:
         """Let the speed slider take effect, as far as it does in some seconds."""

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 import urlink
 from urlink.simulator import Controller
-from urlink.simulator.robot.gripper import SimulatedGripper
-from urlink.simulator.robot.modbus_gripper import ModbusGripper, crc
+from urlink.simulator.robot.gripper import ModbusGripper, SimulatedGripper, crc
 
 pytestmark = pytest.mark.simulated_time
 

@@ -178,7 +178,6 @@ class Faults:
         """
         chosen = None if firmware is None else firmware_for(self._state.model, firmware)
         wait = checked_seconds(downtime)
-
         self._do(lambda: self._reboot(chosen, wait))
 
     def _reboot(self, firmware: Firmware | None, downtime: float) -> None:
@@ -196,7 +195,7 @@ class Faults:
         Raises:
             BadValue: the time is negative or not finite.
         """
-        names, cycles = port_names(port), math.ceil(checked_seconds(seconds) * self._state.rate)
+        names, cycles = port_names(port), self._cycles(seconds)
         self._do(lambda: self._link.stall(names, cycles))
 
     # -- segments ------------------------------------------------------------------------------------
@@ -238,9 +237,7 @@ class Faults:
         Raises:
             BadValue: a number of bytes that is not at least 1.
         """
-        if isinstance(data, int):
-            data = self._random.randbytes(checked_sizes([data])[0])
-        garbage, names = data, port_names(port)
+        garbage, names = self._bytes(data), port_names(port)
         self._do(lambda: self._link.insert(names, garbage, inside))
 
     def append(self, tail: bytes | int, port: str | None = None) -> None:
@@ -256,9 +253,7 @@ class Faults:
         Raises:
             BadValue: a number of bytes that is not at least 1.
         """
-        if isinstance(tail, int):
-            tail = self._random.randbytes(checked_sizes([tail])[0])
-        appended, names = tail, port_names(port)
+        appended, names = self._bytes(tail), port_names(port)
         self._do(lambda: self._link.append(names, appended))
 
     def unknown_package(self, kind: int = 99, payload: bytes = b"unknown", port: str | None = None) -> None:
@@ -278,6 +273,9 @@ class Faults:
         """
         byte, names = type_byte(kind), package_ports(port)
         self._do(lambda: self._link.add_sub_package(names, byte, payload))
+
+    def _bytes(self, data: bytes | int) -> bytes:
+        return self._random.randbytes(checked_sizes([data])[0]) if isinstance(data, int) else data
 
     def heal(self) -> None:
         """End all faults of the link (stalls, segments, garbage, tails, unknown sub-packages) and of RTDE."""
@@ -350,7 +348,7 @@ class Faults:
         Raises:
             BadValue: the time is negative or not finite.
         """
-        self._disturb(late=self._cycles(checked_seconds(seconds)))
+        self._disturb(late=self._cycles(seconds))
 
     def rtde_stale_inputs(self, seconds: float) -> None:
         """Keep the inputs of connections that end held for this time, as real controllers do; until `heal`.
@@ -358,7 +356,7 @@ class Faults:
         Raises:
             BadValue: the time is negative or not finite.
         """
-        self._disturb(stale=self._cycles(checked_seconds(seconds)))
+        self._disturb(stale=self._cycles(seconds))
 
     def rtde_reboot_at_request(self, request: str = "O", downtime: float = 1.0) -> None:
         """Reboot instead of answering the next request of one kind: in the middle of a handshake.
@@ -370,7 +368,7 @@ class Faults:
         self._instead(request, lambda session: self._reboot(None, wait))
 
     def _cycles(self, seconds: float) -> int:
-        return math.ceil(seconds * self._state.rate)
+        return math.ceil(checked_seconds(seconds) * self._state.rate)
 
     def _disturb(self, **changes: Any) -> None:
         def disturb() -> None:

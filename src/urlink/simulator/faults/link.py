@@ -90,15 +90,17 @@ class LinkFaults:
 
     Args:
         cycle: the number of the present cycle.
+
+    Attributes:
+        segments_changed: a number that changes when the segments of any port do.
     """
 
     def __init__(self, cycle: Callable[[], int]) -> None:
+        self.segments_changed = 0
         self._cycle = cycle
-        self._stalled_until = dict.fromkeys(PORTS, 0)
-        self._any_stalled_until = 0
+        self._stalled_until: dict[str, int] = {}
         self._cuts: set[str] = set()
         self._segments: dict[str, tuple[tuple[int, ...], int]] = {}
-        self._generation = 0
         self._tails: dict[str, bytes] = {}
         self._sub_packages: dict[str, tuple[int, bytes]] = {}
         # Bounded, since a port without a client sends nothing that they could come before.
@@ -114,12 +116,11 @@ class LinkFaults:
     def stall(self, ports: Iterable[str], cycles: int) -> None:
         """Make these ports silent for this many cycles."""
         self._stalled_until.update(dict.fromkeys(ports, self._cycle() + cycles))
-        self._any_stalled_until = max(self._stalled_until.values())
 
     def segment(self, ports: Iterable[str], sizes: tuple[int, ...], count: int) -> None:
         """Cut or join what these ports send; see `Segmenter`."""
         self._segments.update(dict.fromkeys(ports, (sizes, count)))
-        self._generation += 1
+        self.segments_changed += 1
 
     def insert(self, ports: Iterable[str], data: bytes, inside: bool = False) -> None:
         """Send these bytes once, before the next packet of each port or in the middle of it."""
@@ -136,11 +137,10 @@ class LinkFaults:
 
     def heal(self) -> None:
         """End all faults."""
-        self._stalled_until = dict.fromkeys(PORTS, 0)
-        self._any_stalled_until = 0
+        self._stalled_until.clear()
         self._cuts.clear()
         self._segments.clear()
-        self._generation += 1
+        self.segments_changed += 1
         self._tails.clear()
         self._sub_packages.clear()
         for waiting in (*self._before.values(), *self._inside.values()):
@@ -150,22 +150,17 @@ class LinkFaults:
 
     def is_stalled(self, port: str) -> bool:
         """Whether this port is silent at present."""
-        return self._cycle() < self._stalled_until[port]
+        return self._cycle() < self._stalled_until.get(port, 0)
 
     @property
     def is_any_stalled(self) -> bool:
         """Whether some port is silent at present."""
-        return self._cycle() < self._any_stalled_until
+        return self._cycle() < max(self._stalled_until.values(), default=0)
 
     def take_cuts(self) -> set[str]:
         """The ports whose connections are to be reset now."""
         cuts, self._cuts = self._cuts, set()
         return cuts
-
-    @property
-    def segments_changed(self) -> int:
-        """A number that changes when the segments of any port do."""
-        return self._generation
 
     def segmenter(self, port: str) -> Segmenter | None:
         """A new segmenter for a connection to this port; None if packets are sent as they are."""

@@ -31,7 +31,7 @@ from urlink.interfaces.enums import ProgramState
 from ..programs.pendant import Pendant
 from ..robot.modes import StopState
 from ..state import ControllerState
-from .port import AnsweringPort, LineReceiver, PortClient
+from .port import LineReceiver, Port, PortClient
 
 #: Seconds for which a protective stop cannot be unlocked.
 UNLOCK_AFTER = 5.0
@@ -53,7 +53,7 @@ _UNNAMED = "<unnamed>"
 _BY_LENGTH = sorted(COMMANDS.values(), key=lambda command: -len(command.name))
 
 
-class DashboardPort(AnsweringPort):
+class DashboardPort(Port):
     """The dashboard server of one controller: answers the lines of all its clients.
 
     state: of the controller.
@@ -107,13 +107,9 @@ class DashboardPort(AnsweringPort):
 
     def carry_out(self, name: str, argument: str) -> str | None:
         """Execute a command of the table, on any firmware; returns its reply as `reply` does."""
-        if COMMANDS[name].needs_remote_control and self._is_local:
+        if COMMANDS[name].needs_remote_control and self._state.is_local:
             return NOT_IN_REMOTE_CONTROL
         return self._actions[name](argument)
-
-    @property
-    def _is_local(self) -> bool:
-        return self._state.firmware.is_e_series and not self._state.remote_control
 
     # -- power ---------------------------------------------------------------------------------------
 

@@ -18,12 +18,12 @@ from ..programs.runner import ProgramRunner
 from ..robot.gripper import SimulatedGripper
 from ..state import ControllerState
 from ..urscript.statements import StatementQueue, StatementReply
-from .port import AnsweringPort, LineReceiver, PortClient, PortReceiver
+from .port import LineReceiver, Port, PortClient, PortReceiver
 
 SINCE = Since("5.10")
 
 
-class InterpreterPort(AnsweringPort):
+class InterpreterPort(Port):
     """Passes statements to the program that runs.
 
     Args:
@@ -52,15 +52,15 @@ class InterpreterPort(AnsweringPort):
         text = " ".join(line.splitlines()).strip()
         if not text:
             return ""
-        statements = self._runner.statements or StatementQueue()
+        program = self._runner.program
+        statements = StatementQueue() if program is None else program.statements
         found = statements.obey(text)
         if found is None:
-            is_local = self._state.firmware.is_e_series and not self._state.remote_control
-            found = StatementReply("discard", 0) if is_local else statements.put(text)
+            found = StatementReply("discard", 0) if self._state.is_local else statements.put(text)
         return f"{found.word}: {found.number}: {text}"
 
 
-class GripperPort(AnsweringPort):
+class GripperPort(Port):
     """Serves the gripper of one controller.
 
     Args:
@@ -92,7 +92,7 @@ class GripperPort(AnsweringPort):
 Device = Callable[[bytes], bytes]
 
 
-class SerialLinePort(AnsweringPort):
+class SerialLinePort(Port):
     """Copies bytes between its clients and what is mounted.
 
     Args:
@@ -120,7 +120,7 @@ class SerialLinePort(AnsweringPort):
         return self.device(data)
 
 
-class _Receiver:
+class _Receiver(PortReceiver):
     def __init__(self, port: SerialLinePort, client: PortClient) -> None:
         self._port = port
         self._client = client
@@ -129,6 +129,3 @@ class _Receiver:
         answer = self._port.exchange(data)
         if answer:
             self._client.send(answer)
-
-    def end(self) -> None:
-        return None

@@ -8,6 +8,7 @@ schema in `urlink.interfaces`, and filled in many times: a controller packs hund
 from __future__ import annotations
 
 import struct
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from itertools import groupby
 from typing import Any, Protocol
@@ -45,7 +46,6 @@ class Form:
         header = layout.header.pack(**{**layout.constants, "size": layout.size})
         self._struct = struct.Struct(f">{len(header)}s{packed}")
         self._header = header
-        self.size = layout.size
 
     def pack(self, fields: Fields) -> bytes:
         """The packet with these fields, others unchanged; fields that are not in the layout are skipped."""
@@ -87,7 +87,7 @@ class PortClient(Protocol):
         """Close it now, by a reset."""
 
 
-class PortReceiver(Protocol):
+class PortReceiver:
     """Receives the bytes of one client."""
 
     def feed(self, data: bytes) -> None:
@@ -97,17 +97,20 @@ class PortReceiver(Protocol):
         """Handle the end of the connection."""
 
 
-class Port(Protocol):
-    """One interface of the controller."""
+class Port(ABC):
+    """One interface of the controller: of every firmware, and only answering its clients, unless its class differs."""
 
     def is_offered(self) -> bool:
         """Whether the present firmware has this interface; without it connections are refused."""
+        return True
 
     def greeting(self) -> list[bytes]:
         """The packets at the beginning of a connection."""
+        return []
 
     def next_cycle(self, cycle: int) -> int | None:
         """The first cycle after this one with packets for all clients; None if that is not known."""
+        return None
 
     def packets(self, cycle: int) -> list[bytes]:
         """The packets for all clients that have become due since the last call, as of this cycle.
@@ -115,34 +118,18 @@ class Port(Protocol):
         Called in each cycle while a client is connected, but for those that are far too late. If clients are sent
         different packets, the port sends them itself, and returns none.
         """
+        return []
 
     def skip(self) -> None:
         """No client is connected in this cycle: discard what would have been sent in it."""
+        return None
 
+    @abstractmethod
     def receiver(self, client: PortClient) -> PortReceiver:
         """Make the receiver for a new client."""
 
 
-class AnsweringPort:
-    """Base class of a port that only answers its clients; subclasses add `receiver`."""
-
-    def is_offered(self) -> bool:
-        return True
-
-    def greeting(self) -> list[bytes]:
-        return []
-
-    def next_cycle(self, cycle: int) -> int | None:
-        return None
-
-    def packets(self, cycle: int) -> list[bytes]:
-        return []
-
-    def skip(self) -> None:
-        return None
-
-
-class ReadOnlyReceiver:
+class ReadOnlyReceiver(PortReceiver):
     """The receiver of the read-only ports: bytes are counted, and have no effect."""
 
     def __init__(self, counters: Counters) -> None:
@@ -151,11 +138,8 @@ class ReadOnlyReceiver:
     def feed(self, data: bytes) -> None:
         self._counters.refused_bytes += len(data)
 
-    def end(self) -> None:
-        return None
 
-
-class LineReceiver:
+class LineReceiver(PortReceiver):
     """Cuts received bytes into lines.
 
     Args:
@@ -183,9 +167,6 @@ class LineReceiver:
             if not self._client.is_open:
                 return
         self._extend(rest)
-
-    def end(self) -> None:
-        return None
 
     def _extend(self, part: bytes) -> None:
         if self._is_too_long or len(self._line) + len(part) > LONGEST_LINE:

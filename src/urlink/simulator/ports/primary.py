@@ -19,7 +19,7 @@ from urlink.interfaces.primary.robot_state import SUB_PACKAGES
 from ..messages import greeting
 from ..rtde_variables import ROBOT_VOLTAGE, robot_current
 from ..state import ControllerState
-from .port import Fields, Form, PortClient, ScriptReceiver, package
+from .port import Fields, Form, Port, PortClient, ScriptReceiver, package
 
 #: Robot states a second.
 STATE_RATE = 10
@@ -88,28 +88,25 @@ class StatePackages:
         }
 
 
-class SecondaryPort:
+class SecondaryPort(Port):
     """The secondary interface of one controller.
 
     Args:
         state: of the controller.
         states: the states to send.
-        receiver: makes the receiver of a client.
+        receiver: makes the receiver of a client, for a port of this name.
     """
 
     _NAME = "secondary"
 
     def __init__(
-        self, state: ControllerState, states: StatePackages, receiver: Callable[[PortClient], ScriptReceiver]
+        self, state: ControllerState, states: StatePackages, receiver: Callable[[str, PortClient], ScriptReceiver]
     ) -> None:
-        self.receiver = receiver
         self._state = state
         self._states = states
+        self._make_receiver = receiver
         # The latest cycle in which a client was sent what was due.
         self._served: int | None = None
-
-    def is_offered(self) -> bool:
-        return True
 
     def greeting(self) -> list[bytes]:
         return [*greeting(self._state, self._NAME), self._states.package(first=True)]
@@ -123,6 +120,9 @@ class SecondaryPort:
 
     def skip(self) -> None:
         self._served = None
+
+    def receiver(self, client: PortClient) -> ScriptReceiver:
+        return self._make_receiver(self._NAME, client)
 
 
 class PrimaryPort(SecondaryPort):

@@ -9,28 +9,22 @@ from urlink.interfaces.realtime.packets import RealtimeState
 
 from ..rtde_variables import MAIN_VOLTAGE, ROBOT_VOLTAGE, execution_time, robot_current
 from ..state import ControllerState
-from .port import Fields, Form, PortClient, ScriptReceiver
+from .port import Fields, Form, Port, PortClient, ScriptReceiver
 
 
-class RealtimePort:
+class RealtimePort(Port):
     """The real-time interface of one controller.
 
     Args:
         state: of the controller.
-        receiver: makes the receiver of a client.
+        receiver: makes the receiver of a client, for a port of this name.
     """
 
-    def __init__(self, state: ControllerState, receiver: Callable[[PortClient], ScriptReceiver]) -> None:
-        self.receiver = receiver
+    def __init__(self, state: ControllerState, receiver: Callable[[str, PortClient], ScriptReceiver]) -> None:
         self._state = state
+        self._make_receiver = receiver
         self._form: Form | None = None
         self._firmware: Firmware | None = None
-
-    def is_offered(self) -> bool:
-        return True
-
-    def greeting(self) -> list[bytes]:
-        return []
 
     def next_cycle(self, cycle: int) -> int:
         return cycle + 1
@@ -38,8 +32,8 @@ class RealtimePort:
     def packets(self, cycle: int) -> list[bytes]:
         return [self.packet()]
 
-    def skip(self) -> None:
-        return None
+    def receiver(self, client: PortClient) -> ScriptReceiver:
+        return self._make_receiver("realtime", client)
 
     def packet(self) -> bytes:
         """The packet of this cycle."""

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from http import HTTPStatus
 from typing import Any
 from urllib.parse import unquote
 
@@ -25,21 +26,13 @@ from urlink.interfaces.dashboard.stored_programs import PROGRAMS, parse_form, pr
 from ..programs.pendant import Pendant
 from ..state import ControllerState
 from .dashboard import DashboardPort
-from .port import AnsweringPort, PortClient, PortReceiver
+from .port import Port, PortClient, PortReceiver
 
-_REASONS = {
-    200: "OK",
-    400: "Bad Request",
-    403: "Forbidden",
-    404: "Not Found",
-    405: "Method Not Allowed",
-    409: "Conflict",
-}
 #: Commands of the dashboard that the API has under another name.
 _COMMANDS = {"resume": "play"}
 
 
-class RobotApiPort(AnsweringPort):
+class RobotApiPort(Port):
     """The Robot API of one controller.
 
     Args:
@@ -96,7 +89,7 @@ class RobotApiPort(AnsweringPort):
                 return _refusal(405, f"{request.method} is not taken there")
             if wanted not in files:
                 return _refusal(404, f"there is no program {wanted[:200]}")
-            return HttpResponse(200, _REASONS[200], {"Content-Type": "text/plain"}, files[wanted].encode())
+            return HttpResponse(200, "OK", {"Content-Type": "text/plain"}, files[wanted].encode())
         if request.method == "GET":
             return _answer(200, {"programs": list(map(self._described, files))})
         if request.method not in ("POST", "PUT"):
@@ -180,7 +173,7 @@ class RobotApiPort(AnsweringPort):
         return self.operational_mode
 
 
-class _Exchange:
+class _Exchange(PortReceiver):
     """The one request of a connection."""
 
     def __init__(self, port: RobotApiPort, client: PortClient) -> None:
@@ -202,13 +195,10 @@ class _Exchange:
         self._client.send(answer.encode())
         self._client.finish()
 
-    def end(self) -> None:
-        return None
-
 
 def _answer(status: int, body: Mapping[str, Any]) -> HttpResponse:
     headers = {"Content-Type": "application/json"}
-    return HttpResponse(status, _REASONS[status], headers, json.dumps(body).encode())
+    return HttpResponse(status, HTTPStatus(status).phrase, headers, json.dumps(body).encode())
 
 
 def _refusal(status: int, message: str) -> HttpResponse:

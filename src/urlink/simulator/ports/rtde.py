@@ -55,7 +55,7 @@ from urlink.interfaces.rtde.variables import IN_USE, INPUTS, NOT_FOUND, OUTPUTS,
 from ..registers import FIELDBUSES
 from ..rtde_variables import OUTPUT_VALUES, write_inputs
 from ..state import ControllerState
-from .port import Form, PortClient
+from .port import Form, Port, PortClient, PortReceiver
 
 _log = logging.getLogger("urlink.simulator")
 
@@ -100,7 +100,7 @@ class Disturbance:
     stale: int = 0
 
 
-class RtdePort:
+class RtdePort(Port):
     """RTDE of one controller.
 
     Args:
@@ -135,9 +135,6 @@ class RtdePort:
             session.advance(cycle)
         return []
 
-    def skip(self) -> None:
-        return None
-
     def receiver(self, client: PortClient) -> RtdeSession:
         session = RtdeSession(self, client)
         self.sessions.append(session)
@@ -153,12 +150,10 @@ class _Outputs:
     """The output recipe of a client, and the period of its packages.
 
     Attributes:
-        recipe: names and types.
         step: cycles from one package to the next.
     """
 
     def __init__(self, recipe: Recipe, step: int) -> None:
-        self.recipe = recipe
         self.step = step
         self._form = Form(recipe.layout)
         self._values = [(key, OUTPUT_VALUES[name]) for key, name in zip(recipe.fields, recipe.names, strict=True)]
@@ -167,21 +162,17 @@ class _Outputs:
         return self._form.pack({key: value(state) for key, value in self._values})
 
 
-class RtdeSession:
+class RtdeSession(PortReceiver):
     """One connection: its protocol, its recipes and whether it is started. Sans-IO: bytes and cycles, no socket.
 
     Attributes:
         protocol: 1, until the client requests 2.
         is_started: whether data packages are sent.
-        unread: number of data packages that were left out, because older ones were waiting.
-        ignored: number of packages from the client that do not fit.
     """
 
     def __init__(self, port: RtdePort, client: PortClient) -> None:
         self.protocol: Protocol = 1
         self.is_started = False
-        self.unread = 0
-        self.ignored = 0
         self._port = port
         self._state = port._state
         self._client = client
@@ -249,7 +240,6 @@ class RtdeSession:
         self._client.send(reply)
 
     def _ignore(self, why: str) -> None:
-        self.ignored += 1
         self._state.counters.ignored_packages += 1
         _log.info("RTDE package ignored: %s", why)
 
@@ -267,12 +257,11 @@ class RtdeSession:
 
     def _set_up_outputs(self, request: OutputsRequest) -> bytes:
         self._outputs, self.is_started = None, False
-        names, types = self._looked_up(request.names, OUTPUTS, lambda name: False)
+        names, types = self._looked_up(request.names, OUTPUTS)
         step = self._step(request.frequency)
-        is_good = bool(names) and step is not None and NOT_FOUND not in types
-        if is_good and step is not None:
+        if names and step is not None and NOT_FOUND not in types:
             self._outputs = _Outputs(Recipe(names, types, None if self.protocol == 1 else 1), step)
-        return self._reply(OutputsReply, recipe=int(is_good), types=join_names(types))
+        return self._reply(OutputsReply, recipe=int(self._outputs is not None), types=join_names(types))
 
     def _step(self, frequency: float | None) -> int | None:
         """Cycles from one package to the next; None if the frequency is invalid."""
@@ -286,7 +275,7 @@ class RtdeSession:
 
     def _set_up_inputs(self, request: InputsRequest) -> bytes:
         self._requests += 1
-        names, types = self._looked_up(request.names, INPUTS, self._is_in_use)
+        names, types = self._looked_up(request.names, INPUTS)
         is_good = bool(names) and self._requests <= MOST_RECIPES and not {NOT_FOUND, IN_USE}.intersection(types)
         if is_good:
             self._state.claims.claim(names, self)
@@ -299,9 +288,7 @@ class RtdeSession:
             return True
         return state.claims.holder(name, state.cycle) not in (None, self)
 
-    def _looked_up(
-        self, text: str, table: Mapping[str, Variable], is_in_use: Callable[[str], bool]
-    ) -> tuple[Sequence[str], Sequence[str]]:
+    def _looked_up(self, text: str, table: Mapping[str, Variable]) -> tuple[Sequence[str], Sequence[str]]:
         """The names, and a type or a refusal for each."""
         if len(text.encode()) > MOST_NAMES:
             return (), ()
@@ -313,7 +300,7 @@ class RtdeSession:
             if variable is None or not variable.is_in(firmware):
                 types.append(NOT_FOUND)
             else:
-                types.append(IN_USE if is_in_use(name) else variable.type)
+                types.append(IN_USE if table is INPUTS and self._is_in_use(name) else variable.type)
         return names, types
 
     def _start(self, request: StartRequest) -> bytes:
@@ -389,7 +376,6 @@ class RtdeSession:
 
     def _drop(self, cycle: int) -> None:
         """Handle a package that cannot be sent, because older ones still wait for the client."""
-        self.unread += 1
         self._state.counters.unread += 1
         if self._unread_since is None:
             self._unread_since = cycle

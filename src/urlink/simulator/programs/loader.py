@@ -244,7 +244,7 @@ class ProgramLoader:
         state = self._state
         if not state.is_up:
             return self._refuse("down", text)
-        if state.firmware.is_e_series and not state.remote_control:
+        if state.is_local:
             return self._refuse("in local control", text)
         return not obey(state, self._runner, text)
 

@@ -65,14 +65,14 @@ class Pendant:
 
     def play(self) -> bool:
         """Continue the paused program, or run the loaded one; False if neither is possible."""
-        state, main = self._state, self._runner.main
+        state = self._state
         if not state.is_up or not state.modes.may_move:
             return False
         if state.is_paused:
             state.is_paused, state.by_hand = False, None
             state.update_modes(0.0)
             return True
-        if state.loaded is None or (main is not None and main.is_program):
+        if state.loaded is None or self._runner.program is not None:
             return False
         try:
             self._runner.start(compile_script(self.files[state.loaded], state.firmware))

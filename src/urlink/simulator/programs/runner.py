@@ -41,11 +41,7 @@ class RunningProgram:
     """
 
     def __init__(
-        self,
-        state: ControllerState,
-        script: Script,
-        route: Route,
-        on_end: Callable[[RunningProgram], object],
+        self, state: ControllerState, script: Script, route: Route, on_end: Callable[[RunningProgram], object]
     ) -> None:
         self.name = script.name
         self.is_program = True
@@ -55,8 +51,7 @@ class RunningProgram:
         self._drive = ArmDrive(
             state.kinematics, lambda: state.arm.dynamics, state.arm.setpoint, state.scaling, state.scaling_parameters
         )
-        self._world = ProgramWorld(state, route, self._drive)
-        self._execution = Execution(script, self._world)
+        self._execution = Execution(script, ProgramWorld(state, route, self._drive))
 
     @property
     def statements(self) -> StatementQueue[StatementCode]:
@@ -96,7 +91,6 @@ class RunningProgram:
             self.is_program = False
             self._execution.stop()
             self._drive.end_mode()
-            self._world.sockets.close_all()
             self._on_end(self)
 
 
@@ -117,18 +111,18 @@ class ProgramRunner:
         self._route = route
         # The arm has braked, or will: the source starts again from where the arm stands then.
         self._begins_anew = False
-        self._secondary: list[tuple[Execution, ProgramWorld]] = []
+        self._secondary: list[Execution] = []
         self._waiting: deque[tuple[Script, int]] = deque()
+
+    @property
+    def program(self) -> RunningProgram | None:
+        """The program that commands the arm, or is paused; None without one."""
+        return self.main if self.main is not None and self.main.is_program else None
 
     @property
     def is_running(self) -> bool:
         """Whether a program that was sent runs, so that no cycle may be skipped."""
-        return bool(self._secondary or self._waiting) or (self.main is not None and self.main.is_program)
-
-    @property
-    def statements(self) -> StatementQueue[StatementCode] | None:
-        """The statements from clients for the program in interpreter mode; None if there is none."""
-        return self.main.statements if self.main is not None and self.main.is_program else None
+        return bool(self._secondary or self._waiting or self.program)
 
     # -- beginning and ending ------------------------------------------------------------------------
 
@@ -157,10 +151,10 @@ class ProgramRunner:
 
     def stop(self) -> bool:
         """End the program that runs. False without one."""
-        if self.main is None or not self.main.is_program:
-            return False
-        self.main.end()
-        return True
+        program = self.program
+        if program is not None:
+            program.end()
+        return program is not None
 
     def stop_all(self) -> bool:
         """End whatever counts as a running program, a demonstration too. False without one."""
@@ -182,9 +176,8 @@ class ProgramRunner:
     def close(self) -> None:
         """End all programs: the controller goes down."""
         self.stop()
-        for execution, world in self._secondary:
+        for execution in self._secondary:
             execution.stop()
-            world.sockets.close_all()
         self._secondary.clear()
         self._waiting.clear()
 
@@ -215,7 +208,7 @@ class ProgramRunner:
         if state.resumes and modes.may_move:
             state.is_paused = state.resumes = False
         if modes.holds_program:
-            if self.main is not None and self.main.is_program:
+            if self.program is not None:
                 state.is_paused = True
         elif not modes.may_move:
             # The demonstration may have been paused.
@@ -264,12 +257,9 @@ class ProgramRunner:
 
     def _advance_secondary(self) -> None:
         while self._waiting and len(self._secondary) < MOST_SECONDARY:
-            world = ProgramWorld(self._state, self._route)
-            self._secondary.append((Execution(self._waiting.popleft()[0], world), world))
-        for execution, world in self._secondary:
+            self._secondary.append(Execution(self._waiting.popleft()[0], ProgramWorld(self._state, self._route)))
+        for execution in self._secondary:
             execution.advance()
-            if execution.is_over:
-                world.sockets.close_all()
-                if execution.error is not None:
-                    self._report(execution.error)
-        self._secondary = [pair for pair in self._secondary if not pair[0].is_over]
+            if execution.error is not None:
+                self._report(execution.error)
+        self._secondary = [execution for execution in self._secondary if not execution.is_over]

@@ -14,6 +14,7 @@ and three captures of standing robots; what is a guess is marked:
 from __future__ import annotations
 
 import enum
+from typing import NamedTuple
 
 from linkcore.wire.fields import Since
 from urlink.firmware import Firmware
@@ -47,29 +48,25 @@ class StopState(enum.Enum):
     EMERGENCY = "emergency"
 
 
-_ROBOT_MODE = {
-    Power.OFF: RobotMode.POWER_OFF,
-    Power.BOOTING: RobotMode.POWER_ON,
-    Power.IDLE: RobotMode.IDLE,
-    Power.RUNNING: RobotMode.RUNNING,
+class _Shown(NamedTuple):
+    """The modes that show how far the arm is powered."""
+
+    robot: RobotMode
+    robot_cb2: RobotModeCB2
+    joint: JointMode
+    tool: ToolMode
+
+
+_SHOWN = {
+    Power.OFF: _Shown(RobotMode.POWER_OFF, RobotModeCB2.NO_POWER, JointMode.POWER_OFF, ToolMode.POWER_OFF),
+    Power.BOOTING: _Shown(RobotMode.POWER_ON, RobotModeCB2.INITIALIZING, JointMode.BOOTING, ToolMode.BOOTING),
+    Power.IDLE: _Shown(RobotMode.IDLE, RobotModeCB2.READY, JointMode.IDLE, ToolMode.IDLE),
+    Power.RUNNING: _Shown(RobotMode.RUNNING, RobotModeCB2.RUNNING, JointMode.RUNNING, ToolMode.RUNNING),
 }
-_ROBOT_MODE_CB2 = {
-    Power.OFF: RobotModeCB2.NO_POWER,
-    Power.BOOTING: RobotModeCB2.INITIALIZING,
-    Power.IDLE: RobotModeCB2.READY,
-    Power.RUNNING: RobotModeCB2.RUNNING,
-}
-_JOINT_MODE = {
-    Power.OFF: JointMode.POWER_OFF,
-    Power.BOOTING: JointMode.BOOTING,
-    Power.IDLE: JointMode.IDLE,
-    Power.RUNNING: JointMode.RUNNING,
-}
-_TOOL_MODE = {
-    Power.OFF: ToolMode.POWER_OFF,
-    Power.BOOTING: ToolMode.BOOTING,
-    Power.IDLE: ToolMode.IDLE,
-    Power.RUNNING: ToolMode.RUNNING,
+_STOPPED_CB2 = {
+    StopState.PROTECTIVE: RobotModeCB2.SECURITY_STOPPED,
+    StopState.SAFEGUARD: RobotModeCB2.SAFEGUARD_STOP,
+    StopState.EMERGENCY: RobotModeCB2.EMERGENCY_STOPPED,
 }
 _SAFETY_MODE = {
     StopState.NONE: SafetyMode.NORMAL,
@@ -201,27 +198,20 @@ class Modes:
     @property
     def robot_mode(self) -> RobotMode | RobotModeCB2:
         """The robot mode, in the numbers of the generation."""
-        if not self._firmware.is_cb2:
-            return _ROBOT_MODE[self.power]
-        if self.stop is StopState.EMERGENCY:
-            return RobotModeCB2.EMERGENCY_STOPPED
-        if self.stop is StopState.PROTECTIVE:
-            return RobotModeCB2.SECURITY_STOPPED
-        if self.stop is StopState.SAFEGUARD:
-            return RobotModeCB2.SAFEGUARD_STOP
-        return _ROBOT_MODE_CB2[self.power]
+        shown = _SHOWN[self.power]
+        return _STOPPED_CB2.get(self.stop, shown.robot_cb2) if self._firmware.is_cb2 else shown.robot
 
     @property
     def joint_mode(self) -> JointMode:
         """The mode that all six joints are in."""
         if self._firmware.is_cb2 and self.stop is StopState.EMERGENCY:
             return _JOINT_EMERGENCY_STOPPED_CB2
-        return _JOINT_MODE[self.power]
+        return _SHOWN[self.power].joint
 
     @property
     def tool_mode(self) -> ToolMode:
         """The mode of the tool board."""
-        return _TOOL_MODE[self.power]
+        return _SHOWN[self.power].tool
 
     @property
     def safety_mode(self) -> SafetyMode:

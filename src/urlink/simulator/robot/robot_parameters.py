@@ -10,13 +10,14 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from linkcore.arguments import check_number
 from linkcore.errors import BadValue
 from urlink.models import Model
 from urlink.motors import joint_sizes
 from urlink.parameters import is_assumed, number, numbers, parameters
+from urlink.rigid import floats
 
 if TYPE_CHECKING:
     from urlink.arm_file import ArmFile
@@ -58,22 +59,8 @@ STEPS = numbers("encoder_step")
 AMBIENT, WARMING, TEMPERATURE_RISE = number("ambient_temperature"), number("warming_time"), numbers("temperature_rise")
 #: ms that a cycle takes without a program and with one, on an e-Series.
 EXECUTION_TIME = number("execution_time"), number("execution_time_of_a_program")
-
-
-class Voltage(NamedTuple):
-    """A voltage that is measured in steps, and falls with the current: V, V/A, V."""
-
-    idle: float
-    drop: float
-    step: float
-
-    def shown(self, current: float, noise: float) -> float:
-        """What is shown at this current, A, with this noise, V."""
-        return self.step * round((self.idle - self.drop * abs(current) + noise) / self.step)
-
-
-#: Of the supply of each joint.
-JOINT_VOLTAGE = Voltage(number("joint_voltage"), number("joint_voltage_drop"), number("voltage_step"))
+#: V, of the supply of each joint without a current; V/A, by which it falls; V, the steps in which it is measured.
+JOINT_VOLTAGE = number("joint_voltage"), number("joint_voltage_drop"), number("voltage_step")
 
 
 def force_size(name: str) -> str:
@@ -124,10 +111,7 @@ class SensorParameters:
 
     def __post_init__(self) -> None:
         for name, count in (("force_offset", 6), ("accelerometer_bias", 3)):
-            values = tuple(map(float, getattr(self, name)))
-            if len(values) != count or not all(map(math.isfinite, values)):
-                raise BadValue(f"{name} must be {count} finite numbers, not {getattr(self, name)!r}")
-            object.__setattr__(self, name, values)
+            object.__setattr__(self, name, tuple(map(float, floats(getattr(self, name), count, name))))
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             if isinstance(value, float) and not (math.isfinite(value) and value >= 0.0):
@@ -135,18 +119,7 @@ class SensorParameters:
 
     def like(self, arm: ArmFile) -> SensorParameters:
         """These, with what is known of one arm in their place."""
-        named = {"lag": "tracking_lag"} | {
-            name: name
-            for name in (
-                "position_noise",
-                "position_offset",
-                "current_noise",
-                "current_noise_at_rest",
-                "stiction",
-                "force_noise",
-                "torque_noise",
-            )
-        }
+        named = {field.name: field.name for field in dataclasses.fields(self)} | {"lag": "tracking_lag"}
         known = {field: arm.known(name) for field, name in named.items()}
         changed = {field: max(value, 0.0) for field, value in known.items() if value is not None}
         return dataclasses.replace(self, **changed)  # type: ignore[arg-type]

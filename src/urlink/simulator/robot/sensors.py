@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from operator import add
 
@@ -43,6 +44,7 @@ _RISE = 1.0
 _MOMENT = 1e-6
 
 
+@dataclass(slots=True, init=False, eq=False, repr=False)
 class Sample:
     """The values of all sensors in one cycle.
 
@@ -56,29 +58,6 @@ class Sample:
         accelerometer: m/s², in the frame of the tool.
         momentum: kg m/s, coarse.
     """
-
-    __slots__ = (
-        "I_actual",
-        "I_control",
-        "I_target",
-        "M_target",
-        "T_motor",
-        "V_actual",
-        "accelerometer",
-        "elbow_position",
-        "elbow_velocity",
-        "force",
-        "momentum",
-        "pose_actual",
-        "pose_target",
-        "q_actual",
-        "q_target",
-        "qd_actual",
-        "qd_target",
-        "qdd_target",
-        "speed_actual",
-        "speed_target",
-    )
 
     I_actual: list[float]
     I_control: list[float]
@@ -118,7 +97,7 @@ class Sensors:
     ) -> None:
         model = kinematics.model
         self._kinematics, self._seed, self._of = kinematics, seed, parameters
-        self.motors = motors
+        self._motors = motors
         self._dynamics = Dynamics(model)
         self._tcp: list[float] = list(_ZERO)
         self._tool: Rigid[float] = IDENTITY
@@ -256,8 +235,8 @@ class Sensors:
             needed: list[float] = (
                 self._dynamics.torque(*setpoint) if is_moving else self._dynamics.gravity_torque(setpoint.q)
             ).tolist()
-            target = self.motors.current(needed, setpoint.qd)
-            control = [i - m / k for i, m, k in zip(target, moments, self.motors.torque_constants, strict=True)]
+            target = self._motors.current(needed, setpoint.qd)
+            control = [i - m / k for i, m, k in zip(target, moments, self._motors.torque_constants, strict=True)]
             self._currents = needed, target, control
         s.M_target, s.I_target, s.I_control = self._currents
         if self._seed is None:
@@ -268,10 +247,11 @@ class Sensors:
             held = self._noise(rest, 7, self._of.stiction)
             noise = self._noise(cycle, 3, self._of.current_noise_at_rest)
             s.I_actual = [
-                i + h * c + n for i, h, c, n in zip(s.I_control, held, self.motors.coulomb, noise, strict=True)
+                i + h * c + n for i, h, c, n in zip(s.I_control, held, self._motors.coulomb, noise, strict=True)
             ]
         noise = self._noise(cycle, 4, self._of.voltage_noise)
-        s.V_actual = list(map(JOINT_VOLTAGE.shown, s.I_control, noise))
+        idle, drop, step = JOINT_VOLTAGE
+        s.V_actual = [_stepped(idle - drop * abs(i) + n, step) for i, n in zip(s.I_control, noise, strict=True)]
 
     def _temperatures(self, second: int) -> list[float]:
         if second != self._warmed_to:

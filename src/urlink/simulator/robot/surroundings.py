@@ -31,6 +31,7 @@ from urlink.dynamics import GRAVITY
 from urlink.kinematics import Arm
 from urlink.parameters import number
 from urlink.poses import rotvec_to_matrix
+from urlink.rigid import floats
 from urlink.vectors import FloatArray
 
 from .scene import Reaction, Scene
@@ -73,11 +74,11 @@ class Plane:
     friction: float = 0.0
 
     def __post_init__(self) -> None:
-        normal = _three(self.normal, "a normal")
+        normal = _numbers(self.normal, 3, "a normal")
         length = math.hypot(*normal)
         if length == 0.0:
             raise BadValue("the normal of a plane is not zero")
-        object.__setattr__(self, "point", _three(self.point, "a point"))
+        object.__setattr__(self, "point", _numbers(self.point, 3, "a point"))
         object.__setattr__(self, "normal", tuple(each / length for each in normal))
         _check_figures(stiffness=self.stiffness, damping=self.damping, friction=self.friction)
 
@@ -115,7 +116,7 @@ class Spring:
     damping: float = 10.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "point", _three(self.point, "a point"))
+        object.__setattr__(self, "point", _numbers(self.point, 3, "a point"))
         _check_figures(stiffness=self.stiffness, damping=self.damping)
 
     def force(self, position: Sequence[float], velocity: Sequence[float]) -> tuple[float, float, float]:
@@ -215,7 +216,7 @@ class Surroundings:
             self._load = None
             return
         _check_figures(mass=mass)
-        self._load = float(mass), _three(cog, "a centre of mass")
+        self._load = float(mass), _numbers(cog, 3, "a centre of mass")
 
     # -- for the arm -----------------------------------------------------------------------------------
 
@@ -247,14 +248,7 @@ class Surroundings:
 
 
 def _numbers(values: Sequence[float], n: int, what: str) -> tuple[float, ...]:
-    numbers = tuple(float(value) for value in values)
-    if len(numbers) != n or not all(map(math.isfinite, numbers)):
-        raise BadValue(f"{what} must be {n} finite numbers, not {values!r}")
-    return numbers
-
-
-def _three(values: Sequence[float], what: str) -> tuple[float, ...]:
-    return _numbers(values, 3, what)
+    return tuple(map(float, floats(values, n, what)))
 
 
 def _check_figures(**figures: float) -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from urlink.kinematics import Arm
 from urlink.models import MODELS, Model
-from urlink.simulator.robot.generator import MotionGenerator, Move
+from urlink.simulator.robot.generator import Command, MotionGenerator
 from urlink.simulator.robot.sources import HOME, Setpoint
 
 CYCLE = 0.002
@@ -28,7 +28,7 @@ def cycles(generator: MotionGenerator, count: int, cycle: float = CYCLE) -> list
     return [generator.advance(cycle) for _ in range(count)]
 
 
-def finish(generator: MotionGenerator, move: Move, cycle: float = CYCLE, at_most: float = 60.0) -> list[Setpoint]:
+def finish(generator: MotionGenerator, move: Command, cycle: float = CYCLE, at_most: float = 60.0) -> list[Setpoint]:
     """The set-points until the movement is over."""
     setpoints = []
     while not move.is_over:

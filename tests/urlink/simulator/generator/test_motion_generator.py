@@ -25,7 +25,7 @@ from tests.urlink.simulator.generator.stepping import (
 )
 from urlink.kinematics import Arm
 from urlink.models import MODELS, Model
-from urlink.simulator.robot.generator import LimitViolation, MotionGenerator, Move, OutOfReach
+from urlink.simulator.robot.generator import Command, LimitViolation, MotionGenerator, OutOfReach
 from urlink.simulator.robot.sources import HOME, Setpoint
 
 HARDEST = 2.5 * UR5E.max_acceleration
@@ -275,7 +275,7 @@ COMMANDS = (
 )  # fmt: skip
 
 
-def begin(generator: MotionGenerator, name: str, six: list[float], a: float, v: float, r: float) -> Move | None:
+def begin(generator: MotionGenerator, name: str, six: list[float], a: float, v: float, r: float) -> Command | None:
     q = [now + 0.5 * part for now, part in zip(generator.setpoint.q, six, strict=True)]
     pose = (Arm(UR5E).forward(generator.setpoint.q) + np.multiply(six, 0.1)).tolist()
     slight = [0.2 * part for part in six]
@@ -327,7 +327,7 @@ def test_any_commands_in_any_cycles(
     generator = standing()
     before = generator.setpoint
     setpoints: list[Setpoint] = []
-    move: Move | None = None
+    move: Command | None = None
     for name, six, a, v, r, wait in sequence:
         try:
             if name == "finish" and move is not None:

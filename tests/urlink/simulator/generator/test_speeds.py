@@ -21,7 +21,7 @@ from tests.urlink.simulator.generator.stepping import (
     to_rest,
 )
 from urlink.kinematics import Arm
-from urlink.simulator.robot.generator import LimitViolation, Move
+from urlink.simulator.robot.generator import Command, LimitViolation
 from urlink.simulator.robot.sources import HOME
 
 
@@ -159,7 +159,7 @@ def test_a_speed_above_the_limit_is_a_violation() -> None:
 
 def test_arguments_without_meaning() -> None:
     generator = standing()
-    wrongs: list[Callable[[], Move]] = [
+    wrongs: list[Callable[[], Command]] = [
         lambda: generator.speedj([0.0] * 5, 1.0, None),
         lambda: generator.speedj([0.0] * 6, 0.0, None),
         lambda: generator.speedj([0.1] * 6, 1.0, -1.0),

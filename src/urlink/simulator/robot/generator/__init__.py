@@ -6,6 +6,6 @@ from .compliance import ForceTask
 from .drive import ArmDrive
 from .joint_limits import LimitViolation, OutOfReach
 from .motion_generator import MotionGenerator
-from .path_motion import Move
+from .path_motion import Command
 
-__all__ = ["ArmDrive", "ForceTask", "LimitViolation", "MotionGenerator", "Move", "OutOfReach"]
+__all__ = ["ArmDrive", "Command", "ForceTask", "LimitViolation", "MotionGenerator", "OutOfReach"]

@@ -33,20 +33,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from urlink.dynamics import Dynamics
 from urlink.kinematics import Arm
 from urlink.motors import Motors
 from urlink.parameters import number, numbers
-from urlink.poses import compose, rotvec_to_matrix
+from urlink.poses import rotvec_to_matrix
 from urlink.vectors import FloatArray
 
 from ..sources import Setpoint
-from .joint_limits import JointLimits, LimitViolation, OutOfReach
-from .path_motion import Move
+from .joint_limits import JointLimits, LimitViolation
+from .path_motion import Command
 from .streamed_motion import JointSpeed
-from .tool_paths import setpoint_at
+from .tool_paths import moved, setpoint_at
 
 _REST = [0.0] * 6
 # s: times the change of a torque or a force, this brakes.
@@ -105,7 +104,7 @@ class FreeJoints:
         return setpoint
 
 
-class TorqueMotion:
+class TorqueMotion(Command):
     """Direct torque for one cycle.
 
     Args:
@@ -116,7 +115,7 @@ class TorqueMotion:
         acceleration: (6,) rad/s² with which the arm brakes if no torque follows.
 
     Attributes:
-        move: over after one cycle.
+        is_over: after one cycle.
     """
 
     def __init__(
@@ -127,19 +126,16 @@ class TorqueMotion:
         friction: Sequence[float],
         acceleration: Sequence[float],
     ) -> None:
-        self.move = Move()
-        self.is_at_rest = False
-        self.overrun = 0.0
         self._dynamics, self._motors, self._torque, self._friction = dynamics, motors, torque, np.array(friction)
         self._brake = JointSpeed(_REST, acceleration, None)
 
     def advance(self, last: Setpoint, seconds: float, scaling: float, change: float) -> Setpoint:
         """The set-point one cycle later."""
-        if self.move.is_over:
+        if self.is_over:
             setpoint = self._brake.advance(last, seconds, scaling, change)
             self.is_at_rest = self._brake.is_at_rest
             return setpoint
-        self.move.is_over = True
+        self.is_over = True
         speed = np.array(last.qd)
         rub, slope = (self._friction * each for each in self._motors.friction_torque(last.qd))
         left = self._torque - rub - self._dynamics.coriolis_torque(last.q, last.qd)
@@ -253,7 +249,7 @@ class Compliance:
 
         speed = axes @ self._yielding * math.exp(-_DAMPING * task.damping * seconds)
         speed += (task.gain * (self._wanted + felt) * seconds + _BRAKE * change) / _MASS
-        self._check_driven(is_free, speed, limits, felt, seconds)
+        self._check_driven(speed, felt, seconds)
         speed = np.where(is_free, np.minimum(np.maximum(speed, -limits), limits), 0.0)
 
         deviation = axes @ self._deviation
@@ -267,15 +263,13 @@ class Compliance:
         self._yielding, self._deviation = axes.T @ speed, axes.T @ deviation
         return self._move(axes.T @ np.where(is_free, speed, axes @ followed + giving), seconds)
 
-    def _check_driven(
-        self, is_free: NDArray[np.bool_], speed: FloatArray, limits: FloatArray, felt: FloatArray, seconds: float
-    ) -> None:
+    def _check_driven(self, speed: FloatArray, felt: FloatArray, seconds: float) -> None:
         """Raise if something pushes the tool at the limit of its speed."""
-        driven = is_free & (np.abs(speed) > limits) & (speed * felt > 0.0) & (np.abs(felt) > _DRIVEN)
+        driven = self._is_free & (np.abs(speed) > self._most) & (speed * felt > 0.0) & (np.abs(felt) > _DRIVEN)
         self._driven = self._driven + seconds if driven.any() else 0.0
         if self._driven > _DRIVEN_FOR:
             axis = int(np.argmax(driven))
-            raise LimitViolation(f"force mode: pushed along {_AXES[axis]} at its largest speed of {limits[axis]:g}")
+            raise LimitViolation(f"force mode: pushed along {_AXES[axis]} at its largest speed of {self._most[axis]:g}")
 
     def _axes(self, followed: FloatArray) -> FloatArray:
         """(6, 6): from the base frame to the axes of the task, for forces and speeds."""
@@ -291,17 +285,9 @@ class Compliance:
         return both
 
     def _move(self, speed: FloatArray, seconds: float) -> Setpoint:
-        step = (0.5 * seconds * (self._speed + speed)).tolist()
+        pose = moved(self._pose, (0.5 * seconds * (self._speed + speed)).tolist())
         self._speed = speed
-        pose = [a + b for a, b in zip(self._pose[:3], step[:3], strict=True)]
-        if any(step[3:]):
-            pose += compose((0.0, 0.0, 0.0, *step[3:]), (0.0, 0.0, 0.0, *self._pose[3:])).tolist()[3:]
-        else:
-            pose += self._pose[3:]
-        try:
-            setpoint = setpoint_at(self._kinematics, pose, self._tcp, self._last, seconds)
-        except OutOfReach as error:
-            raise LimitViolation(str(error)) from None
+        setpoint = setpoint_at(self._kinematics, pose, self._tcp, self._last, seconds)
         self._limits.check(self._last, setpoint, seconds)
         self._pose, self._last = pose, setpoint
         return setpoint

@@ -14,10 +14,9 @@ from operator import le, mul, sub
 from linkcore.errors import BadValue
 from urlink.models import Model
 from urlink.parameters import number
+from urlink.vectors import JOINTS
 
 from ..sources import Setpoint
-
-JOINTS = ("base", "shoulder", "elbow", "wrist 1", "wrist 2", "wrist 3")
 
 # Fraction by which a set-point may exceed the largest speed of a joint: rounding, and rough interpolation by clients.
 _TOLERANCE = number("joint_speed_tolerance")
@@ -40,7 +39,7 @@ class LimitViolation(Exception):
 
 
 class OutOfReach(Exception):
-    """The pose that a motion function gets is out of reach."""
+    """The target that a motion function gets is out of reach."""
 
 
 class JointLimits:

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Protocol
 
 from linkcore.errors import BadValue
 from urlink.curves import Arc, Line
@@ -27,7 +26,7 @@ from ..robot_parameters import ScalingParameters, approached
 from ..sources import BRAKING, Setpoint
 from .compliance import TorqueMotion
 from .joint_limits import JointLimits, LimitViolation, OutOfReach, checked, positive
-from .path_motion import Blend, JointPath, MotionPath, Move, PathMove, Trapezoid, timed
+from .path_motion import Blend, Command, JointPath, MotionPath, PathMove, Trapezoid, timed
 from .streamed_motion import JointSpeed, ServoMotion, ToolSpeed, lag_of
 from .tool_paths import ToolPath
 
@@ -36,23 +35,6 @@ _REST = [0.0] * 6
 _TAKES_OVER = 0.1
 # rad or m: the least length for which a speed and an acceleration are computed from a time.
 _SHORTEST = 1e-9
-
-
-class Command(Protocol):
-    """One command that is being carried out.
-
-    Attributes:
-        move: the movement that the program waits for.
-        is_at_rest: whether the joints stand still, and will until the next command.
-        overrun: s of scaled time by which the last cycle exceeded the time that was asked for.
-    """
-
-    move: Move
-    is_at_rest: bool
-    overrun: float
-
-    def advance(self, last: Setpoint, seconds: float, scaling: float, change: float) -> Setpoint:
-        """The set-point one cycle after `last`, at a speed scaling that has changed by `change` over the cycle."""
 
 
 class MotionGenerator:
@@ -174,7 +156,7 @@ class MotionGenerator:
 
     # -- path moves --------------------------------------------------------------------------------
 
-    def movej(self, q: Sequence[float], a: float = 1.4, v: float = 1.05, t: float = 0.0, r: float = 0.0) -> Move:
+    def movej(self, q: Sequence[float], a: float = 1.4, v: float = 1.05, t: float = 0.0, r: float = 0.0) -> Command:
         """Move all joints to positions together: the one that moves furthest with `a` rad/s² and `v` rad/s.
 
         Args:
@@ -196,7 +178,7 @@ class MotionGenerator:
         path = JointPath(self._kinematics, self._limits, self.tcp, start, end)
         return self._follow_path(path, start, blend, a, v, t, r)
 
-    def movel(self, pose: Sequence[float], a: float = 1.2, v: float = 0.25, t: float = 0.0, r: float = 0.0) -> Move:
+    def movel(self, pose: Sequence[float], a: float = 1.2, v: float = 0.25, t: float = 0.0, r: float = 0.0) -> Command:
         """Move the TCP straight to a pose in the base frame with `a` m/s² and `v` m/s, turning about one axis.
 
         A pose out of reach is approached until the arm can go no further, which is a violation of a limit. PolyScope
@@ -217,7 +199,7 @@ class MotionGenerator:
 
     def movec(
         self, via: Sequence[float], to: Sequence[float], a: float = 1.2, v: float = 0.25, r: float = 0.0, mode: int = 0
-    ) -> Move:
+    ) -> Command:
         """Move the TCP along the circle through one pose to another, with `a` m/s² and `v` m/s.
 
         Args:
@@ -241,17 +223,17 @@ class MotionGenerator:
         path = ToolPath(self._kinematics, self._limits, self.tcp, arc, start)
         return self._follow_path(path, start, blend, a, v, 0.0, r)
 
-    def movep(self, pose: Sequence[float], a: float = 1.2, v: float = 0.25, r: float = 0.0) -> Move:
+    def movep(self, pose: Sequence[float], a: float = 1.2, v: float = 0.25, r: float = 0.0) -> Command:
         """As `movel`: with blends between such moves, the tool keeps about the same speed."""
         return self.movel(pose, a, v, 0.0, r)
 
-    def servoc(self, pose: Sequence[float], a: float, v: float, r: float) -> Move:
+    def servoc(self, pose: Sequence[float], a: float, v: float, r: float) -> Command:
         """As `movel`. A controller follows the pose along a circular blend; here there is only the straight part."""
         return self.movel(pose, a, v, 0.0, r)
 
     # -- set-points, speeds, stops -----------------------------------------------------------------
 
-    def servoj(self, q: Sequence[float], t: float, lookahead_time: float, gain: float) -> Move:
+    def servoj(self, q: Sequence[float], t: float, lookahead_time: float, gain: float) -> Command:
         """Follow joint positions, rad, for a cycle, or for `t` s if that is longer; see the module `streamed_motion`.
 
         Args:
@@ -284,7 +266,7 @@ class MotionGenerator:
             )
         )
 
-    def speedj(self, qd: Sequence[float], a: float, t: float | None) -> Move:
+    def speedj(self, qd: Sequence[float], a: float, t: float | None) -> Command:
         """Change the joint speeds to `qd` rad/s, the one that changes most by `a` rad/s², and keep them.
 
         Raises:
@@ -292,7 +274,7 @@ class MotionGenerator:
         """
         return self._begin(JointSpeed(checked(qd, "joint speeds"), self._at_most(a), self._time(t)))
 
-    def speedl(self, xd: Sequence[float], a: float, t: float | None, a_rot: float | None = None) -> Move:
+    def speedl(self, xd: Sequence[float], a: float, t: float | None, a_rot: float | None = None) -> Command:
         """Change the speed of the TCP to `xd` m/s and rad/s in the base frame, by `a` m/s² and `a_rot` rad/s², and keep
         it. Without an `a_rot` above zero, `a` is taken for both.
 
@@ -301,7 +283,7 @@ class MotionGenerator:
         """
         return self._begin(self._tool_speed(checked(xd, "a tool speed"), a, a_rot, self._time(t)))
 
-    def stopj(self, a: float) -> Move:
+    def stopj(self, a: float) -> Command:
         """Brake all joints in proportion, the fastest by `a` rad/s², or less where the model cannot; over at rest.
 
         Raises:
@@ -309,7 +291,7 @@ class MotionGenerator:
         """
         return self._begin(JointSpeed(_REST, self._at_most(a), None))
 
-    def stopl(self, a: float, a_rot: float | None = None) -> Move:
+    def stopl(self, a: float, a_rot: float | None = None) -> Command:
         """Brake the tool along its direction by `a` m/s² and `a_rot` rad/s²; over at rest.
 
         Raises:
@@ -324,7 +306,9 @@ class MotionGenerator:
         if not self.is_standing:
             self._begin(JointSpeed(_REST, self._gentle, None))
 
-    def direct_torque(self, dynamics: Dynamics, motors: Motors, torque: FloatArray, friction: Sequence[float]) -> Move:
+    def direct_torque(
+        self, dynamics: Dynamics, motors: Motors, torque: FloatArray, friction: Sequence[float]
+    ) -> Command:
         """Move the joints by torques for one cycle; see the module `compliance`.
 
         Args:
@@ -337,16 +321,16 @@ class MotionGenerator:
 
     # -- beginning ---------------------------------------------------------------------------------
 
-    def _begin(self, command: Command) -> Move:
+    def _begin(self, command: Command) -> Command:
         if self._command is not None:
-            self._command.move.is_over = True
+            self._command.is_over = True
         self._command = command
         self._refusal = None
-        return command.move
+        return command
 
     def _follow_path(
         self, path: MotionPath, start: list[float], blend: Blend | None, a: float, v: float, t: float, r: float
-    ) -> Move:
+    ) -> Command:
         radius = _not_negative(r, "a blend radius")
         if _not_negative(t, "a time") > 0.0:
             speed, acceleration = timed(max(path.length, _SHORTEST), t, *path.fastest())

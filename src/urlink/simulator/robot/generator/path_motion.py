@@ -8,7 +8,9 @@ speed of the movement before. How a controller blends is not published, so that 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Protocol
 
 from urlink.kinematics import Arm
@@ -19,18 +21,22 @@ from .joint_limits import JointLimits
 _REST = [0.0] * 6
 
 
-class Move:
-    """A movement that has begun.
+class Command(ABC):
+    """A command that has begun.
 
     Attributes:
         is_over: whether the function that began it returns: the movement has ended, has come within its blend radius of
             the target, has lasted as long as requested, or was preempted.
+        is_at_rest: whether the joints stand still, and will until the next command.
+        overrun: s of scaled time by which the last cycle exceeded the time that was asked for.
     """
 
-    __slots__ = ("is_over",)
+    is_over = is_at_rest = False
+    overrun = 0.0
 
-    def __init__(self) -> None:
-        self.is_over = False
+    @abstractmethod
+    def advance(self, last: Setpoint, seconds: float, scaling: float, change: float) -> Setpoint:
+        """The set-point one cycle after `last`, at a speed scaling that has changed by `change` over the cycle."""
 
 
 # -- speed profiles ------------------------------------------------------------------------------------
@@ -110,16 +116,15 @@ class Blend:
 
         It takes longer if a joint would exceed its acceleration, rad/s².
         """
-        worst = max(
-            max(abs(6.0 * d / duration - 4.0 * v), abs(2.0 * v - 6.0 * d / duration)) / (duration * limit)
-            for d, v, limit in zip(way, qd, acceleration, strict=True)
-        )
-        while worst > 1.0 + 1e-9:
-            duration *= 1.25
-            worst = max(
+
+        def worst() -> float:
+            return max(
                 max(abs(6.0 * d / duration - 4.0 * v), abs(2.0 * v - 6.0 * d / duration)) / (duration * limit)
                 for d, v, limit in zip(way, qd, acceleration, strict=True)
             )
+
+        while worst() > 1.0 + 1e-9:
+            duration *= 1.25
         self.duration = duration
         self._time = 0.0
         # In u = time / duration: q = -way + speed u + c u² + e u³, which is at rest at nothing where u is 1.
@@ -190,7 +195,6 @@ class JointPath:
         self.length = max(map(abs, way))
         self._shares = [part / self.length for part in way] if self.length > 0.0 else list(_REST)
         self._limits = limits
-        self._end_pose: list[float] | None = None
 
     def fastest(self) -> tuple[float, float]:
         """The largest speed and acceleration along the path at which no joint exceeds its limits."""
@@ -212,40 +216,33 @@ class JointPath:
         """Distance of the TCP from the end when the joints are at `q`, m."""
         return math.dist(self._kinematics.forward(q, self._tcp)[:3].tolist(), self.end_pose[:3])
 
-    @property
+    @cached_property
     def end_pose(self) -> list[float]:
         """The pose of the TCP at the end, m and rad."""
-        if self._end_pose is None:
-            self._end_pose = self._kinematics.forward(self._end, self._tcp).tolist()
-        return self._end_pose
+        pose: list[float] = self._kinematics.forward(self._end, self._tcp).tolist()
+        return pose
 
 
 def _within(limits: Sequence[float], shares: Sequence[float]) -> float:
     return min((limit / abs(share) for limit, share in zip(limits, shares, strict=True) if share), default=1.0)
 
 
-class PathMove:
+class PathMove(Command):
     """One path move. It is over at its end, or within the blend radius of it, in the second half of its length.
 
     That a blend never begins in the first half is a guess: a controller ignores blends that overlap.
-
-    Attributes:
-        move: the movement that the program waits for.
     """
 
     def __init__(self, path: MotionPath, profile: Trapezoid, start: list[float], blend: Blend | None, r: float) -> None:
-        self.move = Move()
         self._path, self._profile, self._blend, self._radius = path, profile, blend, r
         self._time = 0.0
         self._way = (0.0, 0.0)
         self._last = Setpoint(start, _REST, _REST)
-        self.is_at_rest = False
-        self.overrun = 0.0
 
     @property
     def blends(self) -> bool:
         """Whether the program has gone on, while the arm has not arrived: the next movement begins from this one."""
-        return self.move.is_over and not self.is_at_rest and self._way[1] > 0.0
+        return self.is_over and not self.is_at_rest and self._way[1] > 0.0
 
     def corner(self) -> tuple[list[float], float]:
         """Where the joints would come to rest, and in how many seconds, if they slowed down evenly from now on."""
@@ -253,7 +250,7 @@ class PathMove:
         return self._path.end(self._last.q), 2.0 * (self._profile.length - way) / speed
 
     def advance(self, last: Setpoint, seconds: float, scaling: float, change: float) -> Setpoint:
-        """The set-point one cycle later, at a speed scaling that has changed by `change` over the cycle."""
+        """The set-point one cycle later."""
         time = self._time + (scaling - 0.5 * change) * seconds
         arrives = time >= self._profile.duration
         if arrives:
@@ -276,15 +273,15 @@ class PathMove:
                     [a + b for a, b in zip(setpoint.qdd, qdd, strict=True)],
                 )
         if arrives and self._blend is None:
-            self.is_at_rest = self.move.is_over = True
+            self.is_at_rest = self.is_over = True
         elif self._blend_begins(way, setpoint.q):
             # Computed now, so that a corner out of reach is a violation in this cycle.
             self._path.end(self._last.q)
-            self.move.is_over = True
+            self.is_over = True
         return setpoint
 
     def _blend_begins(self, way: float, q: list[float]) -> bool:
-        if self.move.is_over or not self._radius or way < 0.5 * self._profile.length:
+        if self.is_over or not self._radius or way < 0.5 * self._profile.length:
             return False
         return self._path.left(q) <= self._radius
 

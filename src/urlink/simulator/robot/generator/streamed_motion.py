@@ -27,12 +27,12 @@ from operator import le, mul, sub
 
 from urlink.kinematics import Arm
 from urlink.parameters import number
-from urlink.poses import compose
+from urlink.vectors import JOINTS
 
 from ..sources import Setpoint
-from .joint_limits import JOINTS, JointLimits, LimitViolation, OutOfReach
-from .path_motion import Move
-from .tool_paths import setpoint_at
+from .joint_limits import JointLimits, LimitViolation
+from .path_motion import Command
+from .tool_paths import moved, setpoint_at
 
 _REST = [0.0] * 6
 _OF_LOOKAHEAD = number("servoj_lag_of_lookahead")
@@ -47,11 +47,11 @@ def lag_of(t: float, lookahead_time: float, gain: float) -> float:
     return t
 
 
-class ServoMotion:
+class ServoMotion(Command):
     """The motion to one set-point.
 
     Attributes:
-        move: over after one cycle of scaled time, or after `t` s of it if that is longer.
+        is_over: after one cycle of scaled time, or after `t` s of it if that is longer.
         goal: present point of the line to the set-point, rad.
         overrun: s of scaled time by which the last cycle exceeded the time of the set-point; the next one, if it
             follows in the next cycle, begins with them.
@@ -67,20 +67,17 @@ class ServoMotion:
         t: float,
         lag: float,
         *,
-        begun: float = 0.0,
-        speeds: Sequence[float] = _REST,
-        excess: Sequence[float] = _REST,
-        stretches: bool = True,
+        begun: float,
+        speeds: Sequence[float],
+        excess: Sequence[float],
+        stretches: bool,
     ) -> None:
         """A set-point of which `begun` s are over; `stretches`: whether the scaling stretches the lag."""
-        self.move = Move()
         self._limits, self._begin, self._end, self._duration, self._lag = limits, begin, list(end), t, lag
         self._time, self._stretches = begun, stretches
         self.goal = begin
-        self.overrun = 0.0
         self.speeds, self.excess = list(speeds), list(excess)
         self._is_new = True
-        self.is_at_rest = False
 
     def advance(self, last: Setpoint, seconds: float, scaling: float, change: float) -> Setpoint:
         """The set-point one cycle later.
@@ -99,7 +96,7 @@ class ServoMotion:
             return Setpoint(self._end, _REST, _REST)
         old_goals = self.goal
         self._pass(passed, duration, seconds)
-        if self.move.is_over:
+        if self.is_over:
             self.goal = self._end
         else:
             part = self._time / duration
@@ -138,8 +135,8 @@ class ServoMotion:
     def _pass(self, passed: float, duration: float, seconds: float) -> None:
         """Let scaled time pass; the set-point is over when its own has."""
         self._time += passed
-        if not self.move.is_over and self._time > duration - 0.01 * seconds:
-            self.move.is_over = True
+        if not self.is_over and self._time > duration - 0.01 * seconds:
+            self.is_over = True
             self.overrun = max(self._time - duration, 0.0)
 
     def _slowed(self, seconds: float) -> list[float]:
@@ -168,21 +165,18 @@ def _follower(lag: float, seconds: float) -> tuple[float, float]:
     return omega, math.exp(-omega * seconds)
 
 
-class JointSpeed:
+class JointSpeed(Command):
     """All joints change their speeds in proportion until each has its own, and keep it.
 
     Attributes:
-        move: over after `t` s of scaled time; if `t` is None, when the speed is reached.
+        is_over: after `t` s of scaled time; if `t` is None, when the speed is reached.
     """
 
     def __init__(self, qd: Sequence[float], acceleration: Sequence[float], t: float | None) -> None:
         """Six speeds, rad/s, and the largest acceleration of each joint, rad/s²."""
-        self.move = Move()
         self._target, self._acceleration = list(qd), acceleration
         self._left = t
         self._stops = not any(qd)
-        self.overrun = 0.0
-        self.is_at_rest = False
 
     def advance(self, last: Setpoint, seconds: float, scaling: float, change: float) -> Setpoint:
         """The set-point one cycle later."""
@@ -200,21 +194,21 @@ class JointSpeed:
         setpoint = Setpoint(q, qd, [(new - old) / seconds for new, old in zip(qd, last.qd, strict=True)])
         self.is_at_rest = self._stops and is_reached
         if self._left is None:
-            self.move.is_over = is_reached
+            self.is_over = is_reached
         else:
             self._left, self.overrun = _passed(self._left, scaling * seconds, seconds)
-            self.move.is_over = self._left <= 0.0 and scaling > 0.0
+            self.is_over = self._left <= 0.0 and scaling > 0.0
         return setpoint
 
 
-class ToolSpeed:
+class ToolSpeed(Command):
     """The tool changes its speed straight to another one, and keeps that.
 
     If it has to stop and the arm cannot continue along its line, because that ends or is singular there, the joints
     brake instead.
 
     Attributes:
-        move: over after `t` s of scaled time; if `t` is None, when the speed is reached; for a stop, at rest.
+        is_over: after `t` s of scaled time; if `t` is None, when the speed is reached; for a stop, at rest.
     """
 
     def __init__(
@@ -233,7 +227,6 @@ class ToolSpeed:
 
         After an `old` one, the line continues exactly.
         """
-        self.move = Move()
         self._kinematics, self._limits, self._tcp = kinematics, limits, list(tcp)
         self._target, self._a, self._a_rot, self._left = list(xd), a, a_rot, t
         self._pose: list[float] = kinematics.forward(begin.q, tcp).tolist()
@@ -244,8 +237,6 @@ class ToolSpeed:
             self._speed = kinematics.velocity(begin.q, begin.qd, tcp).tolist()
         self._stops = not any(xd)
         self._brake: JointSpeed | None = None
-        self.overrun = 0.0
-        self.is_at_rest = False
 
     def advance(self, last: Setpoint, seconds: float, scaling: float, change: float) -> Setpoint:
         """The set-point one cycle later.
@@ -256,33 +247,29 @@ class ToolSpeed:
         if self._brake is not None:
             return self._braking(self._brake, last, seconds)
         if self._stops and not any(self._speed):
-            self.is_at_rest = self.move.is_over = True
+            self.is_at_rest = self.is_over = True
             return Setpoint(last.q, _REST, _REST)
         target = [scaling * v for v in self._target]
         line, line_reached = _towards(self._speed[:3], target[:3], self._a * seconds)
         turn, turn_reached = _towards(self._speed[3:], target[3:], self._a_rot * seconds)
         speed = line + turn
         step = [0.5 * seconds * (old + new) for old, new in zip(self._speed, speed, strict=True)]
-        pose = [a + b for a, b in zip(self._pose[:3], step[:3], strict=True)]
-        if any(step[3:]):
-            pose += compose((0.0, 0.0, 0.0, *step[3:]), (0.0, 0.0, 0.0, *self._pose[3:])).tolist()[3:]
-        else:
-            pose += self._pose[3:]
+        pose = moved(self._pose, step)
         try:
             setpoint = setpoint_at(self._kinematics, pose, self._tcp, last, seconds)
             if self._stops:
                 self._limits.check(last, setpoint, seconds)
-        except (OutOfReach, LimitViolation) as error:
+        except LimitViolation:
             if not self._stops:
-                raise LimitViolation(str(error)) from None
+                raise
             self._brake = JointSpeed(_REST, self._limits.acceleration, None)
             return self._braking(self._brake, last, seconds)
         self._pose, self._speed = pose, speed
         if self._left is None:
-            self.move.is_over = line_reached and turn_reached and not self._stops
+            self.is_over = line_reached and turn_reached and not self._stops
         else:
             self._left, self.overrun = _passed(self._left, scaling * seconds, seconds)
-            self.move.is_over = self._left <= 0.0 and scaling > 0.0
+            self.is_over = self._left <= 0.0 and scaling > 0.0
         return setpoint
 
     def restart(self, begin: Setpoint) -> None:
@@ -292,7 +279,7 @@ class ToolSpeed:
 
     def _braking(self, brake: JointSpeed, last: Setpoint, seconds: float) -> Setpoint:
         setpoint = brake.advance(last, seconds, 1.0, 0.0)
-        self.move.is_over, self.is_at_rest = brake.move.is_over, brake.is_at_rest
+        self.is_over, self.is_at_rest = brake.is_over, brake.is_at_rest
         return setpoint
 
 

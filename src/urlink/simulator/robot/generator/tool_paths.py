@@ -9,9 +9,10 @@ from urlink import kinematics
 from urlink.curves import Curve
 from urlink.kinematics import Arm
 from urlink.parameters import number
+from urlink.poses import compose
 
 from ..sources import Setpoint
-from .joint_limits import JointLimits, LimitViolation, OutOfReach
+from .joint_limits import JointLimits, LimitViolation
 
 #: m that count as much as a turn of 1 rad, at least, so that a tool which turns in place takes its time. A guess.
 RADIAN = number("metres_per_turn_simulated")
@@ -25,12 +26,12 @@ def joints_at(arm: Arm, pose: Sequence[float], tcp: Sequence[float], near: Seque
     """The joint positions closest to `near` that put the TCP at a pose.
 
     Raises:
-        OutOfReach: the pose is out of reach.
+        LimitViolation: the pose is out of reach.
     """
     try:
         found: list[float] = arm.inverse(pose, near, tcp, is_limited=False).tolist()
     except kinematics.Unreachable:
-        raise OutOfReach(f"the arm does not reach the pose {[round(number, 4) for number in pose]}") from None
+        raise LimitViolation(f"the arm does not reach the pose {[round(number, 4) for number in pose]}") from None
     return found
 
 
@@ -38,11 +39,20 @@ def setpoint_at(arm: Arm, pose: Sequence[float], tcp: Sequence[float], last: Set
     """The joints at a pose of the TCP, one cycle after `last`; speeds and accelerations are differences.
 
     Raises:
-        OutOfReach: the pose is out of reach.
+        LimitViolation: the pose is out of reach.
     """
     q = joints_at(arm, pose, tcp, last.q)
     qd = [(new - old) / seconds for new, old in zip(q, last.q, strict=True)]
     return Setpoint(q, qd, [(new - old) / seconds for new, old in zip(qd, last.qd, strict=True)])
+
+
+def moved(pose: Sequence[float], step: Sequence[float]) -> list[float]:
+    """A pose that has gone on by a step in the directions of the base frame, m and rad."""
+    place = [a + b for a, b in zip(pose[:3], step[:3], strict=True)]
+    if not any(step[3:]):
+        return [*place, *pose[3:]]
+    turned: list[float] = compose((0.0, 0.0, 0.0, *step[3:]), (0.0, 0.0, 0.0, *pose[3:])).tolist()
+    return place + turned[3:]
 
 
 class ToolPath:
@@ -70,7 +80,7 @@ class ToolPath:
         for sample in range(1, _SAMPLES + 1):
             try:
                 new = joints_at(self._kinematics, self._curve.pose(sample / _SAMPLES), self._tcp, old)
-            except OutOfReach:
+            except LimitViolation:
                 break
             ways = [abs(b - a) for a, b in zip(old, new, strict=True)]
             if max(ways) > _JUMP:
@@ -89,10 +99,7 @@ class ToolPath:
         """
         if not speed and not acceleration:
             return Setpoint(last.q, _REST, _REST)
-        try:
-            return setpoint_at(self._kinematics, self._curve.pose(way / self.length), self._tcp, last, seconds)
-        except OutOfReach as error:
-            raise LimitViolation(str(error)) from None
+        return setpoint_at(self._kinematics, self._curve.pose(way / self.length), self._tcp, last, seconds)
 
     def end(self, near: Sequence[float]) -> list[float]:
         """The joints at the end, on the branch of the inverse kinematics that they come from.
@@ -101,10 +108,7 @@ class ToolPath:
             LimitViolation: the end is out of reach on this branch.
         """
         if self._end_joints is None:
-            try:
-                self._end_joints = joints_at(self._kinematics, self.end_pose, self._tcp, near)
-            except OutOfReach as error:
-                raise LimitViolation(str(error)) from None
+            self._end_joints = joints_at(self._kinematics, self.end_pose, self._tcp, near)
         return self._end_joints
 
     def left(self, q: Sequence[float]) -> float:
