@@ -21,7 +21,7 @@ from .requirements import Check, Measured, NotTried, counted
 _MASTERBOARD, _EUROMAP = 3, (0, 12, 16)
 #: The last release of CB3, which has no row of its own.
 _LAST_CB3 = Firmware(3, 15)
-#: Came below which their rate is not judged.
+#: Packets below which their rate is not judged.
 _FEWEST = 10
 #: s for which this computer may be held up before what comes late is its own doing.
 _HELD_UP = 0.03
