@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,35 +25,27 @@ _GRAVITY = 9.82
 _UPRIGHT = 0.95
 
 
-class _Range(NamedTuple):
-    """Between which values a field lies on every arm; judgements, wide enough for all that was reported."""
-
-    name: str
-    low: float
-    high: float
-    unit: str
-
-
+#: Fields, between which values each lies on every arm, and the unit; judgements, wide enough for all that was reported.
 _RANGES = (
-    _Range("q_actual", -100.0, 100.0, "rad"),
-    _Range("q_target", -100.0, 100.0, "rad"),
-    _Range("qd_actual", -10.0, 10.0, "rad/s"),
-    _Range("qd_target", -10.0, 10.0, "rad/s"),
-    _Range("qdd_target", -1000.0, 1000.0, "rad/s²"),
-    _Range("I_actual", -60.0, 60.0, "A"),
-    _Range("I_target", -60.0, 60.0, "A"),
-    _Range("I_control", -60.0, 60.0, "A"),
-    _Range("M_target", -1000.0, 1000.0, "Nm"),
-    _Range("tcp_force", -1000.0, 1000.0, "N, Nm"),
-    _Range("motor_temperatures", -10.0, 100.0, "°C"),
-    _Range("speed_scaling", 0.0, 1.01, ""),
-    _Range("V_main", 40.0, 60.0, "V"),
-    _Range("V_robot", -1.0, 60.0, "V"),
-    _Range("V_actual", -1.0, 60.0, "V"),
-    _Range("I_robot", -5.0, 60.0, "A"),
-    _Range("linear_momentum_norm", -1e-6, 500.0, "kg m/s"),
-    _Range("payload_mass", 0.0, 60.0, "kg"),
-    _Range("controller_timer", 0.0, 50.0, "ms"),
+    ("q_actual", -100.0, 100.0, "rad"),
+    ("q_target", -100.0, 100.0, "rad"),
+    ("qd_actual", -10.0, 10.0, "rad/s"),
+    ("qd_target", -10.0, 10.0, "rad/s"),
+    ("qdd_target", -1000.0, 1000.0, "rad/s²"),
+    ("I_actual", -60.0, 60.0, "A"),
+    ("I_target", -60.0, 60.0, "A"),
+    ("I_control", -60.0, 60.0, "A"),
+    ("M_target", -1000.0, 1000.0, "Nm"),
+    ("tcp_force", -1000.0, 1000.0, "N, Nm"),
+    ("motor_temperatures", -10.0, 100.0, "°C"),
+    ("speed_scaling", 0.0, 1.01, ""),
+    ("V_main", 40.0, 60.0, "V"),
+    ("V_robot", -1.0, 60.0, "V"),
+    ("V_actual", -1.0, 60.0, "V"),
+    ("I_robot", -5.0, 60.0, "A"),
+    ("linear_momentum_norm", -1e-6, 500.0, "kg m/s"),
+    ("payload_mass", 0.0, 60.0, "kg"),
+    ("controller_timer", 0.0, 50.0, "ms"),
 )
 
 _ENUMS = {"safety_mode": SafetyMode, "safety_status": SafetyMode, "program_state": ProgramState}

@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 
@@ -25,15 +24,13 @@ from .standing import stand
 from .swings import swing
 
 #: What each stage does, for the question whether it may.
-STAGES: Mapping[int, str] = MappingProxyType(
-    {
-        0: "reads: connects to every interface, listens, and asks what changes nothing",
-        1: "moves nothing: sets slider, TCP and payload and puts them back, runs programs that sleep",
-        2: "MOVES wrist 3 by 3 degrees while the dead man's input is on; somebody stands at the emergency stop",
-        3: "MOVES one joint after the other by 17 degrees to either side, each after it has asked you, for `identify`; "
-        "the dead man's input is on, somebody stands at the emergency stop",
-    }
-)
+STAGES: Mapping[int, str] = {
+    0: "reads: connects to every interface, listens, and asks what changes nothing",
+    1: "moves nothing: sets slider, TCP and payload and puts them back, runs programs that sleep",
+    2: "MOVES wrist 3 by 3 degrees while the dead man's input is on; somebody stands at the emergency stop",
+    3: "MOVES one joint after the other by 17 degrees to either side, each after it has asked you, for `identify`; "
+    "the dead man's input is on, somebody stands at the emergency stop",
+}
 
 
 def run(
