@@ -12,7 +12,7 @@ from .. import poses
 from ..dynamics import Dynamics
 from ..interfaces.enums import JointMode, ProgramState, RobotMode, RobotModeCB2, SafetyMode
 from ..motors import motors_of
-from .arrivals import moments
+from .arrivals import known_arm, moments
 from .evidence import Evidence
 from .requirements import Check, Measured, NotTried, counted
 
@@ -152,9 +152,7 @@ def _velocities(evidence: Evidence) -> Measured:
 
 
 def _kinematics(evidence: Evidence) -> Measured:
-    known = evidence.identity
-    if known is None or known.arm is None:
-        raise NotTried("it is not known which arm this is")
+    known, _ = known_arm(evidence)
     info = next((state.cartesian_info for state in evidence.primary.states if state.cartesian_info is not None), None)
     if info is None or info.tcp_offset_X is None:
         raise NotTried("this firmware does not tell the TCP")
@@ -180,9 +178,8 @@ def _turn(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
 
 
 def _gravity(evidence: Evidence) -> Measured:
-    known, stands = evidence.identity, _stands(evidence)
-    if known is None or known.arm is None:
-        raise NotTried("it is not known which arm this is")
+    stands = _stands(evidence)
+    known, _ = known_arm(evidence)
     q, moment = _wanted(evidence, "q_target", "M_target")
     (acceleration,) = _wanted(evidence, "tool_accelerometer")
     payload, cog = _column(evidence, "payload_mass"), _column(evidence, "payload_cog")
@@ -205,12 +202,11 @@ def _gravity(evidence: Evidence) -> Measured:
 
 
 def _currents(evidence: Evidence) -> Measured:
-    known, stands = evidence.identity, _stands(evidence)
-    if known is None or known.arm is None:
-        raise NotTried("it is not known which arm this is")
+    stands = _stands(evidence)
+    _, arm = known_arm(evidence)
     moment, current = _wanted(evidence, "M_target", "I_target")
     moment, current = moment[stands].mean(axis=0), current[stands].mean(axis=0)
-    constants = motors_of(known.arm).torque_constants
+    constants = motors_of(arm).torque_constants
     wrong, tried = [], 0
     for joint in range(6):
         if abs(moment[joint]) < _HEAVY:
@@ -218,11 +214,10 @@ def _currents(evidence: Evidence) -> Measured:
         tried += 1
         ratio = current[joint] * constants[joint] / moment[joint]
         if not 0.25 < ratio < 4.0:
-            said = (
-                "has the other direction" if ratio < 0.0 else f"is {ratio:.3g} times what the parameter torque_constant"
-            )
-            also = "" if ratio < 0.0 else f" ({constants[joint]:g} Nm/A) gives"
-            wrong.append(f"joint {joint + 1}: {current[joint]:.3f} A at {moment[joint]:.2f} Nm {said}{also}")
+            said = f"is {ratio:.3g} times what the parameter torque_constant ({constants[joint]:g} Nm/A) gives"
+            if ratio < 0.0:
+                said = "has the other direction"
+            wrong.append(f"joint {joint + 1}: {current[joint]:.3f} A at {moment[joint]:.2f} Nm {said}")
     if not tried:
         raise NotTried(f"no joint holds {_HEAVY:g} Nm in this posture")
     return counted(wrong, f"{tried} joints: {np.round(current, 2).tolist()} A at {np.round(moment, 1).tolist()} Nm")

@@ -256,12 +256,11 @@ def _local(robot: Robot, person: Person) -> Told:
         return {"skipped": "this generation has no local control that refuses programs"}
     if not person.does("local"):
         return {"skipped": "nobody has switched to local control"}
+    began = time.monotonic()
     try:
-        began = time.monotonic()
-        try:
-            robot.script.run(f'def in_local():\n  textmsg("{BEGIN} local")\nend').wait(_LONG)
-            return {"refused": ""}
-        except LinkError as error:
-            return {"refused": str(error), "took": time.monotonic() - began}
+        robot.script.run(f'def in_local():\n  textmsg("{BEGIN} local")\nend').wait(_LONG)
+        return {"refused": ""}
+    except LinkError as error:
+        return {"refused": str(error), "took": time.monotonic() - began}
     finally:
         person.does("remote")

@@ -27,7 +27,7 @@ from ..parameters import Parameter, numbers, parameters
 from ..robot import Robot
 from ..simulator.robot.robot_parameters import force_size
 from ..vectors import JOINTS, FloatArray
-from .arrivals import moments
+from .arrivals import known_arm, moments
 from .evidence import Evidence
 from .logbook import Logbook
 from .requirements import Check, Measured, NotTried
@@ -187,11 +187,10 @@ def _identified(evidence: Evidence) -> tuple[_Swings, ArmFile]:
     Raises:
         NotTried: it shows nothing, and why.
     """
-    swings, known = _Swings(evidence), evidence.identity
+    swings = _Swings(evidence)
     if not swings.joints:
         raise NotTried("no joint has swung")
-    if known is None or known.arm is None:
-        raise NotTried("it is not known which arm this is")
+    _, arm = known_arm(evidence)
     columns = {}
     for ours, theirs in COLUMNS.items():
         column = swings.packets.column(lambda state, name=theirs: getattr(state, name))  # type: ignore[misc]
@@ -199,7 +198,7 @@ def _identified(evidence: Evidence) -> tuple[_Swings, ArmFile]:
             columns[ours] = column
     columns["timestamp"] = moments("realtime", swings.packets)
     try:
-        return swings, identify(Samples(Path("the logbook"), columns, known.arm.name, swings.packets.arrived))
+        return swings, identify(Samples(Path("the logbook"), columns, arm.name, swings.packets.arrived))
     except (BadRecording, BadValue) as error:
         raise NotTried(f"nothing is told by it: {error}") from None
 

@@ -106,9 +106,7 @@ def _fit_moments(
     ]
     moved = np.abs(qdd).max(axis=0) >= _ACCELERATION
     shared = np.stack([at_flange, *per_way], axis=-1)
-    rotor_columns = np.zeros((*q.shape, 6))
-    for joint in range(6):
-        rotor_columns[:, joint, joint] = qdd[:, joint]
+    rotor_columns = qdd[:, :, np.newaxis] * np.eye(6)
     factors = np.zeros(10)
     modelled = bare
     weight = np.ones(6)
