@@ -116,7 +116,9 @@ def test_joints_are_identified_on_one_half_for_the_other(log: Log) -> None:
     fitted = fit_joints(MODEL, {name: log[name][:half] for name in names})
     assert fitted.payload.low < PAYLOAD < fitted.payload.high
     assert [each.value for each in fitted.payload_cog] == pytest.approx(COG, abs=5e-4)
-    torque = fitted.torque(MODEL, *(log[name][half:] for name in names[:3]))
+    known = [[each.value for each in estimates] for estimates in (fitted.payload_cog, fitted.rotor_inertias)]
+    dynamics = Dynamics(MODEL, payload=fitted.payload.value, payload_cog=known[0], rotors=known[1])
+    torque = dynamics.torque(*(log[name][half:] for name in names[:3]))
     assert (r2(log["target_moment"][half:], torque) > 0.999).all()
     current = fitted.current(torque, log["target_qd"][half:])
     assert (r2(log["target_current"][half:], current) > 0.99).all()

@@ -95,7 +95,7 @@ _ROUNDING, _ROUNDING_32, _SOME = 1e-6, 1e-5, 0.02
 
 
 class _Joined(NamedTuple):
-    """Came of one cycle on the real-time interface and on another: their numbers, in pairs.
+    """Packets of one cycle on the real-time interface and on another: their numbers, in pairs.
 
     Attributes:
         own, other: the numbers, (n,).
@@ -107,15 +107,9 @@ class _Joined(NamedTuple):
     offset: float | None
 
 
-def _reader(which: str, each: _Field) -> Callable[[Any], Any] | None:
-    if which == "primary":
-        return each.primary
-    name = each.realtime if which == "realtime" else each.rtde
-    return lambda state: getattr(state, name, None)
-
-
 def _column(evidence: Evidence, which: str, each: _Field) -> Column | None:
-    read = _reader(which, each)
+    name = each.rtde if which == "rtde" else each.realtime
+    read = each.primary if which == "primary" else lambda state: getattr(state, name, None)
     packets: Came = getattr(evidence, which)
     return None if read is None else packets.column(read)
 
@@ -174,16 +168,18 @@ def _agree(evidence: Evidence) -> Measured:
             wrong.setdefault("time", {})[which] = "no packets of one cycle are found"
             continue
         tried.append(which)
-        columns = {
-            (side, each.realtime): _column(evidence, side, each) for each in _FIELDS for side in ("realtime", which)
-        }
+        rows: dict[tuple[str, str], Column] = {}
         for each in _FIELDS:
-            mine, theirs = columns["realtime", each.realtime], columns[which, each.realtime]
-            if mine is None or theirs is None or mine.shape[1:] != theirs.shape[1:]:
+            for side, chosen in (("realtime", joined.own), (which, joined.other)):
+                if (column := _column(evidence, side, each)) is not None:
+                    rows[side, each.realtime] = column[chosen]
+        for each in _FIELDS:
+            mine, theirs = rows.get(("realtime", each.realtime)), rows.get((which, each.realtime))
+            if mine is None or theirs is None or mine.shape != theirs.shape:
                 continue
             count += 1
-            said = _difference(each, joined, mine, theirs, which, columns)
-            if said:
+            rounding = _ROUNDING_32 if each.is_float32 and which == "primary" else _ROUNDING
+            if said := _difference(each.realtime, mine, theirs, rounding, rows):
                 wrong.setdefault(each.realtime, {})[which] = said
     if not tried:
         raise NotTried("no two interfaces have sent enough packets of the same cycles")
@@ -193,25 +189,16 @@ def _agree(evidence: Evidence) -> Measured:
 def _odd_one(name: str, said: Mapping[str, str], tried: Sequence[str]) -> str:
     """Which interface is the odd one, where a third decides, and what is wrong."""
     each = next((each for each in _FIELDS if each.realtime == name), None)
-    first = next(iter(said.values()))
+    odd, first = next(iter(said.items()))
     if each is None or each.primary is None or len(tried) < 2:
         return f"realtime {name} and {', '.join(said)} {each.rtde if each else ''}: {first}".replace("  ", " ")
     if len(said) > 1:
         return f"realtime {name}, against rtde and primary: {first}"
-    odd = next(iter(said))
     return f"{odd} {each.rtde if odd == 'rtde' else name}, against the others: {first}"
 
 
-def _difference(
-    each: _Field,
-    joined: _Joined,
-    mine: Column,
-    theirs: Column,
-    which: str,
-    columns: Mapping[tuple[str, str], Column | None],
-) -> str:
-    rounding = _ROUNDING_32 if each.is_float32 and which == "primary" else _ROUNDING
-    own, other = mine[joined.own], theirs[joined.other]
+def _difference(field: str, own: Column, other: Column, rounding: float, rows: Mapping[tuple[str, str], Column]) -> str:
+    """What is wrong with a field, of which two interfaces have sent these rows; `rows`: of all fields."""
 
     def same(a: Column, b: Column) -> bool:
         far = np.abs(a - b) > rounding * np.maximum(1.0, np.abs(a))
@@ -220,11 +207,11 @@ def _difference(
     if same(own, other):
         return ""
     worst = float(np.nanmax(np.abs(own - other)))
-    for (side, name), column in columns.items():
-        if name != each.realtime and column is not None and column.shape[1:] == own.shape[1:] and np.any(own != 0.0):
-            rows = column[joined.own if side == "realtime" else joined.other]
-            if np.ptp(rows) > 0.0 and (same(rows, other) if side == "realtime" else same(own, rows)):
-                return f"the values of {name} stand in its place"
+    for (side, name), found in rows.items():
+        pair = (found, other) if side == "realtime" else (own, found)
+        varies = found.shape == own.shape and np.ptp(found) > 0.0
+        if name != field and varies and np.any(own != 0.0) and same(*pair):
+            return f"the values of {name} stand in its place"
     return f"{likeness(own, other)}, at most {worst:.4g} apart"
 
 

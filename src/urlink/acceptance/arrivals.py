@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 from linkcore.wire.cycles import gaps_of
 
 from ..firmware import RELEASES, Firmware, Release, release_of
+from ..identity import Identity
 from ..interfaces.primary.robot_message import VersionMessage
 from ..interfaces.rtde.packets import ControllerVersionReply
+from ..models import Model
 from .evidence import Came, Evidence
 from .requirements import Check, Measured, NotTried, counted
 
@@ -21,7 +23,7 @@ from .requirements import Check, Measured, NotTried, counted
 _MASTERBOARD, _EUROMAP = 3, (0, 12, 16)
 #: The last release of CB3, which has no row of its own.
 _LAST_CB3 = Firmware(3, 15)
-#: Came below which their rate is not judged.
+#: Packets below which their rate is not judged.
 _FEWEST = 10
 #: s for which this computer may be held up before what comes late is its own doing.
 _HELD_UP = 0.03
@@ -31,6 +33,18 @@ _SLOWER = 0.01
 _STAMPED, _MOST_DOUBT = 4e-4, 2e-3
 #: s by which all packets of an eighth of the time are late where something was held up.
 _STEP = 0.02
+
+
+def known_arm(evidence: Evidence) -> tuple[Identity, Model]:
+    """Who the controller is, and which arm it has.
+
+    Raises:
+        NotTried: it has not said so, or its arm is not known.
+    """
+    known = evidence.identity
+    if known is None or known.arm is None:
+        raise NotTried("it is not known which arm this is")
+    return known, known.arm
 
 
 def _ports(evidence: Evidence) -> Measured:

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from linkcore.errors import BadRecording, BadValue
-from linkcore.recording.file import Kind, Record, RecordingFile, RecordingWriter
+from linkcore.recording.file import Kind, RecordingFile, RecordingWriter
 from linkcore.text import strict_json
 
 from ..interfaces.dashboard.commands import COMMANDS
@@ -163,15 +163,12 @@ def _overwrite(recording: RecordingFile, to: Path, hidden: list[str]) -> None:
         else:
             clean[number] = iter(_cut(_hide(b"".join(chunks), hidden, info["name"].startswith("dashboard")), chunks))
     for record in kept:
-        writer.write(record.kind, numbers[record.channel], record.stamp, _payload(record, clean, hidden))
+        if record.kind is Kind.BYTES:
+            payload = next(clean[record.channel])
+        else:
+            payload = json.dumps(_in_texts(json.loads(record.payload), hidden)).encode()
+        writer.write(record.kind, numbers[record.channel], record.stamp, payload)
     writer.close()
-
-
-def _payload(record: Record, clean: Mapping[int, Iterator[bytes]], hidden: list[str]) -> bytes:
-    if record.kind is Kind.BYTES:
-        return next(clean[record.channel])
-    event = json.loads(record.payload)
-    return json.dumps(_in_texts(event, hidden)).encode()
 
 
 def _cut(data: bytes, like: list[bytes]) -> Iterator[bytes]:

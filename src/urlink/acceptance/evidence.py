@@ -52,17 +52,13 @@ class Wire:
         interface: "realtime", "primary", ... or "reverse".
         is_beside: another connection to it was open already.
         is_sent: what this side has sent, and not what came.
-        opened: s, monotonic.
         chunks: the bytes, and when they came or went.
-        error: what ended it; None where this side did, or nothing has.
     """
 
     interface: str
     is_beside: bool
     is_sent: bool
-    opened: float
     chunks: list[tuple[Stamp, bytes]] = field(default_factory=list)
-    error: str | None = None
 
     @property
     def data(self) -> bytes:
@@ -143,15 +139,10 @@ class Evidence:
                 self.notes.append(Note(record.stamp.monotonic, said.pop("step"), said))
             elif record.kind is Kind.BYTES:
                 present[record.channel].chunks.append((record.stamp, record.payload))
-            elif record.kind is Kind.EVENT:
-                event = json.loads(record.payload)
-                if event["state"] == "connected":
-                    bare, _, number = name.removesuffix(SENT).partition(" ")
-                    opened = Wire(bare, bool(number), name.endswith(SENT), record.stamp.monotonic)
-                    present[record.channel] = opened
-                    self.wires.append(opened)
-                else:
-                    present[record.channel].error = event.get("error")
+            elif record.kind is Kind.EVENT and json.loads(record.payload)["state"] == "connected":
+                bare, _, number = name.removesuffix(SENT).partition(" ")
+                present[record.channel] = Wire(bare, bool(number), name.endswith(SENT))
+                self.wires.append(present[record.channel])
         known = next((note.said for note in self.notes if note.step == "identity"), None)
         if known is not None:
             self.identity = described_identity({"name": NOTES, **known})
@@ -185,17 +176,17 @@ class Evidence:
 
     @cached_property
     def realtime(self) -> Came:
-        """Came of the real-time interface."""
+        """What came of the real-time interface."""
         return _read(((wire, RealtimeProtocol()) for wire in self._alone("realtime")), RealtimeState)
 
     @cached_property
     def primary(self) -> Came:
-        """Came of the primary interface."""
+        """What came of the primary interface."""
         return _read(((wire, PrimaryProtocol()) for wire in self._alone("primary")), RobotState)
 
     @cached_property
     def secondary(self) -> Came:
-        """Came of the secondary interface."""
+        """What came of the secondary interface."""
         return _read(((wire, PrimaryProtocol()) for wire in self._alone("secondary")), RobotState)
 
     @cached_property

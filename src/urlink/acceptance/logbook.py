@@ -31,16 +31,14 @@ class Logbook:
     Args:
         path: a file that does not exist yet.
         ports: name of each port of the controller -> its number.
-        info: what describes each channel, beside its name.
 
     Raises:
         BadRecording: the file exists, or cannot be made.
     """
 
-    def __init__(self, path: Path, ports: Mapping[str, int], info: Mapping[str, Any]) -> None:
+    def __init__(self, path: Path, ports: Mapping[str, int]) -> None:
         self._writer = RecordingWriter(path)
         self._names = {number: name for name, number in ports.items()}
-        self._info = dict(info)
         self._channels: dict[str, int] = {}
         self._busy: set[str] = set()
         self._lock = threading.Lock()
@@ -67,7 +65,7 @@ class Logbook:
             self._busy.add(name)
             for each in (name, name + SENT):
                 if each not in self._channels:
-                    self._channels[each] = self._writer.add_channel({"name": each, **self._info})
+                    self._channels[each] = self._writer.add_channel({"name": each})
         self._event(name, "connected")
         return _Seen(self, connection, name)
 

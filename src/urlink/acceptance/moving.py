@@ -17,9 +17,7 @@ from linkcore.errors import Cancelled, LinkError, LocalError
 from linkcore.handle import Motion
 
 from ..errors import SafetyStop
-from ..firmware import Firmware
-from ..identification.exercise import Guard
-from ..interfaces.primary.robot_state import RobotModeData
+from ..identification.exercise import SHOWS_SLIDER, Guard, slider_of
 from ..motion.trajectory import Trajectory
 from ..robot import Robot
 from .logbook import Logbook
@@ -33,7 +31,6 @@ FOLLOWED, WATCHDOG, _FROZEN = 1.0, 0.2, 1.0
 #: The slider, and those at which a trajectory is followed.
 _SLOW, _SLIDERS = 0.1, (1.0, 0.5, 0.1)
 _SOON, _LONG = 5.0, 40.0
-_SHOWS_SLIDER = Firmware(3, 0)
 
 
 def move(robot: Robot, book: Logbook, person: Person, dead_man: int | None, is_simulated_here: bool) -> None:
@@ -50,13 +47,13 @@ def move(robot: Robot, book: Logbook, person: Person, dead_man: int | None, is_s
         Cancelled: the guard has stopped the arm, or the dead man's input is not held at the beginning.
         LinkError: the slider cannot be set, or the wrist cannot be brought back.
     """
-    if robot.firmware < _SHOWS_SLIDER:
+    if robot.firmware < SHOWS_SLIDER:
         book.note("moving", skipped="this firmware does not show its slider")
         return
     guard = Guard(robot, BOX, is_held_by(person, dead_man), lambda why: book.note("guard", why=why))
     if not guard.is_held(robot.realtime.wait(_SOON)):
         raise Cancelled("the dead man's input is not held")
-    before = robot.primary.of(RobotModeData).wait(_SOON).target_speed_fraction
+    before = slider_of(robot)
     robot.set_speed_slider(_SLOW, confirm=_SOON)
     wrist = _Wrist(robot, book, guard)
     book.note("moving", start=guard.start.tolist(), slider=_SLOW)

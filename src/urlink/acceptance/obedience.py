@@ -13,12 +13,10 @@ from ..interfaces.primary.robot_message import NO_TIMESTAMP, TextMessage
 from .arrivals import moments
 from .evidence import Evidence
 from .requirements import Check, Measured, NotTried, counted
-from .standing import BEGIN, END, SLEEP
-
-Told = Mapping[str, Any]
+from .standing import BEGIN, END, SLEEP, Told
 
 #: s of silence of the real-time interface after which times say nothing, and what is quick in spite of it.
-_HELD_UP, _QUICK = 0.1, 0.05
+HELD_UP, _QUICK = 0.1, 0.05
 
 
 def span(evidence: Evidence, step: str) -> tuple[float, float]:
@@ -42,6 +40,32 @@ def held_up(evidence: Evidence, step: str) -> float:
     return float(np.diff([begin, *arrived[(arrived >= begin) & (arrived <= end)], end]).max())
 
 
+def unless_held_up(evidence: Evidence, step: str, found: Measured, most: float) -> Measured:
+    """What was found of a step, if that is not more than `most`, or nothing was late for another reason.
+
+    Raises:
+        NotTried: it may be more because this computer, or the network, was held up.
+    """
+    if found.value > most and (silent := held_up(evidence, step)) > HELD_UP:
+        raise NotTried(f"for {silent * 1e3:.0f} ms nothing came from the controller; {found.seen}")
+    return found
+
+
+def outcome(evidence: Evidence, step: str) -> Told:
+    """What a step has noted at its end.
+
+    Raises:
+        NotTried: it was not tried, or was broken off.
+    """
+    span(evidence, step)
+    said = evidence.said(step)[-1].said
+    if said.get("event") != "end":
+        raise NotTried("it was broken off")
+    if said.get("skipped"):
+        raise NotTried(said["skipped"])
+    return said
+
+
 def _of(step: str, judged: Callable[[Evidence, Told], Measured], *, is_timed: bool = False) -> Check:
     """A check of what a step has noted.
 
@@ -52,18 +76,11 @@ def _of(step: str, judged: Callable[[Evidence, Told], Measured], *, is_timed: bo
     """
 
     def check(evidence: Evidence) -> Measured:
-        span(evidence, step)
-        said = evidence.said(step)[-1].said
-        if said.get("event") != "end":
-            raise NotTried("it was broken off")
-        if said.get("skipped"):
-            raise NotTried(said["skipped"])
+        said = outcome(evidence, step)
         if said.get("error"):
             return Measured(math.inf, said["error"])
         found = judged(evidence, said)
-        if is_timed and found.value > _QUICK and (silent := held_up(evidence, step)) > _HELD_UP:
-            raise NotTried(f"for {silent * 1e3:.0f} ms nothing came from the controller; {found.seen}")
-        return found
+        return unless_held_up(evidence, step, found, _QUICK) if is_timed else found
 
     return check
 
@@ -181,13 +198,10 @@ def _local(evidence: Evidence, said: Told) -> Measured:
 
 
 def _stands(evidence: Evidence) -> Measured:
-    begin, end = evidence.stage(1)
-    arrived = evidence.realtime.arrived
-    during = (arrived >= begin) & (arrived <= end)
-    q = evidence.realtime.column(lambda state: state.q_actual)
-    if q is None or not during.any():
+    q = evidence.realtime.between(*evidence.stage(1)).column(lambda state: state.q_actual)
+    if q is None:
         raise NotTried("no packet of the real-time interface came")
-    moved = np.ptp(q[during], axis=0)
+    moved = np.ptp(q, axis=0)
     return Measured(float(moved.max()), f"joint {int(moved.argmax()) + 1} by {moved.max() * 1e6:.0f} µrad")
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping
-from types import MappingProxyType
 from typing import Literal, Protocol
 
 from ..identification.exercise import input_is_on
@@ -14,14 +13,12 @@ from ..simulator import Controller
 Deed = Literal["local", "remote", "protective-stop", "unlock"]
 
 #: What a person is asked to do.
-DEEDS: Mapping[Deed, str] = MappingProxyType(
-    {
-        "local": "Switch the robot to local control at the pendant",
-        "remote": "Switch the robot to remote control at the pendant",
-        "protective-stop": "Cause a protective stop: hold the tool against its turning, or press the safeguard",
-        "unlock": "Unlock the protective stop at the pendant, and take the hands away",
-    }
-)
+DEEDS: Mapping[Deed, str] = {
+    "local": "Switch the robot to local control at the pendant",
+    "remote": "Switch the robot to remote control at the pendant",
+    "protective-stop": "Cause a protective stop: hold the tool against its turning, or press the safeguard",
+    "unlock": "Unlock the protective stop at the pendant, and take the hands away",
+}
 
 
 class Person(Protocol):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from .. import poses
 from ..dynamics import Dynamics
 from ..interfaces.enums import JointMode, ProgramState, RobotMode, RobotModeCB2, SafetyMode
 from ..motors import motors_of
-from .arrivals import moments
+from .arrivals import known_arm, moments
 from .evidence import Evidence
 from .requirements import Check, Measured, NotTried, counted
 
@@ -25,35 +25,27 @@ _GRAVITY = 9.82
 _UPRIGHT = 0.95
 
 
-class _Range(NamedTuple):
-    """Between which values a field lies on every arm; judgements, wide enough for all that was reported."""
-
-    name: str
-    low: float
-    high: float
-    unit: str
-
-
+#: Fields, between which values each lies on every arm, and the unit; judgements, wide enough for all that was reported.
 _RANGES = (
-    _Range("q_actual", -100.0, 100.0, "rad"),
-    _Range("q_target", -100.0, 100.0, "rad"),
-    _Range("qd_actual", -10.0, 10.0, "rad/s"),
-    _Range("qd_target", -10.0, 10.0, "rad/s"),
-    _Range("qdd_target", -1000.0, 1000.0, "rad/s²"),
-    _Range("I_actual", -60.0, 60.0, "A"),
-    _Range("I_target", -60.0, 60.0, "A"),
-    _Range("I_control", -60.0, 60.0, "A"),
-    _Range("M_target", -1000.0, 1000.0, "Nm"),
-    _Range("tcp_force", -1000.0, 1000.0, "N, Nm"),
-    _Range("motor_temperatures", -10.0, 100.0, "°C"),
-    _Range("speed_scaling", 0.0, 1.01, ""),
-    _Range("V_main", 40.0, 60.0, "V"),
-    _Range("V_robot", -1.0, 60.0, "V"),
-    _Range("V_actual", -1.0, 60.0, "V"),
-    _Range("I_robot", -5.0, 60.0, "A"),
-    _Range("linear_momentum_norm", -1e-6, 500.0, "kg m/s"),
-    _Range("payload_mass", 0.0, 60.0, "kg"),
-    _Range("controller_timer", 0.0, 50.0, "ms"),
+    ("q_actual", -100.0, 100.0, "rad"),
+    ("q_target", -100.0, 100.0, "rad"),
+    ("qd_actual", -10.0, 10.0, "rad/s"),
+    ("qd_target", -10.0, 10.0, "rad/s"),
+    ("qdd_target", -1000.0, 1000.0, "rad/s²"),
+    ("I_actual", -60.0, 60.0, "A"),
+    ("I_target", -60.0, 60.0, "A"),
+    ("I_control", -60.0, 60.0, "A"),
+    ("M_target", -1000.0, 1000.0, "Nm"),
+    ("tcp_force", -1000.0, 1000.0, "N, Nm"),
+    ("motor_temperatures", -10.0, 100.0, "°C"),
+    ("speed_scaling", 0.0, 1.01, ""),
+    ("V_main", 40.0, 60.0, "V"),
+    ("V_robot", -1.0, 60.0, "V"),
+    ("V_actual", -1.0, 60.0, "V"),
+    ("I_robot", -5.0, 60.0, "A"),
+    ("linear_momentum_norm", -1e-6, 500.0, "kg m/s"),
+    ("payload_mass", 0.0, 60.0, "kg"),
+    ("controller_timer", 0.0, 50.0, "ms"),
 )
 
 _ENUMS = {"safety_mode": SafetyMode, "safety_status": SafetyMode, "program_state": ProgramState}
@@ -160,9 +152,7 @@ def _velocities(evidence: Evidence) -> Measured:
 
 
 def _kinematics(evidence: Evidence) -> Measured:
-    known = evidence.identity
-    if known is None or known.arm is None:
-        raise NotTried("it is not known which arm this is")
+    known, _ = known_arm(evidence)
     info = next((state.cartesian_info for state in evidence.primary.states if state.cartesian_info is not None), None)
     if info is None or info.tcp_offset_X is None:
         raise NotTried("this firmware does not tell the TCP")
@@ -188,9 +178,8 @@ def _turn(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
 
 
 def _gravity(evidence: Evidence) -> Measured:
-    known, stands = evidence.identity, _stands(evidence)
-    if known is None or known.arm is None:
-        raise NotTried("it is not known which arm this is")
+    stands = _stands(evidence)
+    known, _ = known_arm(evidence)
     q, moment = _wanted(evidence, "q_target", "M_target")
     (acceleration,) = _wanted(evidence, "tool_accelerometer")
     payload, cog = _column(evidence, "payload_mass"), _column(evidence, "payload_cog")
@@ -213,12 +202,11 @@ def _gravity(evidence: Evidence) -> Measured:
 
 
 def _currents(evidence: Evidence) -> Measured:
-    known, stands = evidence.identity, _stands(evidence)
-    if known is None or known.arm is None:
-        raise NotTried("it is not known which arm this is")
+    stands = _stands(evidence)
+    _, arm = known_arm(evidence)
     moment, current = _wanted(evidence, "M_target", "I_target")
     moment, current = moment[stands].mean(axis=0), current[stands].mean(axis=0)
-    constants = motors_of(known.arm).torque_constants
+    constants = motors_of(arm).torque_constants
     wrong, tried = [], 0
     for joint in range(6):
         if abs(moment[joint]) < _HEAVY:
@@ -226,11 +214,10 @@ def _currents(evidence: Evidence) -> Measured:
         tried += 1
         ratio = current[joint] * constants[joint] / moment[joint]
         if not 0.25 < ratio < 4.0:
-            said = (
-                "has the other direction" if ratio < 0.0 else f"is {ratio:.3g} times what the parameter torque_constant"
-            )
-            also = "" if ratio < 0.0 else f" ({constants[joint]:g} Nm/A) gives"
-            wrong.append(f"joint {joint + 1}: {current[joint]:.3f} A at {moment[joint]:.2f} Nm {said}{also}")
+            said = f"is {ratio:.3g} times what the parameter torque_constant ({constants[joint]:g} Nm/A) gives"
+            if ratio < 0.0:
+                said = "has the other direction"
+            wrong.append(f"joint {joint + 1}: {current[joint]:.3f} A at {moment[joint]:.2f} Nm {said}")
     if not tried:
         raise NotTried(f"no joint holds {_HEAVY:g} Nm in this posture")
     return counted(wrong, f"{tried} joints: {np.round(current, 2).tolist()} A at {np.round(moment, 1).tolist()} Nm")

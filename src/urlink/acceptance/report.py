@@ -15,9 +15,9 @@ from linkcore.errors import BadValue
 from linkcore.text import printable
 
 from .agreement import AGREEMENT
-from .answers import ANSWERS
 from .arrivals import ARRIVALS
 from .evidence import Evidence
+from .listening import ANSWERS
 from .obedience import OBEDIENCE
 from .physics import PHYSICS
 from .requirements import Check, NotTried, Requirement

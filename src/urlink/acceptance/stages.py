@@ -8,15 +8,14 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 
 from linkcore.errors import BadValue, LinkError
 from linkcore.net.listener import local_address
 
-from ..address import RecordingAddress, RobotAddress, SimulatorAddress, parse_address
-from ..robot import Robot, connect, simulated
+from ..address import RecordingAddress, SimulatorAddress, parse_address
+from ..robot import connect, simulated
 from .listening import listen
 from .logbook import Logbook
 from .moving import move
@@ -25,15 +24,13 @@ from .standing import stand
 from .swings import swing
 
 #: What each stage does, for the question whether it may.
-STAGES: Mapping[int, str] = MappingProxyType(
-    {
-        0: "reads: connects to every interface, listens, and asks what changes nothing",
-        1: "moves nothing: sets slider, TCP and payload and puts them back, runs programs that sleep",
-        2: "MOVES wrist 3 by 3 degrees while the dead man's input is on; somebody stands at the emergency stop",
-        3: "MOVES one joint after the other by 17 degrees to either side, each after it has asked you, for `identify`; "
-        "the dead man's input is on, somebody stands at the emergency stop",
-    }
-)
+STAGES: Mapping[int, str] = {
+    0: "reads: connects to every interface, listens, and asks what changes nothing",
+    1: "moves nothing: sets slider, TCP and payload and puts them back, runs programs that sleep",
+    2: "MOVES wrist 3 by 3 degrees while the dead man's input is on; somebody stands at the emergency stop",
+    3: "MOVES one joint after the other by 17 degrees to either side, each after it has asked you, for `identify`; "
+    "the dead man's input is on, somebody stands at the emergency stop",
+}
 
 
 def run(
@@ -76,52 +73,39 @@ def run(
         controller, place = simulated(place)
         person = person or OfTheSimulator(controller)
     try:
-        with Logbook(path, place.ports, {}) as book:
+        with Logbook(path, place.ports) as book:
             _about(book)
             with connect(str(place), timeout=timeout) as robot:
                 book.note("identity", said_so=robot.identity.said_so, **robot.identity.description())
-                run_on = _Run(robot, place, book, person or Nobody(), dead_man, seconds, consent)
+                person = person or Nobody()
+                begin: dict[int, Callable[[], None]] = {
+                    0: partial(listen, robot, place, book, seconds),
+                    1: partial(stand, robot, place, book, person),
+                    2: partial(move, robot, book, person, dead_man, isinstance(person, OfTheSimulator)),
+                    3: partial(swing, robot, book, is_held_by(person, dead_man), partial(consent, 3)),
+                }
+                ended = ""
                 for number in stages:
-                    run_on.stage(number, consent(number, STAGES[number]))
+                    refused = consent(number, STAGES[number]) or ended
+                    ended = _run_stage(number, begin[number], refused, book) or ended
         return (place.host, local_address(place.host))
     finally:
         if controller is not None:
             controller.close()
 
 
-class _Run:
-    """The stages, on a robot that is connected."""
-
-    def __init__(
-        self,
-        robot: Robot,
-        place: RobotAddress,
-        book: Logbook,
-        person: Person,
-        dead_man: int | None,
-        seconds: float,
-        consent: Callable[[int, str], str],
-    ) -> None:
-        self._book = book
-        self._ended = ""
-        self._stages: dict[int, Callable[[], None]] = {
-            0: lambda: listen(robot, place, book, seconds),
-            1: lambda: stand(robot, place, book, person),
-            2: lambda: move(robot, book, person, dead_man, isinstance(person, OfTheSimulator)),
-            3: lambda: swing(robot, book, is_held_by(person, dead_man), partial(consent, 3)),
-        }
-
-    def stage(self, number: int, refused: str) -> None:
-        """Run one, unless it is refused or one before has ended early."""
-        if refused or self._ended:
-            self._book.note("stage", number=number, refused=refused or self._ended)
-            return
-        self._book.note("stage", number=number)
-        try:
-            self._stages[number]()
-        except LinkError as error:
-            self._ended = f"stage {number} ended early: {error}"
-            self._book.note("stage-ended", number=number, error=str(error))
+def _run_stage(number: int, begin: Callable[[], None], refused: str, book: Logbook) -> str:
+    """Run a stage, unless it is refused; returns that it ended early, and why, or ""."""
+    if refused:
+        book.note("stage", number=number, refused=refused)
+        return ""
+    book.note("stage", number=number)
+    try:
+        begin()
+    except LinkError as error:
+        book.note("stage-ended", number=number, error=str(error))
+        return f"stage {number} ended early: {error}"
+    return ""
 
 
 def _about(book: Logbook) -> None:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from linkcore.errors import LinkError
@@ -13,11 +12,12 @@ from linkcore.net.transport import TcpTransport
 from ..address import RobotAddress
 from ..errors import CompileError
 from ..firmware import Firmware
+from ..identification.exercise import SHOWS_SLIDER, slider_of
 from ..interfaces.primary.robot_message import TextMessage
 from ..interfaces.primary.robot_state import CartesianInfo, RobotModeData
 from ..interfaces.rtde.protocol import InputInUse
 from ..robot import Robot
-from ..rtde import INPUTS, OUTPUTS, Inputs
+from ..rtde import INPUTS, OUTPUTS
 from .logbook import Logbook
 from .person import Person
 
@@ -32,7 +32,7 @@ _SOON, _LONG = 5.0, 20.0
 _SILENT = 2.0
 #: By how much the slider, the tool and the payload are moved, and put back.
 _SLIDER, _TOOL, _PAYLOAD = 0.05, 0.001, 0.1
-_SHOWS_PAYLOAD, _SHOWS_TCP, _SHOWS_SLIDER = Firmware(5, 10), Firmware(3, 2), Firmware(3, 0)
+_SHOWS_PAYLOAD, _SHOWS_TCP = Firmware(5, 10), Firmware(3, 2)
 
 Told = Mapping[str, Any]
 
@@ -77,23 +77,19 @@ def try_each(book: Logbook, steps: Mapping[str, Callable[[], Told]], between: Ca
         between()
 
 
-def _skipped(why: str) -> Told:
-    return {"skipped": why}
-
-
 # -- settings --------------------------------------------------------------------------------------
 
 
 def _slider(robot: Robot) -> Told:
-    if robot.firmware < _SHOWS_SLIDER:
-        return _skipped("this firmware does not show its slider")
-    before = robot.primary.of(RobotModeData).wait(_SOON).target_speed_fraction
+    if robot.firmware < SHOWS_SLIDER:
+        return {"skipped": "this firmware does not show its slider"}
+    before = slider_of(robot)
     wanted = before - _SLIDER if before > 2 * _SLIDER else before + _SLIDER
     began = time.monotonic()
     try:
         robot.set_speed_slider(wanted, confirm=_SOON)
         took = time.monotonic() - began
-        shown = robot.primary.of(RobotModeData).wait(_SOON).target_speed_fraction
+        shown = slider_of(robot)
     finally:
         robot.set_speed_slider(before, confirm=_SOON)
     return {"wanted": wanted, "shown": shown, "took": took}
@@ -101,7 +97,7 @@ def _slider(robot: Robot) -> Told:
 
 def _tcp(robot: Robot) -> Told:
     if robot.firmware < _SHOWS_TCP:
-        return _skipped("this firmware does not show the TCP")
+        return {"skipped": "this firmware does not show the TCP"}
 
     def tool() -> list[float]:
         info = robot.primary.of(CartesianInfo).wait(_SOON)
@@ -119,7 +115,7 @@ def _tcp(robot: Robot) -> Told:
 
 def _payload(robot: Robot) -> Told:
     if robot.firmware < _SHOWS_PAYLOAD:
-        return _skipped("this firmware does not show the payload")
+        return {"skipped": "this firmware does not show the payload"}
     state = robot.realtime.wait(_SOON)
     assert state.payload_mass is not None
     assert state.payload_cog is not None
@@ -142,9 +138,9 @@ def _register(robot: Robot) -> str | None:
 def _registers(robot: Robot) -> Told:
     name = _register(robot)
     if name is None or name not in OUTPUTS:
-        return _skipped("this firmware has no registers")
+        return {"skipped": "this firmware has no registers"}
     delays, wrong = [], []
-    with robot.rtde.outputs(name) as stream, _claimed(robot, name) as inputs:
+    with robot.rtde.outputs(name) as stream, robot.rtde.inputs(name) as inputs:
         stream.start()
         for number in range(1, _ECHOES + 1):
             value = 1000 + number
@@ -159,21 +155,11 @@ def _registers(robot: Robot) -> Told:
     return {"register": name, "delays": delays, "wrong": wrong}
 
 
-@contextlib.contextmanager
-def _claimed(robot: Robot, name: str) -> Iterator[Inputs]:
-    """Inputs that are released at the end of the block."""
-    inputs = robot.rtde.inputs(name)
-    try:
-        yield inputs
-    finally:
-        inputs.close()
-
-
 def _claims(robot: Robot) -> Told:
     name = _register(robot)
     if name is None:
-        return _skipped("this firmware has no registers")
-    with _claimed(robot, name):
+        return {"skipped": "this firmware has no registers"}
+    with robot.rtde.inputs(name):
         try:
             robot.rtde.inputs(name).close()
             refused = ""
@@ -267,15 +253,14 @@ def _silent(place: RobotAddress) -> Told:
 
 def _local(robot: Robot, person: Person) -> Told:
     if not robot.firmware.is_e_series:
-        return _skipped("this generation has no local control that refuses programs")
+        return {"skipped": "this generation has no local control that refuses programs"}
     if not person.does("local"):
-        return _skipped("nobody has switched to local control")
+        return {"skipped": "nobody has switched to local control"}
+    began = time.monotonic()
     try:
-        began = time.monotonic()
-        try:
-            robot.script.run(f'def in_local():\n  textmsg("{BEGIN} local")\nend').wait(_LONG)
-            return {"refused": ""}
-        except LinkError as error:
-            return {"refused": str(error), "took": time.monotonic() - began}
+        robot.script.run(f'def in_local():\n  textmsg("{BEGIN} local")\nend').wait(_LONG)
+        return {"refused": ""}
+    except LinkError as error:
+        return {"refused": str(error), "took": time.monotonic() - began}
     finally:
         person.does("remote")

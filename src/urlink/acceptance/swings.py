@@ -13,7 +13,6 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from linkcore.errors import BadRecording, BadValue, Cancelled, LinkError
 
@@ -28,7 +27,7 @@ from ..parameters import Parameter, numbers, parameters
 from ..robot import Robot
 from ..simulator.robot.robot_parameters import force_size
 from ..vectors import JOINTS, FloatArray
-from .arrivals import moments
+from .arrivals import known_arm, moments
 from .evidence import Evidence
 from .logbook import Logbook
 from .requirements import Check, Measured, NotTried
@@ -44,8 +43,6 @@ _ROUNDING = 1e-6
 _DIGITS = 9
 
 _SHOWS_ARM = Firmware(3, 0)
-
-Span = tuple[float, float]
 
 
 def _step_of(joint: int) -> str:
@@ -136,7 +133,7 @@ class _Swings:
 
     Attributes:
         joints: their numbers.
-        times, arrived: of each packet of the stage, s by the clocks of both sides.
+        packets: of the real-time interface, of the stage.
         away: (n, 6) rad from where each joint stood at the beginning of the stage.
         spans: number of a joint -> when it began to swing and when it had, s, monotonic.
     """
@@ -146,19 +143,17 @@ class _Swings:
         if began is None or began.get("skipped"):
             raise NotTried("it did not begin" if began is None else began["skipped"])
         said = {joint: evidence.said(_step_of(joint)) for joint in range(6)}
-        self.spans: dict[int, Span] = {}
+        self.spans: dict[int, tuple[float, float]] = {}
         for joint, notes in said.items():
             if len(notes) == 2 and notes[1].said["error"] is None:
                 self.spans[joint] = (notes[0].at, notes[1].at)
         self.joints = sorted(self.spans)
         begin, end = evidence.said("swinging")[-1].at, evidence.stage(3)[1]
-        packets = evidence.realtime
-        self.there: NDArray[np.bool_] = (packets.arrived >= begin) & (packets.arrived <= end)
-        q = packets.column(lambda state: state.q_actual)
-        if q is None or not self.there.any():
+        self.packets = evidence.realtime.between(begin, end)
+        q = self.packets.column(lambda state: state.q_actual)
+        if q is None:
             raise NotTried("no packet of the real-time interface came")
-        self.arrived = packets.arrived[self.there]
-        self.away: FloatArray = np.abs(q[self.there] - np.array(began["start"]))
+        self.away: FloatArray = np.abs(q - np.array(began["start"]))
 
     def names(self, values: Iterable[float], form: Callable[[float], str]) -> str:
         """A value of each joint that has swung, in words."""
@@ -175,7 +170,7 @@ def _alone(evidence: Evidence) -> Measured:
     swings = _Swings(evidence)
     worst = Measured(-1.0, "")
     for joint, (begin, end) in swings.spans.items():
-        during = swings.away[(swings.arrived >= begin) & (swings.arrived <= end)]
+        during = swings.away[(swings.packets.arrived >= begin) & (swings.packets.arrived <= end)]
         others = np.delete(during, joint, axis=1)
         if others.size and others.max() > worst.value:
             seen = f"another joint by {others.max() * 1e6:.0f} µrad while the {JOINTS[joint]} swung"
@@ -192,25 +187,20 @@ def _identified(evidence: Evidence) -> tuple[_Swings, ArmFile]:
     Raises:
         NotTried: it shows nothing, and why.
     """
-    swings, known = _Swings(evidence), evidence.identity
+    swings = _Swings(evidence)
     if not swings.joints:
         raise NotTried("no joint has swung")
-    if known is None or known.arm is None:
-        raise NotTried("it is not known which arm this is")
+    _, arm = known_arm(evidence)
     columns = {}
     for ours, theirs in COLUMNS.items():
-        column = evidence.realtime.column(lambda state, name=theirs: getattr(state, name))  # type: ignore[misc]
+        column = swings.packets.column(lambda state, name=theirs: getattr(state, name))  # type: ignore[misc]
         if column is not None:
-            columns[ours] = column[swings.there]
-    columns["timestamp"] = moments("realtime", evidence.realtime)[swings.there]
+            columns[ours] = column
+    columns["timestamp"] = moments("realtime", swings.packets)
     try:
-        return swings, identify(Samples(Path("the logbook"), columns, known.arm.name, swings.arrived))
+        return swings, identify(Samples(Path("the logbook"), columns, arm.name, swings.packets.arrived))
     except (BadRecording, BadValue) as error:
         raise NotTried(f"nothing is told by it: {error}") from None
-
-
-def _judged(judged: Callable[[_Swings, ArmFile], Measured]) -> Check:
-    return lambda evidence: judged(*_identified(evidence))
 
 
 def _of_joints(swings: _Swings, found: ArmFile, *names: str) -> Iterator[tuple[Parameter, Estimate]]:
@@ -235,46 +225,44 @@ def _explained(swings: _Swings, r2: tuple[float, ...], last: float = 1.0) -> tup
     return float(left.max()), swings.names((r2[joint] for joint in swings.joints), "{:.5f}".format)
 
 
-def _moments(swings: _Swings, found: ArmFile) -> Measured:
+def _moments(evidence: Evidence) -> Measured:
+    swings, found = _identified(evidence)
     left, seen = _explained(swings, found.torque_r2)
     rotors = MOTORS["rotor_inertias"]
     return Measured(left, f"explained by masses and rotors: {seen}", contradictions(_of_joints(swings, found, rotors)))
 
 
-def _currents(swings: _Swings, found: ArmFile) -> Measured:
+def _currents(evidence: Evidence) -> Measured:
+    swings, found = _identified(evidence)
     left, seen = _explained(swings, found.current_r2, _WRIST_3)
     names = (MOTORS[field] for field in ("torque_constants", "coulomb", "viscous"))
-    return Measured(
-        left, f"explained by moments and friction: {seen}", contradictions(_of_joints(swings, found, *names))
-    )
+    refuted = contradictions(_of_joints(swings, found, *names))
+    return Measured(left, f"explained by moments and friction: {seen}", refuted)
 
 
-def _lag(swings: _Swings, found: ArmFile) -> Measured:
-    return _one(found, "tracking_lag", lambda lag: lag, "s behind the targets")
+def _of(name: str, judged: Callable[[float], float], seen: str, *others: str) -> Check:
+    """A check of one number that is identified; `others` are told by the same swings, and may be refuted too."""
+
+    def check(evidence: Evidence) -> Measured:
+        _, found = _identified(evidence)
+        (each,) = found.estimates[name]
+        if not each.is_known:
+            raise NotTried(f"{name} is not told; it needs {each.needs}")
+        return Measured(abs(judged(each.value)), f"{_text(each)} {seen}", contradictions(_of_arm(found, name, *others)))
+
+    return check
 
 
-def _ramp(swings: _Swings, found: ArmFile) -> Measured:
-    return _one(found, "start_rate", lambda rate: 0.5 / rate, "1/s, with which the scaling of a program rises")
-
-
-def _noise(swings: _Swings, found: ArmFile) -> Measured:
-    others = ("position_offset", "current_noise_at_rest", "current_noise", "stiction", "force_noise", "torque_noise")
-    return _one(found, "position_noise", lambda noise: noise, "rad at rest, standard deviation", *others)
-
-
-def _one(found: ArmFile, name: str, judged: Callable[[float], float], seen: str, *others: str) -> Measured:
-    (each,) = found.estimates[name]
-    if not each.is_known:
-        raise NotTried(f"{name} is not told; it needs {each.needs}")
-    return Measured(abs(judged(each.value)), f"{_text(each)} {seen}", contradictions(_of_arm(found, name, *others)))
+#: What the noise of the sensors shows, beside that of the positions.
+_NOISE = ("position_offset", "current_noise_at_rest", "current_noise", "stiction", "force_noise", "torque_noise")
 
 
 SWINGS: Mapping[str, Check] = {
     "swing-box": _box,
     "swing-alone": _alone,
-    "swing-moments": _judged(_moments),
-    "swing-currents": _judged(_currents),
-    "swing-lag": _judged(_lag),
-    "swing-ramp": _judged(_ramp),
-    "swing-noise": _judged(_noise),
+    "swing-moments": _moments,
+    "swing-currents": _currents,
+    "swing-lag": _of("tracking_lag", lambda lag: lag, "s behind the targets"),
+    "swing-ramp": _of("start_rate", lambda rate: 0.5 / rate, "1/s, with which the scaling of a program rises"),
+    "swing-noise": _of("position_noise", lambda noise: noise, "rad at rest, standard deviation", *_NOISE),
 }

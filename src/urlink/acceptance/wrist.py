@@ -14,17 +14,14 @@ from ..parameters import parameters
 from .arrivals import moments
 from .evidence import Evidence
 from .moving import FOLLOWED, SPEED, WATCHDOG, WRIST
-from .obedience import held_up, span
+from .obedience import HELD_UP, held_up, outcome, span, unless_held_up
 from .requirements import Check, Measured, NotTried
 from .swings import contradictions
 
 #: rad/s below which the wrist stands.
 _STANDS = 2e-3
-#: s without a packet after which times say nothing.
-_SILENT = 0.1
 #: s without a packet or a set-point after which a stream may have starved: half of its watchdog, since hold-ups add up.
 _STARVING = 0.05
-_RADIANS = math.degrees(1.0)
 
 
 class _Moved:
@@ -32,11 +29,7 @@ class _Moved:
 
     def __init__(self, evidence: Evidence, step: str) -> None:
         begin, end = span(evidence, step)
-        self.said = evidence.said(step)[-1].said
-        if self.said.get("skipped"):
-            raise NotTried(self.said["skipped"])
-        if self.said.get("event") != "end":
-            raise NotTried("it was broken off")
+        self.said = outcome(evidence, step)
         # A motion is given up where this computer, or the network, holds up what paces it. `frozen` does so on purpose.
         self.messages = _messages(evidence, begin, end)
         gap = max(held_up(evidence, step), float(np.diff([*self.messages, end]).max()) if self.messages else 0.0)
@@ -68,11 +61,10 @@ class _Moved:
         """rad from the goal at the end."""
         return float(np.abs(self.q[-1] - np.array(self.said["goal"])).max())
 
-    def stood(self, event: str = "told") -> tuple[float, float]:
-        """When the wrist stood after an event, s by the controller's clock, and s that it stood then."""
-        after = self.arrived >= self.told[event]
-        until = self.told.get("undone", math.inf) if event == "told" else math.inf
-        some = after & (self.arrived <= until)
+    def stood(self) -> tuple[float, float]:
+        """When the wrist stood after it was told to, s by the controller's clock, and s that it stood then."""
+        after = self.arrived >= self.told["told"]
+        some = after & (self.arrived <= self.told.get("undone", math.inf))
         if not some.any():
             raise NotTried("no packet of the real-time interface came after it")
         moving = np.flatnonzero(some & (self.speed > _STANDS))
@@ -93,17 +85,17 @@ def _moving(evidence: Evidence) -> tuple[Mapping[str, Any], NDArray[np.float64]]
     if said is None or said.get("skipped"):
         raise NotTried("it did not begin" if said is None else said["skipped"])
     at, end = evidence.said("moving")[-1].at, evidence.stage(2)[1]
-    q, arrived = evidence.realtime.column(lambda state: state.q_actual), evidence.realtime.arrived
+    q = evidence.realtime.between(at, end).column(lambda state: state.q_actual)
     if q is None:
         raise NotTried("no packet of the real-time interface came")
-    return said, np.abs(q[(arrived >= at) & (arrived <= end)] - np.array(said["start"]))
+    return said, np.abs(q - np.array(said["start"]))
 
 
 def _box(evidence: Evidence) -> Measured:
     _, away = _moving(evidence)
     guard = evidence.last("guard")
     stopped = "" if guard is None else f"; the guard has stopped it: {guard['why']}"
-    return Measured(float(away.max()), f"{away.max() * _RADIANS:.2f} degrees{stopped}")
+    return Measured(float(away.max()), f"{math.degrees(away.max()):.2f} degrees{stopped}")
 
 
 def _others(evidence: Evidence) -> Measured:
@@ -112,18 +104,12 @@ def _others(evidence: Evidence) -> Measured:
     return Measured(float(still.max()), f"joint {int(still.argmax()) + 1} by {still.max() * 1e6:.0f} µrad")
 
 
-def _seen(evidence: Evidence, step: str, found: Measured, most: float) -> Measured:
-    """What was found, if it is not more than that, or if no end of it can have been missed."""
-    if found.value > most and step != "frozen" and (gap := held_up(evidence, step)) > _SILENT:
-        raise NotTried(f"for {gap * 1e3:.0f} ms nothing came from the controller; {found.seen}")
-    return found
-
-
 def _arrives(evidence: Evidence) -> Measured:
     moved = _Moved(evidence, "move")
     if moved.error:
         return Measured(math.inf, moved.error)
-    return _seen(evidence, "move", Measured(moved.far(), f"{moved.far() * 1e6:.0f} µrad from the goal"), 1e-3)
+    found = Measured(moved.far(), f"{moved.far() * 1e6:.0f} µrad from the goal")
+    return unless_held_up(evidence, "move", found, 1e-3)
 
 
 def _scales(evidence: Evidence) -> Measured:
@@ -133,12 +119,14 @@ def _scales(evidence: Evidence) -> Measured:
         return Measured(math.inf, moved.error)
     wanted, most = SPEED * said["slider"], float(moved.speed.max())
     seen = f"{most:.4f} rad/s, and {SPEED} rad/s at {said['slider']:.0%} are {wanted:.4f}"
-    return _seen(evidence, "move", Measured(abs(most / wanted - 1.0), seen), 0.1)
+    return unless_held_up(evidence, "move", Measured(abs(most / wanted - 1.0), seen), 0.1)
 
 
 def _stops(step: str) -> Check:
     def check(evidence: Evidence) -> Measured:
-        return _seen(evidence, step, stopped(_Moved(evidence, step)), 0.3)
+        found = stopped(_Moved(evidence, step))
+        # `frozen` holds this computer up on purpose.
+        return found if step == "frozen" else unless_held_up(evidence, step, found, 0.3)
 
     def stopped(moved: _Moved) -> Measured:
         if "told" not in moved.told:
@@ -171,7 +159,7 @@ def _follow(evidence: Evidence) -> Measured:
         took = float(moved.time[going[-1]] - moved.time[going[0]])
         wanted = FOLLOWED / moved.said["slider"]
         worst = max(worst, abs(took / wanted - 1.0))
-        if abs(took / wanted - 1.0) > 0.1 and ((gap := held_up(evidence, step)) > _SILENT or moved.answered < 0.9):
+        if abs(took / wanted - 1.0) > 0.1 and ((gap := held_up(evidence, step)) > HELD_UP or moved.answered < 0.9):
             raise NotTried(f"for {gap * 1e3:.0f} ms nothing came, and {moved.answered:.0%} of the states were answered")
         seen.append(f"{moved.said['slider']:.0%}: {took:.2f} s of {wanted:g} s")
     return Measured(worst, ", ".join(seen))

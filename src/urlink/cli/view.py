@@ -15,7 +15,7 @@ from linkcore.streaming.connection_life import ConnectionState
 from linkcore.streaming.stream import Stream
 
 from ..address import RecordingAddress, parse_address
-from ..data.foxglove_server import FoxgloveServer, RobotView
+from ..data.live import FoxgloveServer, RobotView
 from ..kinematics import Arm
 from ..robot import Robot, connect
 from ..view.arm_view import ArmView
@@ -54,7 +54,7 @@ def _foxglove(args: argparse.Namespace) -> int:
       urlink foxglove replay:///tmp/run.urlog --host 0.0.0.0 --port 8766
     """
     with (
-        FoxgloveServer(args.address, args.host, args.port) as server,
+        contextlib.closing(FoxgloveServer(args.address, args.host, args.port)) as server,
         connect(args.address, timeout=args.connect_timeout) as robot,
         contextlib.closing(RobotView(robot.realtime, robot.primary, arm_of(robot), server)) as view,
     ):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from enum import IntEnum
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -66,14 +67,8 @@ class ControlBlocks(ControlMoves):
         return succeeds(send)
 
     def _servo(self, lookahead_time: float, gain: float) -> Servo:
-        watchdog = self._watchdog
-        return self._blocks.opened(
-            Servo,
-            (watchdog, lookahead_time, gain),
-            lambda link: self._robot.motion.servo(
-                watchdog=watchdog, lookahead_time=lookahead_time, gain=gain, link=link
-            ),
-        )
+        make = partial(self._robot.motion.servo, watchdog=self._watchdog, lookahead_time=lookahead_time, gain=gain)
+        return self._blocks.opened(Servo, (self._watchdog, lookahead_time, gain), make)
 
     def servoL(
         self, pose: Sequence[float], speed: float, acceleration: float, time: float, lookahead_time: float, gain: float
@@ -106,14 +101,10 @@ class ControlBlocks(ControlMoves):
     def _speed(self, frame: Literal["joints", "base", "tool"], speeds: Sequence[float], acceleration: float) -> bool:
         def go() -> None:
             self._last = None
-            jog = self._blocks.opened(
-                Jog,
-                (frame, acceleration),
-                lambda link: self._robot.motion.jog(
-                    frame, acceleration=acceleration, timeout=_SPEED_HOLDS, watchdog=_WATCHDOG, link=link
-                ),
+            make = partial(
+                self._robot.motion.jog, frame, acceleration=acceleration, timeout=_SPEED_HOLDS, watchdog=_WATCHDOG
             )
-            jog.move(speeds)
+            self._blocks.opened(Jog, (frame, acceleration), make).move(speeds)
 
         return succeeds(go)
 
@@ -169,22 +160,19 @@ class ControlBlocks(ControlMoves):
 
         def press() -> None:
             self._last = None
-            pressing = self._blocks.opened(
-                ForceMode,
-                (*task_frame, *selection_vector, type, *limits, self._damping, self._gain),
-                lambda link: self._robot.motion.force_mode(
-                    task_frame,
-                    selection_vector,
-                    wrench,
-                    limits,
-                    kind=type,
-                    damping=self._damping,
-                    gain=self._gain,
-                    watchdog=_WATCHDOG,
-                    link=link,
-                ),
+            settings = (*task_frame, *selection_vector, type, *limits, self._damping, self._gain)
+            make = partial(
+                self._robot.motion.force_mode,
+                task_frame,
+                selection_vector,
+                wrench,
+                limits,
+                kind=type,
+                damping=self._damping,
+                gain=self._gain,
+                watchdog=_WATCHDOG,
             )
-            pressing.set_wrench(wrench)
+            self._blocks.opened(ForceMode, settings, make).set_wrench(wrench)
 
         return succeeds(press)
 
@@ -208,11 +196,8 @@ class ControlBlocks(ControlMoves):
         def free() -> None:
             self._last = None
             axes = None if all(free_axes) else free_axes
-            self._blocks.opened(
-                Freedrive,
-                (*free_axes, *feature),
-                lambda link: self._robot.freedrive(axes, frame=feature, watchdog=_WATCHDOG, link=link),
-            )
+            make = partial(self._robot.freedrive, axes, frame=feature, watchdog=_WATCHDOG)
+            self._blocks.opened(Freedrive, (*free_axes, *feature), make)
 
         return succeeds(free)
 
@@ -242,12 +227,8 @@ class ControlBlocks(ControlMoves):
 
         def send() -> None:
             self._last = None
-            line = self._blocks.opened(
-                Torque,
-                (compensates,),
-                lambda link: self._robot.motion.torque(friction_compensation=compensates, link=link),
-            )
-            line.send(torque)
+            make = partial(self._robot.motion.torque, friction_compensation=compensates)
+            self._blocks.opened(Torque, (compensates,), make).send(torque)
 
         return succeeds(send)
 
@@ -261,6 +242,5 @@ class ControlBlocks(ControlMoves):
         way = six(xd, "xd")[:3]
         speed = float(np.linalg.norm(way))
         return self._move(
-            lambda: self._robot.motion.until_contact(way, speed, acceleration=acceleration, distance=_NO_CONTACT),
-            False,
+            lambda: self._robot.motion.until_contact(way, speed, acceleration=acceleration, distance=_NO_CONTACT), False
         )

@@ -95,9 +95,6 @@ class Path:
         """The movements."""
         return list(self._entries)
 
-    def _waypoints(self) -> list[Waypoint]:
-        return [entry._waypoint for entry in self._entries]
-
 
 #: Seconds to wait for the end of a motion, as the other client does.
 LONGEST = 300.0
@@ -227,7 +224,7 @@ class ControlMoves(ControlTool):
 
     def movePath(self, path: Path, asynchronous: bool = False) -> bool:
         """Make the movements of a path, one after the other, with their blends."""
-        waypoints = path._waypoints()
+        waypoints = [entry._waypoint for entry in path.waypoints()]
         return self._move(lambda: self._robot.motion.path(waypoints), asynchronous)
 
     def _move(self, begin: Callable[[], Motion], asynchronous: bool) -> bool:

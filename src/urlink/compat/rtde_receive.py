@@ -84,6 +84,7 @@ class RTDEReceiveInterface(RtdeInterface):
         rt_priority: int = 0,
     ) -> None:
         super().__init__(hostname, frequency)
+        self._recording: tuple[Subscription, TextIO] | None = None
         try:
             self._stream: OutputStream[Any] = self._robot.rtde.outputs(
                 *(variables or _VARIABLES),
@@ -95,7 +96,6 @@ class RTDEReceiveInterface(RtdeInterface):
         except BaseException:
             self.disconnect()
             raise
-        self._recording: tuple[Subscription, TextIO] | None = None
 
     def isConnected(self) -> bool:
         """Whether packages arrive."""
@@ -148,7 +148,7 @@ class RTDEReceiveInterface(RtdeInterface):
 
     def getDigitalInState(self, input_id: int) -> bool:
         """One digital input, by its bit in `getActualDigitalInputBits`."""
-        return _bit(self.getActualDigitalInputBits(), input_id)
+        return bool(self.getActualDigitalInputBits() >> input_id & 1)
 
     getJointTemperatures = _vector("joint_temperatures", "Joint temperatures, °C.")
     getActualExecutionTime = _number("actual_execution_time", "Execution time of the controller's real-time thread.")
@@ -175,7 +175,7 @@ class RTDEReceiveInterface(RtdeInterface):
 
     def getDigitalOutState(self, output_id: int) -> bool:
         """One digital output, by its bit in `getActualDigitalOutputBits`."""
-        return _bit(self.getActualDigitalOutputBits(), output_id)
+        return bool(self.getActualDigitalOutputBits() >> output_id & 1)
 
     getRuntimeState = _integer("runtime_state", "State of the program, a number of `urlink.packets.ProgramState`.")
     getStandardAnalogInput0 = _number("standard_analog_input0", "Standard analogue input 0, A or V.")
@@ -236,25 +236,19 @@ class RTDEReceiveInterface(RtdeInterface):
         rows = csv.writer(file)
         rows.writerow([column for name in names for column in _columns(name, getattr(state, name))])
         subscription = self._stream.subscribe(
-            lambda state: rows.writerow([cell for name in names for cell in _cells(getattr(state, name))]),
-            policy=block,
+            lambda state: rows.writerow([cell for name in names for cell in _cells(getattr(state, name))]), policy=block
         )
         self._recording = subscription, file
         return True
 
     def stopFileRecording(self) -> bool:
         """End the recording; False if there is none."""
-        if getattr(self, "_recording", None) is None:
+        if self._recording is None:
             return False
-        assert self._recording is not None
         (subscription, file), self._recording = self._recording, None
         subscription.close()
         file.close()
         return True
-
-
-def _bit(bits: int, number: int) -> bool:
-    return bool(bits >> number & 1)
 
 
 def _columns(name: str, value: Any) -> list[str]:

@@ -17,7 +17,7 @@ from linkcore.recording.columns import PacketColumns, is_continuous
 from linkcore.recording.file import Kind, Progress, described, unseen
 from linkcore.recording.index import RecordIndex
 from linkcore.recording.mcap_file import Topic, write_stretches
-from linkcore.recording.packets import Channel, Part, read_channel
+from linkcore.recording.packets import Channel, read_channel
 from linkcore.recording.table import PeerClock, Table
 from linkcore.recording.table_files import TABLE_WRITERS, chosen, export
 from linkcore.wire.framing import PacketProtocol
@@ -313,7 +313,7 @@ class Recording:
         return RobotStates(name, channel.others, self._timed, channel.begins, self._missing(name, channel), clock)
 
     def _table(self, name: str, channel: Channel, clock: PeerClock) -> Table:
-        records = _records(channel.parts)
+        records = np.concatenate([part.record for part in channel.parts]) if channel.parts else np.empty(0, np.int64)
         time, wall = self._timed(records)
         begins = np.searchsorted(records, channel.begins).tolist()
         missing = self._missing(name, channel)
@@ -355,7 +355,3 @@ class Recording:
             for name, table in self.tables.items()
         ]
         return html_table(repr(self), ("stream", "rows", "fields", "time"), rows, self.missing)
-
-
-def _records(parts: list[Part]) -> Any:
-    return np.concatenate([part.record for part in parts]) if parts else np.empty(0, np.int64)

@@ -65,11 +65,8 @@ _DEFINITIONS = {
 
 #: Fields of the real-time interface and of RTDE with the same meaning.
 _POSITION, _VELOCITY, _CURRENT = ("q_actual", "actual_q"), ("qd_actual", "actual_qd"), ("I_actual", "actual_current")
-_TCP_POSE, _TCP_SPEED, _TCP_FORCE = (
-    ("tool_vector_actual", "actual_TCP_pose"),
-    ("tcp_speed_actual", "actual_TCP_speed"),
-    ("tcp_force", "actual_TCP_force"),
-)
+_TCP_POSE, _TCP_SPEED = ("tool_vector_actual", "actual_TCP_pose"), ("tcp_speed_actual", "actual_TCP_speed")
+_TCP_FORCE = ("tcp_force", "actual_TCP_force")
 
 _INFO, _WARN, _ERROR, _FATAL = 20, 30, 40, 50
 _LEVELS = {

@@ -14,9 +14,11 @@ import numpy as np
 
 from linkcore.errors import BadValue
 
-from ..kinematics import DhTable
+from .. import rigid
+from ..kinematics.geometry import ArmLink, DhTable, Geometry, angles, chain
 from ..models import Model
 from ..poses import compose, from_matrix, invert, rotvec_to_matrix, to_matrix
+from ..rigid import FLOATS, ROWS
 from ..vectors import FloatArray
 
 # Of each link: offset, a, d, alpha, beta. Joints 2 and 3 have an angle beta instead of an offset d along parallel axes.
@@ -73,7 +75,7 @@ def fit_calibration(model: Model, q: FloatArray, poses: FloatArray) -> Calibrati
     published = np.column_stack((model.dh_theta, model.dh_a, model.dh_d, model.dh_alpha, np.zeros(6)))
     start = published.copy()
     # The TCP that the published arm would need at the first row.
-    tcp = compose(invert(from_matrix(_chain(start, q[:1])[0])), poses[0])
+    tcp = compose(invert(from_matrix(_flanges(start, q[:1])[0])), poses[0])
     free = np.flatnonzero(_FREE)
     spread = np.concatenate((np.tile(_PRIOR, (6, 1)).ravel()[free], np.full(6, _PRIOR_TOOL)))
 
@@ -83,7 +85,7 @@ def fit_calibration(model: Model, q: FloatArray, poses: FloatArray) -> Calibrati
         return flat.reshape(6, 5)
 
     def residuals(x: FloatArray) -> FloatArray:
-        found = _chain(links(x), q) @ to_matrix(x[-6:])
+        found = _flanges(links(x), q) @ to_matrix(x[-6:])
         off = turned @ np.swapaxes(found[:, :3, :3], 1, 2)
         turn = 0.5 * np.stack(
             (off[:, 1, 2] - off[:, 2, 1], off[:, 2, 0] - off[:, 0, 2], off[:, 0, 1] - off[:, 1, 0]), -1
@@ -104,31 +106,14 @@ def fit_calibration(model: Model, q: FloatArray, poses: FloatArray) -> Calibrati
     return Calibration(table, compose(shift, x[-6:]), rms)
 
 
-def _chain(links: FloatArray, q: FloatArray) -> FloatArray:
+def _geometry(links: FloatArray) -> Geometry:
+    """The arm with the links of these rows."""
+    return Geometry(tuple(ArmLink(*link) for link in links.tolist()), is_nominal=False)
+
+
+def _flanges(links: FloatArray, q: FloatArray) -> FloatArray:
     """(n, 4, 4) of the flange."""
-    found = np.broadcast_to(np.eye(4), (len(q), 4, 4))
-    for link, angle in zip(links, q.T, strict=True):
-        found = found @ _turned(angle) @ _link(link)
-    return found
-
-
-def _turned(angle: FloatArray) -> FloatArray:
-    """(n, 4, 4) about z."""
-    made = np.zeros((len(angle), 4, 4))
-    made[:, 0, 0] = made[:, 1, 1] = np.cos(angle)
-    made[:, 1, 0] = np.sin(angle)
-    made[:, 0, 1] = -made[:, 1, 0]
-    made[:, 2, 2] = made[:, 3, 3] = 1.0
-    return made
-
-
-def _link(link: FloatArray) -> FloatArray:
-    """Rz(offset) Tz(d) Tx(a) Rx(alpha) Ry(beta)."""
-    offset, a, d, alpha, beta = link
-    ca, sa, cb, sb = np.cos(alpha), np.sin(alpha), np.cos(beta), np.sin(beta)
-    made = np.array([[cb, 0.0, sb, a], [sa * sb, ca, -sa * cb, 0.0], [-ca * sb, sa, ca * cb, d], [0.0, 0.0, 0.0, 1.0]])
-    turned: FloatArray = _turned(np.array([offset]))[0] @ made
-    return turned
+    return rigid.to_matrices(chain(_geometry(links), ROWS, angles(q.T))[5])
 
 
 def _table(links: FloatArray) -> tuple[DhTable, FloatArray]:
@@ -136,13 +121,11 @@ def _table(links: FloatArray) -> tuple[DhTable, FloatArray]:
 
     Each frame of a DH table has its x axis along the common normal of two joint axes.
     """
-    old = np.eye(4)
-    new = np.eye(4)
+    frames = [rigid.to_matrix(frame) for frame in chain(_geometry(links), FLOATS, (0.0,) * 6)]
+    (x, _, z), at = np.eye(3), np.zeros(3)
     rows = []
-    for link in links:
-        old = old @ _link(link)
-        axis, place = old[:3, 2], old[:3, 3]
-        x, _, z, at = new[:3].T
+    for frame in frames:
+        axis, place = frame[:3, 2], frame[:3, 3]
         across = np.cross(z, axis)
         sine = float(np.linalg.norm(across))
         way = place - at
@@ -158,11 +141,12 @@ def _table(links: FloatArray) -> tuple[DhTable, FloatArray]:
             d = float(np.cross(way, axis) @ across) / sine**2
             a = float(way @ normal)
         # The normal has two directions; the published table has that with a small offset of the joint.
-        if normal @ old[:3, 0] < 0.0:
+        if normal @ frame[:3, 0] < 0.0:
             normal, a = -normal, -a
         theta = float(np.arctan2(np.cross(x, normal) @ z, x @ normal))
         alpha = float(np.arctan2(np.cross(z, axis) @ normal, z @ axis))
-        rows.append((theta, a, d, alpha))
-        new = new @ _link(np.array([theta, a, d, alpha, 0.0]))
-    theta_row, a_row, d_row, alpha_row = (list(column) for column in zip(*rows, strict=True))
-    return DhTable(theta_row, a_row, d_row, alpha_row), from_matrix(np.linalg.inv(new) @ old)
+        rows.append((theta, a, d, alpha, 0.0))
+        x, z, at = normal, axis, at + d * z + a * normal
+    found = np.array(rows)
+    flange = _flanges(found, np.zeros((1, 6)))[0]
+    return DhTable(*found.T[:4].tolist()), from_matrix(np.linalg.inv(flange) @ frames[5])

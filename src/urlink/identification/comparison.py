@@ -21,13 +21,7 @@ from .samples import COLUMNS, Samples
 #: rad by which the targets of a movement may be off for it to count as the same command.
 _SAME = 0.1
 #: Quantities that are compared, and their units.
-QUANTITIES = {
-    "target_q": "rad",
-    "target_moment": "Nm",
-    "target_current": "A",
-    "actual_q": "rad",
-    "actual_current": "A",
-}
+QUANTITIES = {"target_q": "rad", "target_moment": "Nm", "target_current": "A", "actual_q": "rad", "actual_current": "A"}
 
 
 @dataclass(frozen=True)
@@ -113,29 +107,22 @@ def _run(
         for _ in range(cycles):
             controller.step()
             speeds.append(controller.arm.setpoint.qd[lead])
-            for name, field in ((name, COLUMNS[name]) for name in QUANTITIES):
-                shown[name].append(list(getattr(controller.arm.sample, field)))
+            for name, values in shown.items():
+                values.append(list(getattr(controller.arm.sample, COLUMNS[name])))
         moving = np.flatnonzero(speeds)
         if not len(moving):
             continue
-        span = slice(int(moved_first := moving[0]), int(moving[-1]) + 1)
+        span = np.arange(moving[0], moving[-1] + 1)
         columns = {name: np.array(each) for name, each in shown.items()}
         # The time at which the leading joint is where it was.
-        reached = np.interp(
-            way * q[rows, lead], way * columns["target_q"][span, lead], np.arange(span.start, span.stop)
-        )
-        at = np.clip(np.round(reached).astype(int), moved_first, moving[-1])
-        taken = (reached - reached[0]) / controller.firmware.rate
+        reached = np.interp(way * q[rows, lead], way * columns["target_q"][span, lead], span)
+        at = np.clip(np.round(reached).astype(int), moving[0], moving[-1])
+        late = (reached - reached[0]) / controller.firmware.rate - (times[rows] - times[rows[0]])
         # What the times are off by counts as what the joints are off by then.
-        off = max(
-            float(np.abs(columns["target_q"][at] - q[rows]).max()),
-            float(
-                np.abs(taken - (times[rows] - times[rows[0]])).max() * np.abs(samples["target_qd"][rows, lead]).max()
-            ),
-        )
+        apart = np.abs(columns["target_q"][at] - q[rows]).max()
+        off = float(max(apart, np.abs(late).max() * np.abs(samples["target_qd"][rows, lead]).max()))
         if off < best:
-            late = float(taken[-1] - (times[rows[-1]] - times[rows[0]]))
-            best, found = off, (command, late, rows, {name: each[at] for name, each in columns.items()})
+            best, found = off, (command, float(late[-1]), rows, {name: each[at] for name, each in columns.items()})
         if best < 0.001 * _SAME:
             break
     return found

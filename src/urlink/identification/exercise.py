@@ -40,7 +40,7 @@ _POINTS, _SPARE, _SOON = 25, 10.0, 5.0
 _PROGRAM = 0.2
 #: What rounding may move a standing joint by, rad.
 _STILL = 1e-3
-_SHOWS_SLIDER = Firmware(3, 0)
+SHOWS_SLIDER = Firmware(3, 0)
 
 
 @dataclass(frozen=True)
@@ -234,7 +234,7 @@ def input_is_on(number: int) -> Callable[[RealtimeState], bool]:
 
 def slider_of(robot: Robot) -> float:
     """The speed slider, 0 to 1; 1 where the firmware does not show it."""
-    if robot.firmware < _SHOWS_SLIDER:
+    if robot.firmware < SHOWS_SLIDER:
         return 1.0
     return float(robot.primary.of(RobotModeData).wait(_SOON).target_speed_fraction or 0.0)
 

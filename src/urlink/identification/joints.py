@@ -51,13 +51,6 @@ class JointFit:
     current_r2: tuple[float, ...]
     motors: Motors
 
-    def torque(self, model: Model, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
-        """(n, 6) Nm, as fitted."""
-        rotors = _or(self.rotor_inertias, self.motors.rotor_inertias)
-        mass = max(self.payload.value, 0.0) if self.payload.is_known else 0.0
-        cog = [each.value if each.is_known else 0.0 for each in self.payload_cog]
-        return Dynamics(model, payload=mass, payload_cog=cog, rotors=rotors).torque(q, qd, qdd)
-
     def current(self, torque: FloatArray, qd: FloatArray) -> FloatArray:
         """(n, 6) A, as fitted."""
         constants = _or(self.torque_constants, self.motors.torque_constants)
@@ -75,26 +68,21 @@ def fit_joints(model: Model, columns: Mapping[str, FloatArray]) -> JointFit:
     """
     q, qd, qdd = (columns[f"target_{name}"] for name in ("q", "qd", "qdd"))
     motors = motors_of(model)
-    payload, cog, rotors, modelled = _fit_moments(model, q, qd, qdd, columns["target_moment"])
     moments = columns["target_moment"]
+    payload, cog, rotors, modelled = _fit_moments(model, q, qd, qdd, moments)
+    torque_r2 = tuple(_r2(moments[:, i], modelled[:, i]) for i in range(6))
     currents = columns.get("target_current", columns.get("actual_current"))
+    if currents is None:
+        unknown = (Estimate.unknown("target_current or actual_current in the recording"),) * 6
+        return JointFit(payload, cog, rotors, unknown, unknown, unknown, torque_r2, (np.nan,) * 6, motors)
     # Stiction hides the friction of a standing joint in the actual current.
     rows = np.ones(len(q), dtype=bool) if "target_current" in columns else (np.abs(qd) > FULL_SPEED).any(axis=1)
     found = [
-        _fit_current(
-            joint,
-            modelled[rows, i],
-            qd[rows, i],
-            None if currents is None else currents[rows, i],
-            motors.torque_constants[i],
-        )
+        _fit_current(joint, modelled[rows, i], qd[rows, i], currents[rows, i], motors.torque_constants[i])
         for i, joint in enumerate(JOINTS)
     ]
     constants, coulomb, viscous = (tuple(each[part] for each in found) for part in range(3))
-    torque_r2 = tuple(_r2(moments[:, i], modelled[:, i]) for i in range(6))
     fitted = JointFit(payload, cog, rotors, constants, coulomb, viscous, torque_r2, (np.nan,) * 6, motors)
-    if currents is None:
-        return fitted
     explained = fitted.current(modelled[rows], qd[rows])
     r2 = tuple(_r2(currents[rows, i], explained[:, i]) for i in range(6))
     return replace(fitted, current_r2=r2)
@@ -118,9 +106,7 @@ def _fit_moments(
     ]
     moved = np.abs(qdd).max(axis=0) >= _ACCELERATION
     shared = np.stack([at_flange, *per_way], axis=-1)
-    rotor_columns = np.zeros((*q.shape, 6))
-    for joint in range(6):
-        rotor_columns[:, joint, joint] = qdd[:, joint]
+    rotor_columns = qdd[:, :, np.newaxis] * np.eye(6)
     factors = np.zeros(10)
     modelled = bare
     weight = np.ones(6)
@@ -167,11 +153,9 @@ def _fit_moments(
 
 
 def _fit_current(
-    joint: str, torque: FloatArray, qd: FloatArray, current: FloatArray | None, constant: float
+    joint: str, torque: FloatArray, qd: FloatArray, current: FloatArray, constant: float
 ) -> tuple[Estimate, Estimate, Estimate]:
     """Torque constant, Coulomb and viscous friction of one joint."""
-    if current is None:
-        return (Estimate.unknown("target_current or actual_current in the recording"),) * 3
     rubs, speeds_up, varies = np.abs(qd).max() > 2.0 * FULL_SPEED, np.abs(qd).max() > _SPEED, np.ptp(torque) > _MOMENT
     every = np.column_stack((torque, _saturated(qd), qd))
     known = np.array([varies, rubs, speeds_up])

@@ -73,11 +73,6 @@ class Samples(Mapping[str, FloatArray]):
         """(n,) whether no joint is to move."""
         return np.asarray(~self["target_qd"].any(axis=1))
 
-    def part(self, begin: int, end: int) -> Samples:
-        """Some of the rows."""
-        arrival = None if self.arrival is None else self.arrival[begin:end]
-        return Samples(self.path, {name: each[begin:end] for name, each in self.items()}, self.model, arrival)
-
 
 def read_samples(path: str | os.PathLike[str]) -> Samples:
     """Read a recording (`.urlog`), or a table of RTDE variables (`.csv`, as `urlink rtde --csv` prints).

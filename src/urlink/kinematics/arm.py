@@ -249,10 +249,9 @@ class Arm:
             if q is not None and not any(distance(q, other) < _SAME for other in found):
                 found.append(q)
         if close is not None:
-            found = [_turned(q, close) for q in sorted(found, key=lambda q: distance(q, close))]
-        else:
-            found = [_turned(q, (0.0,) * 6) for q in found]
-        return np.array(found, dtype=np.float64).reshape(-1, 6)
+            found.sort(key=lambda q: distance(q, close))
+        turned = [_turned(q, close or (0.0,) * 6) for q in found]
+        return np.array(turned, dtype=np.float64).reshape(-1, 6)
 
     def inverse_path(self, poses: ArrayLike, near: ArrayLike, tcp: ArrayLike | None = None) -> FloatArray:
         """Joint positions along a path of the tool: each row is the solution closest to the row before.

@@ -19,7 +19,7 @@ and orientations of the links are not touched by this, and the arithmetic keeps 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import NamedTuple, Protocol
@@ -45,6 +45,12 @@ _UNCALIBRATED = 1e-8
 # 20 mrad.
 _FAR = 0.03  # m
 _TURNED = 0.1  # rad
+
+
+def angles(joints: Iterable[Number]) -> Angles[Number]:
+    """Six joint positions as a tuple."""
+    q1, q2, q3, q4, q5, q6 = joints
+    return q1, q2, q3, q4, q5, q6
 
 
 class DenavitHartenberg(Protocol):
@@ -175,7 +181,7 @@ def calibrated(model: Model, table: DenavitHartenberg) -> Geometry:
     for i, (theta, a, d, alpha) in enumerate(given.T.tolist()):
         theta, d = theta - about, d - along
         if i not in (1, 2):
-            links.append(ArmLink(_wrapped(theta), a, d, alpha, 0.0))
+            links.append(ArmLink(math.remainder(theta, math.tau), a, d, alpha, 0.0))
             along = about = 0.0
             continue
         # Along the next axis, to the point that the link reaches without an offset along its own axis.
@@ -184,7 +190,7 @@ def calibrated(model: Model, table: DenavitHartenberg) -> Geometry:
         # As published, the link leads along -x. Its frame was turned by Rz(turn) for this, which is undone at its end.
         turn = math.atan2(-y, -x)
         alpha, beta, about = _hayati(-turn, alpha)
-        links.append(ArmLink(_wrapped(theta + turn), -math.hypot(x, y), 0.0, alpha, beta))
+        links.append(ArmLink(math.remainder(theta + turn, math.tau), -math.hypot(x, y), 0.0, alpha, beta))
     found = Geometry(tuple(links), is_nominal=False)
     _check_close(model, nominal(model), found)
     return found
@@ -194,10 +200,6 @@ def _hayati(theta: float, alpha: float) -> tuple[float, float, float]:
     """Rz(theta) Rx(alpha) as Rx(alpha') Ry(beta) Rz(-about): alpha', beta and about."""
     s, c, sa, ca = math.sin(theta), math.cos(theta), math.sin(alpha), math.cos(alpha)
     return math.atan2(c * sa, ca), math.atan2(s * sa, math.hypot(c, s * ca)), -math.atan2(s * ca, c)
-
-
-def _wrapped(angle: float) -> float:
-    return math.remainder(angle, math.tau)
 
 
 def _check_close(model: Model, published: Geometry, found: Geometry) -> None:
@@ -262,20 +264,7 @@ def chain(geometry: Geometry, f: MathFunctions[Number], q: Angles[Number]) -> li
     offset, a, d, ca, sa, _, _ = geometry.rows[0]
     s, c = sin(q[0] + offset), cos(q[0] + offset)
     none = 0.0 * s
-    frame: Rigid[Number] = (
-        c,
-        -s * ca,
-        s * sa,
-        s,
-        c * ca,
-        -c * sa,
-        none,
-        none + sa,
-        none + ca,
-        a * c,
-        a * s,
-        none + d,
-    )
+    frame: Rigid[Number] = (c, -s * ca, s * sa, s, c * ca, -c * sa, none, none + sa, none + ca, a * c, a * s, none + d)
     frames = [frame]
     for angle, (offset, a, d, ca, sa, cb, sb) in zip(q[1:], geometry.rows[1:], strict=True):
         s, c = sin(angle + offset), cos(angle + offset)

@@ -19,7 +19,7 @@ from .. import rigid
 from ..rigid import FLOATS, ROWS, Rigid
 from ..vectors import FloatArray
 from .closed_form import BRANCHES, SINGULAR, SLACK, solve, solve_rows
-from .geometry import Angles, Geometry
+from .geometry import Angles, Geometry, angles
 from .refinement import error_at, refine, refine_anywhere, refine_rows
 
 # `near` is a seed if it misses the pose by less than `_ALMOST`, m and rad. A solution further away from `near` than
@@ -126,8 +126,7 @@ def closest_of_rows(geometry: Geometry, targets: Rigid[FloatArray], nears: Float
         again = np.abs(rows - nears).max(axis=1) >= _CONTINUES
         rest = np.flatnonzero(np.isnan(rows[:, 0]))
     if len(rest) and not geometry.is_nominal:
-        q1, q2, q3, q4, q5, q6 = nears[rest].T
-        missed = error_at(geometry, (q1, q2, q3, q4, q5, q6), ROWS, rigid.take(targets, rest))
+        missed = error_at(geometry, angles(nears[rest].T), ROWS, rigid.take(targets, rest))
         almost = np.max(np.abs(missed), axis=0) < _ALMOST
         again[rest[almost]] = True
         rest = rest[~almost]
@@ -139,8 +138,7 @@ def closest_of_rows(geometry: Geometry, targets: Rigid[FloatArray], nears: Float
             chosen = refined
         rows[rest], again[rest] = chosen.T, unsure
     for i in np.flatnonzero(again).tolist():
-        q1, q2, q3, q4, q5, q6 = nears[i].tolist()
-        one = closest(geometry, rigid.row(targets, i), (q1, q2, q3, q4, q5, q6))
+        one = closest(geometry, rigid.row(targets, i), angles(nears[i].tolist()))
         rows[i] = np.nan if one is None else one
     return rows
 

@@ -18,7 +18,7 @@ import numpy as np
 from ..rigid import FLOATS, ROWS, MathFunctions, Number, Rigid, Six, product, take
 from ..rigid import row as row_of
 from ..vectors import FloatArray
-from .geometry import Angles, Geometry, chain, jacobian
+from .geometry import Angles, Geometry, angles, chain, jacobian
 
 #: m and rad. Joint positions with an error below this are a solution.
 CONVERGED = 5e-14
@@ -101,7 +101,7 @@ def refine_rows(
     at, q = np.arange(seeds.shape[1]), seeds
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         for n in range(_STEPS):
-            frames = chain(wrist, ROWS, _angles(q))
+            frames = chain(wrist, ROWS, angles(q))
             error = _error(frames[5], there)
             size = np.max(np.abs(error), axis=0)
             step = np.where(size > CONVERGED, _step(frames, error), 0.0)
@@ -118,16 +118,10 @@ def refine_rows(
             if len(at) <= _FEW:
                 break
     for i, row in enumerate(at.tolist() if len(at) <= _FEW else []):
-        q1, q2, q3, q4, q5, q6 = q[:, i].tolist()
-        one = refine(geometry, (q1, q2, q3, q4, q5, q6), row_of(targets, row))
+        one = refine(geometry, angles(q[:, i].tolist()), row_of(targets, row))
         if one is not None:
             found[:, row] = one
     return found
-
-
-def _angles(q: FloatArray) -> Angles[FloatArray]:
-    q1, q2, q3, q4, q5, q6 = q
-    return q1, q2, q3, q4, q5, q6
 
 
 def _error(flange: Rigid[Number], target: Rigid[Number]) -> Six[Number]:
@@ -239,8 +233,7 @@ def refine_anywhere(geometry: Geometry, seed: Angles[float], target: Rigid[float
     slow = 0
     for _ in range(_ROBUST_STEPS):
         if size < CONVERGED:
-            q1, q2, q3, q4, q5, q6 = q.tolist()
-            return q1, q2, q3, q4, q5, q6
+            return angles(q.tolist())
         u, s, vt = np.linalg.svd(matrix)
         pseudo_inverse = (vt.T * (s / (s * s + damping * damping))) @ u.T
         step = pseudo_inverse @ error
@@ -273,8 +266,7 @@ def error_at(
 
 def _linearised(geometry: Geometry, q: FloatArray, target: Rigid[float]) -> tuple[FloatArray, FloatArray]:
     """The error of the flange, m and rad, and its Jacobian."""
-    q1, q2, q3, q4, q5, q6 = q.tolist()
-    frames = chain(geometry, FLOATS, (q1, q2, q3, q4, q5, q6))
+    frames = chain(geometry, FLOATS, angles(q.tolist()))
     flange = frames[5]
     error = np.array(_error(flange, target))
     cosine = _cosine(flange, target)

@@ -155,7 +155,7 @@ class _Cell:
 
 def tried(controller: Controller, path: Path, person: OfTheSimulator, dead_man: int | None = None) -> str:
     """Run stage 2; what ended it early, or nothing."""
-    with Logbook(path, controller.ports, {}) as book:
+    with Logbook(path, controller.ports) as book:
         try:
             with urlink.connect(controller.address) as robot:
                 moving.move(robot, book, person, dead_man, is_simulated_here=True)

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import zipfile
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from captures.from_bundle import capture, row
 from captures.make import golden
 from linkcore.clock import Stamp
 from linkcore.errors import BadRecording
-from linkcore.recording.file import Kind, RecordingWriter
+from linkcore.recording.file import Kind, RecordingFile, RecordingWriter
 from linkcore.text import strict_json
 from urlink.acceptance.bundle import opened, pack
 from urlink.acceptance.evidence import Evidence
@@ -51,7 +52,12 @@ def test_names_serial_numbers_and_addresses_are_overwritten(logbook: Path, tmp_p
         (wire,) = bundle.evidence.received("dashboard")
         assert [len(data) for _, data in wire.chunks] == list(map(len, CHUNKS))
         assert wire.data == CHUNKS[0] + b"Loaded program: xxxxxxxxxxxxxxxxxxxx\nxxxxxxxxxxx\n"
-        assert wire.error == "xxxxxxxx:29999 closed the connection"
+        (lost,) = (
+            json.loads(record.payload)
+            for record in RecordingFile(bundle.recording)
+            if record.kind is Kind.EVENT and b"lost" in record.payload
+        )
+        assert lost["error"] == "xxxxxxxx:29999 closed the connection"
         assert bundle.evidence.said("dashboard")[0].said["reply"] == "Loaded program: xxxxxxxxxxxxxxxxxxxx"
         assert (bundle.requirements, bundle.site) == (requirements(), {"owner": "us"})
 

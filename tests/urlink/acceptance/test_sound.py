@@ -74,7 +74,7 @@ def test_a_trajectory_that_this_computer_answered_too_seldom_is_not_judged(each:
         goal = {"goal": [0.0] * 6, "slider": slider}
         notes += [Note(begin, step, {"event": "begin"}), Note(begin + took + 0.9, step, {"event": "end", **goal})]
     of = evidence(speeds, notes)
-    of.wires = [Wire("reverse", False, True, 0.1, [(Stamp(at, at), b"point") for at in sent])]
+    of.wires = [Wire("reverse", False, True, [(Stamp(at, at), b"point") for at in sent])]
     assert verdict("follow-scales", of)[0] == state
 
 
@@ -117,7 +117,7 @@ def test_a_lag_that_was_measured_by_half_of_the_states_contradicts_nothing(each:
     notes.append(Note(1.9, "servo-lag", {"event": "end", "lag": 0.045, "lookahead": 0.03}))
     of = evidence(np.zeros((1000, 6)), notes)
     sent = _PERIOD * each * np.arange(1000 // each) + 1e-4
-    of.wires = [Wire("reverse", False, True, 0.1, [(Stamp(at, at), b"point") for at in sent.tolist()])]
+    of.wires = [Wire("reverse", False, True, [(Stamp(at, at), b"point") for at in sent.tolist()])]
     (found,) = judge(of, {"servo-lag": requirements()["servo-lag"]})
     assert (found.state, len(found.contradicts)) == (("not tried", 0) if each == 2 else ("held", 1))
 
@@ -132,7 +132,7 @@ def test_a_stream_that_this_computer_did_not_feed_is_not_judged(last: float, sta
     sent = [
         begin + 0.01 * number for begin in (0.1, 0.8, 1.5) for number in range(1, 60) if 0.01 * number <= last - 0.1
     ]
-    of.wires = [Wire("reverse", False, True, 0.1, [(Stamp(at, at), b"point") for at in sent])]
+    of.wires = [Wire("reverse", False, True, [(Stamp(at, at), b"point") for at in sent])]
     assert verdict("follow-scales", of)[0] == state
 
 

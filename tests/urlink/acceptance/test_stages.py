@@ -81,7 +81,7 @@ def test_a_recording_cannot_be_accepted(tmp_path: Path) -> None:
 def test_a_connection_that_outlives_the_logbook_goes_on_and_is_closed(tmp_path: Path) -> None:
     with Controller("UR5", "3.15") as controller:
         transport = TcpTransport("127.0.0.1", controller.ports["realtime"], silence=5.0)
-        with Logbook(tmp_path / "run.urlog", controller.ports, {}):
+        with Logbook(tmp_path / "run.urlog", controller.ports):
             transport.open(5.0)
         assert transport.receive(5.0)[0]
         transport.abort()

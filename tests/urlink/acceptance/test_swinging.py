@@ -195,7 +195,7 @@ def test_what_is_wrong_is_named(sound: Evidence, plant: Plant, named: str, said:
 def test_nothing_moves_before_the_switch_is_held(tmp_path: Path) -> None:
     with Controller("UR5", "3.15") as controller:
         before = np.array(controller.arm.sample.q_target)
-        logbook = Logbook(tmp_path / "run.urlog", controller.ports, {})
+        logbook = Logbook(tmp_path / "run.urlog", controller.ports)
         with (
             logbook,
             urlink.connect(controller.address) as robot,
@@ -214,7 +214,7 @@ def test_letting_go_of_the_switch_stops_it_and_no_other_joint_begins(tmp_path: P
             asked.append(does)
             return ""
 
-        logbook = Logbook(tmp_path / "run.urlog", controller.ports, {})
+        logbook = Logbook(tmp_path / "run.urlog", controller.ports)
         with (
             logbook,
             urlink.connect(controller.address) as robot,

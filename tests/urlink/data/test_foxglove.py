@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import json
 import struct
@@ -13,7 +14,7 @@ import pytest
 
 import urlink
 import urlink.cli
-from urlink.data.foxglove_server import FoxgloveServer, RobotView
+from urlink.data.live import FoxgloveServer, RobotView
 
 WHY = "it is not installed; the session `data` of nox has it"
 
@@ -50,7 +51,7 @@ def test_the_arm_moves_in_the_viewer() -> None:
     decoders = pytest.importorskip("mcap_ros2.decoder", reason=WHY)
     over = threading.Event()
     with (
-        FoxgloveServer("arm", port=0) as server,
+        contextlib.closing(FoxgloveServer("arm", port=0)) as server,
         urlink.connect("sim://ur5e?firmware=5.11") as robot,
         robot.realtime.history(60) as history,
     ):
@@ -90,7 +91,7 @@ def test_the_arm_moves_in_the_viewer() -> None:
 @pytest.mark.real_time
 def test_the_command(capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("foxglove", reason=WHY)
-    with FoxgloveServer("other", port=0) as other:
+    with contextlib.closing(FoxgloveServer("other", port=0)) as other:
         assert urlink.cli.main(["foxglove", "sim://", "--port", str(other.port)]) == 1
         assert "cannot serve Foxglove" in capsys.readouterr().err
     assert urlink.cli.main(["foxglove", "sim://", "--port", "0", "--duration", "0.3"]) == 0
