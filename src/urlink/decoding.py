@@ -15,9 +15,7 @@ from .interfaces.primary.decoder import PackageDecoder
 from .interfaces.primary.protocol import PackageBoundary
 from .interfaces.realtime.packets import RealtimeState
 from .interfaces.realtime.protocol import RealtimeBoundary
-
-Interface = Literal["realtime", "primary", "secondary"]
-INTERFACES: tuple[Interface, ...] = ("realtime", "primary", "secondary")
+from .ports import INTERFACES, Interface
 
 
 @overload

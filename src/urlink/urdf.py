@@ -33,14 +33,7 @@ RADIUS = 0.05
 #: The links that move, from the shoulder on.
 LINKS = ("shoulder_link", "upper_arm_link", "forearm_link", "wrist_1_link", "wrist_2_link", "wrist_3_link")
 #: The joints, from the base on.
-JOINTS = (
-    "shoulder_pan_joint",
-    "shoulder_lift_joint",
-    "elbow_joint",
-    "wrist_1_joint",
-    "wrist_2_joint",
-    "wrist_3_joint",
-)
+JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
 
 
 def to_urdf(arm: Arm | Model | str, *, name: str | None = None, shapes: bool = False) -> str:
