@@ -17,8 +17,15 @@ from linkcore.streaming.statistics import StreamCounters
 from linkcore.threads import MadeOnce
 
 from ..firmware import Firmware
-from ..interfaces.rtde.framing import LONGEST_NAMES
-from ..interfaces.rtde.packets import InputsReply, InputsRequest, OutputsReply, OutputsRequest, join_names, split_names
+from ..interfaces.rtde.packets import (
+    LONGEST_NAMES,
+    InputsReply,
+    InputsRequest,
+    OutputsReply,
+    OutputsRequest,
+    join_names,
+    split_names,
+)
 from ..interfaces.rtde.protocol import Requests, RtdeProtocol, RtdeRefused, check_names
 from ..interfaces.rtde.recipes import Outputs
 from ..interfaces.rtde.transport import RtdeTransport

@@ -24,8 +24,9 @@ from linkcore.wire.framing import Framer
 from linkcore.wire.packet import State
 
 from ...firmware import Firmware
-from .framing import LONGEST_NAMES, REPLY_SIZES, RtdeBoundary
 from .packets import (
+    LONGEST_NAMES,
+    REPLIES,
     ControllerVersionReply,
     ControllerVersionRequest,
     InputsReply,
@@ -36,6 +37,7 @@ from .packets import (
     Protocol,
     ProtocolReply,
     ProtocolRequest,
+    RtdeBoundary,
     RtdeMessage,
     StartReply,
     StartRequest,
@@ -149,7 +151,7 @@ class RtdeProtocol:
     """
 
     def __init__(self, plan: Requests) -> None:
-        self.framer = Framer(RtdeBoundary(REPLY_SIZES))
+        self.framer = Framer(RtdeBoundary())
         self.unknown = 0
         self.tails = 0
         self.cycles: MissedCycles | None = None  # known with the recipe
@@ -181,7 +183,7 @@ class RtdeProtocol:
     @property
     def awaits(self) -> str:
         """What the controller still has to say, for messages."""
-        return "data packages" if self._awaited is None else f"{self._awaited.__name__}"
+        return "data packages" if self._awaited is None else self._awaited.__name__
 
     def _ask(self, request: State, reply: type[State]) -> None:
         self._requests.append(request)
@@ -300,7 +302,7 @@ class RtdeProtocol:
         try:
             packet = self.take(frame, stamp)
         except PacketError:
-            self.unknown += frame[2] not in REPLY_SIZES
+            self.unknown += frame[2] not in REPLIES
             raise
         if isinstance(packet, RtdeMessage):
             level = _LEVELS.get(packet.level, logging.INFO)
