@@ -17,12 +17,13 @@ from linkcore.wire.fields import Version
 from linkcore.wire.packet import State
 
 from ..enums import PackageType
+from ..headers import ROBOT_MESSAGE, ROBOT_STATE
 from .robot_message import MESSAGE_HEAD, MESSAGES, PACKAGES, OtherPackage, UnknownMessage, VersionMessage
 from .robot_state import SUB_PACKAGES, RobotState, SubPackage, UnknownSubPackage
 
 _HEAD = struct.Struct(">iB")
-_ROBOT_STATE, _ROBOT_MESSAGE = int(PackageType.ROBOT_STATE), int(PackageType.ROBOT_MESSAGE)
-_KNOWN_TYPES = frozenset(kind & 0xFF for kind in map(int, PackageType))
+#: Type bytes of packages.
+KNOWN_TYPES = frozenset(kind & 0xFF for kind in map(int, PackageType))
 
 # Of sizes and texts that come off the wire, no more are kept than can be useful.
 _MOST_PLANS = 64
@@ -88,12 +89,12 @@ class PackageDecoder:
             PacketError: a layout that the package, or one of its sub-packages, cannot hold.
         """
         kind = frame[4]
-        if kind == _ROBOT_STATE:
+        if kind == ROBOT_STATE:
             return self._robot_state(frame, stamp)
-        if kind == _ROBOT_MESSAGE:
+        if kind == ROBOT_MESSAGE:
             return self._robot_message(frame, stamp)
         state = self._package(PACKAGES.get(kind, OtherPackage), frame, None, stamp)
-        if kind not in _KNOWN_TYPES:
+        if kind not in KNOWN_TYPES:
             self._count_unknown(f"package type {kind}")
         return state
 
