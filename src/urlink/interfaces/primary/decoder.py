@@ -72,13 +72,8 @@ class PackageDecoder:
         self.unknown = 0
         self.tails = 0
 
-    @property
-    def version(self) -> Version | None:
-        """The firmware whose layouts are the least that will do; None goes by sizes alone."""
-        return self._version
-
-    @version.setter
-    def version(self, version: Version | None) -> None:
+    def use(self, version: Version) -> None:
+        """From now on, the layouts of this firmware are the least that will do."""
         self._version = version
         self._plans = {}  # they were made for another
 
@@ -211,13 +206,13 @@ class PackageDecoder:
 
     def _version_for(self, cls: type[State]) -> Version | None:
         """The version, unless that one is not known to send this class: then the size decides."""
-        if self.version is None:
+        if self._version is None:
             return None
         try:
-            cls.LAYOUTS.of(self.version)
+            cls.LAYOUTS.of(self._version)
         except PacketError:
             return None
-        return self.version
+        return self._version
 
     # -- what is not known ---------------------------------------------------------------------
 

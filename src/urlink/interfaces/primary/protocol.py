@@ -210,7 +210,7 @@ class PrimaryProtocol:
         state = self._decoder.decode(frame, stamp)
         if isinstance(state, VersionMessage):
             self.firmware = Firmware(state.major, state.minor, state.bugfix or 0, state.build or 0)
-            self._decoder.version = self.firmware
+            self._decoder.use(self.firmware)
         return state
 
 

@@ -145,7 +145,6 @@ class RtdeProtocol:
         protocol: the version that holds.
         controller: what the controller reported of itself, or None so far.
         recipe: of the data packages, or None so far.
-        left_out: outputs that the controller lacks.
         claims: the recipes of the inputs, in the order of the plan.
         is_ready: everything was asked and answered.
     """
@@ -158,7 +157,6 @@ class RtdeProtocol:
         self.protocol: Protocol = 1
         self.controller: Firmware | None = None
         self.recipe: Recipe | None = None
-        self.left_out: tuple[str, ...] = ()
         self.claims: list[Recipe] = []
         self.is_ready = False
         self._plan = plan
@@ -168,7 +166,6 @@ class RtdeProtocol:
         self._decode: Callable[..., Any] | None = None
         self._size = 0
         if plan.recorded is not None:
-            self.left_out = tuple(name for name in plan.outputs if name not in plan.recorded.names)
             self._use(plan.recorded)
             self.protocol = 1 if plan.recorded.number is None else 2
         self._ask(ProtocolRequest(wanted=2), ProtocolReply)
@@ -244,7 +241,6 @@ class RtdeProtocol:
             self.controller = Firmware(reply.major, reply.minor, reply.bugfix, reply.build)
             # What was known of a recording: this one begins with a dialogue of its own.
             self.recipe = self._decode = None
-            self.left_out = ()
             self._ask_next()
         elif isinstance(reply, OutputsReply):
             self._take_outputs(reply)
@@ -262,11 +258,11 @@ class RtdeProtocol:
         types = _types(names, reply.types)
         missing = _check(names, types, self._plan.optional)
         if missing:
-            self.left_out += missing
             self._outputs = tuple(name for name in names if name not in missing)
             _log.info("RTDE: this controller does not have %s", ", ".join(missing))
             if not self._outputs:
-                raise NoSuchVariable(f"this controller has none of {', '.join(self.left_out)}", self.left_out)
+                lacking = self._plan.outputs
+                raise NoSuchVariable(f"this controller has none of {', '.join(lacking)}", lacking)
             return
         if reply.recipe == 0:
             raise RtdeRefused(f"the controller refused the outputs {', '.join(names)}", names)
@@ -275,7 +271,8 @@ class RtdeProtocol:
     def _use(self, recipe: Recipe) -> None:
         self.recipe = recipe
         self._size = recipe.size
-        layout = recipe.state_class(self._plan.kind, self.left_out).LAYOUTS.all[0]
+        left_out = tuple(name for name in self._plan.outputs if name not in recipe.names)
+        layout = recipe.state_class(self._plan.kind, left_out).LAYOUTS.all[0]
         self._decode = layout.decode
         self.cycles = None
         if CLOCK in layout.places:
