@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from . import rigid
 from .kinematics import Arm
-from .kinematics.geometry import ArmLink
 from .models import Model
 from .poses import compose, rotvec_to_rpy
 from .rigid import Rigid
@@ -86,8 +85,12 @@ def link_frames(arm: Arm) -> Iterator[tuple[Rigid[float], Rigid[float]]]:
     """
     end = rigid.IDENTITY
     for link in arm.geometry.links:
-        begin = rigid.product(end, _begin(link))
-        end = _end(link)
+        # Where the joint of the link sits in the frame before, and how that is turned when the joint stands at 0.
+        joint = rigid.from_pose([0.0, 0.0, link.d, 0.0, 0.0, link.offset])
+        begin = rigid.product(end, joint)
+        # In the frame that turns with the joint.
+        ca, sa, cb, sb = link.turns
+        end = (cb, 0.0, sb, sa * sb, ca, -sa * cb, -ca * sb, sa, ca * cb, link.a, 0.0, 0.0)
         yield begin, end
 
 
@@ -103,17 +106,6 @@ def link_poses(arm: Arm, q: NDArray[np.float64]) -> Iterator[tuple[str, str, NDA
         yield parent, child, compose(rigid.to_pose(begin), turned)
         parent = child
     yield parent, "tool0", np.tile(rigid.to_pose(frames[-1][1]), (len(q), 1))
-
-
-def _begin(link: ArmLink) -> Rigid[float]:
-    """Where the joint of a link sits in the frame before it, and how that is turned when the joint stands at 0."""
-    return rigid.from_pose([0.0, 0.0, link.d, 0.0, 0.0, link.offset])
-
-
-def _end(link: ArmLink) -> Rigid[float]:
-    """The end of a link in the frame that turns with its joint."""
-    ca, sa, cb, sb = link.turns
-    return (cb, 0.0, sb, sa * sb, ca, -sa * cb, -ca * sb, sa, ca * cb, link.a, 0.0, 0.0)
 
 
 def _add_joint(

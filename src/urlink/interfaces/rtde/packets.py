@@ -211,13 +211,13 @@ REPLIES: Mapping[int, type[State]] = MappingProxyType(
 _ALWAYS_V2 = frozenset(b"MU")
 
 
-def decode_request(frame: bytes, protocol: Protocol, stamp: Stamp | None = None) -> State:
+def decode_request(frame: bytes, protocol: Protocol) -> State:
     """What a client sent in one whole package, while `protocol` holds.
 
     Raises:
         PacketError: of a type that nobody knows, or too short for it.
     """
-    return _decode(frame, REQUESTS, 2 if _ALWAYS_V2.issuperset(frame[2:3]) else protocol, stamp)
+    return _decode(frame, REQUESTS, 2 if _ALWAYS_V2.issuperset(frame[2:3]) else protocol, None)
 
 
 def decode_reply(frame: bytes, protocol: Protocol, stamp: Stamp | None = None) -> State:

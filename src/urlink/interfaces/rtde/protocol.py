@@ -189,20 +189,16 @@ class RtdeProtocol:
     def _ask_next(self) -> None:
         """The next request of the plan that has no answer yet."""
         if self._outputs and self.recipe is None:
-            version = f"{self.protocol}.0"
+            assert self.controller is not None, "it was asked for before"
+            frequency = float(self.controller.rate) if self._plan.frequency is None else self._plan.frequency
             names = join_names(self._outputs)
-            self._ask(OutputsRequest(version, frequency=self._frequency, names=names), OutputsReply)
+            self._ask(OutputsRequest(f"{self.protocol}.0", frequency=frequency, names=names), OutputsReply)
         elif len(self.claims) < len(self._plan.inputs):
             self._ask(InputsRequest(names=join_names(self._plan.inputs[len(self.claims)])), InputsReply)
         elif self._outputs:
             self._ask(StartRequest(), StartReply)
         else:
             self._finish()
-
-    @property
-    def _frequency(self) -> float:
-        most = 500.0 if self.controller is None else float(self.controller.rate)
-        return most if self._plan.frequency is None else self._plan.frequency
 
     def _finish(self) -> None:
         self._awaited = None
