@@ -18,10 +18,10 @@ from linkcore.streaming.connection_life import ConnectionState
 from linkcore.streaming.packet_queue import block
 
 from ..interfaces.rtde.packets import InputsReply, InputsRequest, PauseRequest, StartRequest, join_names
-from ..interfaces.rtde.protocol import Requests, RtdeProtocol, claim_of
+from ..interfaces.rtde.protocol import Requests, claim_of
 from ..interfaces.rtde.recipes import Outputs, Recipe
 from ..interfaces.rtde.transport import RtdeTransport
-from .inputs import checked, put_whole
+from .inputs import checked, dialogue_of, put_whole
 from .outputs import OutputStream
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ class Claims:
         if not self._lock.acquire(timeout=self._timeout):
             raise LinkTimeout(f"{self._connection.name}: another claim is not answered yet, after {self._timeout:g} s")
         try:
-            dialogue = self._dialogue()
+            dialogue = dialogue_of(self._connection, self._transport)
             if names in self._plan.inputs:
                 return
             recipe = self._claim(names)
@@ -110,15 +110,9 @@ class Claims:
         finally:
             self._lock.release()
 
-    def _dialogue(self) -> RtdeProtocol:
-        """The dialogue of the present connection, or of the one before if there is none."""
-        dialogue = self._transport.dialogue
-        if dialogue is None:
-            raise ConnectionLost(f"{self._connection.name} is not connected")
-        return dialogue
-
     def _package(self, values: Mapping[str, Any]) -> bytes:
-        recipe = self._dialogue().claims[self._plan.inputs.index(tuple(values))]
+        claims = dialogue_of(self._connection, self._transport).claims
+        recipe = claims[self._plan.inputs.index(tuple(values))]
         return recipe.encode(
             {name: checked(name, type, values[name]) for name, type in zip(recipe.names, recipe.types, strict=True)}
         )
@@ -159,7 +153,7 @@ class BriefClaims:
         self._rtde = rtde
         self._lock = threading.Lock()  # one claim at a time
         #: replaced as a whole, so that whoever gives back needs no lock
-        self._standing: tuple[Connection, Claims] | None = None
+        self._standing: Claims | None = None
         self._used = 0.0
         self._is_closed = False
 
@@ -179,29 +173,28 @@ class BriefClaims:
         if not self._lock.acquire(timeout=CLAIM_TIMEOUT if wait else 0.0):
             return None
         try:
-            standing = self._standing
-            if standing is not None and (standing[0].is_over or standing[0].failure is not None):
-                standing = self._standing = None
+            claims = self._standing
+            if claims is not None and (claims.is_over or claims._connection.failure is not None):
+                claims = self._standing = None
             if wait:
-                claims = self._open(names) if standing is None else standing[1]
+                claims = claims or self._open(names)
                 claims.claim(names)
-            elif standing is None or not standing[1].has(names):
+            elif claims is None or not claims.has(names):
                 return None
-            else:
-                claims = standing[1]
         finally:
             self._lock.release()
         return claims.put
 
     def _open(self, names: tuple[str, ...]) -> Claims:
         """Claims on a new connection, which begins with these."""
-        connection, claims = self._rtde._connect_briefly(Requests(("timestamp",), _HEARTBEAT, inputs=[names]))
+        claims = self._rtde._connect_briefly(Requests(("timestamp",), _HEARTBEAT, inputs=[names]))
+        connection = claims._connection
 
         def look(state: Outputs) -> None:
             if time.monotonic() - self._used > HOLD:
                 self.give_back()
 
-        self._standing = connection, claims  # before it connects: whoever closes the robot meanwhile ends that too
+        self._standing = claims  # before it connects: whoever closes the robot meanwhile ends that too
         try:
             if self._is_closed:
                 raise Closed(f"{connection.name} was closed")
@@ -215,13 +208,13 @@ class BriefClaims:
         """Disconnect, in good order: what was written arrives. From any thread; idempotent."""
         standing, self._standing = self._standing, None
         if standing is not None:
-            standing[0].close(timeout)
+            standing.close(timeout)
 
     def abort(self) -> None:
         """Disconnect, and discard what has not arrived."""
         standing, self._standing = self._standing, None
         if standing is not None:
-            standing[0].abandon()
+            standing._connection.abandon()
 
     def close(self, timeout: float) -> None:
         """Give everything back, for good. Idempotent."""

@@ -220,10 +220,10 @@ class Rtde:
         self._check_writable()
         return self._brief
 
-    def _connect_briefly(self, plan: Requests) -> tuple[Connection, Claims]:
+    def _connect_briefly(self, plan: Requests) -> Claims:
         brief = self._source._replace(timeout=CLAIM_TIMEOUT, backoff=Backoff(tries=0))
         connection, transport = self._connection(plan, "rtde settings", brief)
-        return connection, Claims(connection, transport, plan, CLAIM_TIMEOUT)
+        return Claims(connection, transport, plan, CLAIM_TIMEOUT)
 
     def who_holds(self) -> dict[str, str]:
         """Try each input, and say of those that cannot be had why.

@@ -287,8 +287,8 @@ def test_settings_go_over_rtde_and_nothing_stays_claimed(
             inputs.send(standard_digital_output={3: False})
             until(lambda: not robot.io.digital_out(3))
         robot.io.set_digital_out(3, True)
-        robot.rtde._brief._standing[0].abort()  # type: ignore[index]
-        until(lambda: robot.rtde._brief._standing[0].failure is not None)  # type: ignore[index]
+        robot.rtde._brief._standing._connection.abort()  # type: ignore[union-attr]
+        until(lambda: robot.rtde._brief._standing._connection.failure is not None)  # type: ignore[union-attr]
         robot.io.set_digital_out(3, False)
     assert texts(controller) == []
 

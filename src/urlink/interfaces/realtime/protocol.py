@@ -173,7 +173,6 @@ class RealtimeProtocol:
         self.framer = Framer(RealtimeBoundary(learn))
         self.cycles: MissedCycles | None = None  # known with the size
         self.unknown = 0
-        self._size: int | None = None
         self._any = _AnyLayout()
         self.decode = self._any.decode
 
@@ -184,17 +183,16 @@ class RealtimeProtocol:
 
     def _learn(self, size: int) -> None:
         """The frame boundary has learnt the size of this connection's packets, and the size determines the layout."""
-        if self.cycles is None:
+        is_first = self.cycles is None
+        if is_first:
             self.cycles = MissedCycles(_moment, periods_of(size), time=_TIME.unpack_from, size=size, is_uniform=True)
+        decode = None
         if all(layout.size != size for layout in RealtimeState.LAYOUTS.all):
             _log.warning("real-time packets of %d bytes: no such firmware is known; decoded as far as one is", size)
-        elif self._size is None:
-            self._size = size
-            self.decode = RealtimeState.LAYOUTS.decoder(size) or self._any.decode
-            return
+        elif is_first:
+            decode = RealtimeState.LAYOUTS.decoder(size)
         # An unknown size, or another than before: packets of both may wait to be decoded.
-        self._size = 0
-        self.decode = self._any.decode
+        self.decode = decode or self._any.decode
 
 
 class _AnyLayout:
