@@ -32,10 +32,8 @@ import numpy as np
 from linkcore.net.transport import TcpTransport
 from linkcore.streaming.connection_life import Backoff
 from linkcore.streaming.packet_queue import drop_oldest
-from linkcore.wire.framing import Framer
 from urlink.firmware import Firmware
 from urlink.identity import Identity
-from urlink.interfaces.rtde.framing import REQUEST_SIZES, RtdeBoundary
 from urlink.interfaces.rtde.packets import (
     ControllerVersionReply,
     ControllerVersionRequest,
@@ -139,25 +137,23 @@ def serve(ready: Connection, seconds: float) -> None:
 
 def answer(connection: socket.socket) -> Recipe:
     """The dialogue, up to the start; the recipe that was asked for."""
-    framer = Framer(RtdeBoundary(REQUEST_SIZES))
     recipe: Recipe | None = None
     protocol: Any = 1
     while True:
-        for frame in framer.feed(connection.recv(4096)):
-            request: Any = decode_request(frame, protocol)
-            if isinstance(request, ProtocolRequest):
-                connection.sendall(bytes(ProtocolReply(accepted=True)))
-                protocol = 2
-            elif isinstance(request, ControllerVersionRequest):
-                connection.sendall(bytes(ControllerVersionReply(major=5, minor=4, bugfix=3)))
-            elif isinstance(request, OutputsRequest):
-                names = split_names(request.names)
-                types = [OUTPUTS[name].type for name in names]
-                recipe = Recipe(names, types)
-                connection.sendall(bytes(OutputsReply("2.0", recipe=1, types=",".join(types))))
-            elif isinstance(request, StartRequest) and recipe is not None:
-                connection.sendall(bytes(StartReply(accepted=True)))
-                return recipe
+        request: Any = decode_request(connection.recv(4096), protocol)  # the client waits for each answer
+        if isinstance(request, ProtocolRequest):
+            connection.sendall(bytes(ProtocolReply(accepted=True)))
+            protocol = 2
+        elif isinstance(request, ControllerVersionRequest):
+            connection.sendall(bytes(ControllerVersionReply(major=5, minor=4, bugfix=3)))
+        elif isinstance(request, OutputsRequest):
+            names = split_names(request.names)
+            types = [OUTPUTS[name].type for name in names]
+            recipe = Recipe(names, types)
+            connection.sendall(bytes(OutputsReply("2.0", recipe=1, types=",".join(types))))
+        elif isinstance(request, StartRequest) and recipe is not None:
+            connection.sendall(bytes(StartReply(accepted=True)))
+            return recipe
 
 
 class Meter:

@@ -164,8 +164,8 @@ def test_the_imports_are_read() -> None:
     assert {"functools", "linkcore.errors", "linkcore.streaming.stream"} <= imports("linkcore.recording.recorder")
     simulator = imports("urlink.simulator.controller")
     assert {"urlink.models", "urlink.firmware", "urlink.simulator.server"} <= simulator
-    framing = imports("urlink.interfaces.realtime.protocol")
-    assert {"urlink.interfaces.headers", "urlink.interfaces.enums"} <= framing
+    decoder = imports("urlink.interfaces.primary.decoder")
+    assert {"urlink.interfaces.headers", "urlink.interfaces.enums"} <= decoder
     assert "urlink.decoding" in imports("urlink")
 
 

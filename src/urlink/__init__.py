@@ -71,7 +71,7 @@ if TYPE_CHECKING:
     from .commanding.scripts import Program as Program, Scripts as Scripts
     from .data.recording import Recording as Recording, load as load
     from .compat.interface import NotOffered as NotOffered
-    from .decoding import decode as decode
+    from .decoding import decode as decode, schema as schema
     from .errors import (
         CompileError as CompileError,
         NoContact as NoContact,
@@ -102,7 +102,6 @@ if TYPE_CHECKING:
     from .motion.trajectory import Trajectory as Trajectory, TrajectoryPoint as TrajectoryPoint
     from .packets import RealtimeState as RealtimeState, RobotModeData as RobotModeData
     from .robot import Robot as Robot, connect as connect
-    from .schemas import schema as schema
 
 else:
     __getattr__, __dir__, __all__ = lazy_names(
@@ -132,7 +131,7 @@ else:
             ".commanding.scripts": "Program Scripts",
             ".data.recording": "Recording load",
             ".compat.interface": "NotOffered",
-            ".decoding": "decode",
+            ".decoding": "decode schema",
             ".errors": """
                 CompileError NoContact NotConfirmed NotEnabled NotRunning ProgramStopped SafetyStop ScriptError
                 ScriptFailed StatementDiscarded ToleranceExceeded
@@ -150,7 +149,6 @@ else:
             ".motion.trajectory": "Trajectory TrajectoryPoint",
             ".packets": "RealtimeState RobotModeData",
             ".robot": "Robot connect",
-            ".schemas": "schema",
         },
         modules="dynamics kinematics models motion packets poses rtde urdf",
         moved={

@@ -16,7 +16,6 @@ from linkcore.streaming.connection_life import Backoff
 from .address import Address, RecordingAddress, parse_address
 from .commanding.interlock import STALE_AFTER, Policy
 from .urscript.text import integer
-from .urscript.wrapping import StartPlace
 
 #: How settings may be sent: RTDE inputs where they are free, else URScript; or URScript alone.
 CommandsVia = Literal["auto", "script"]
@@ -34,7 +33,6 @@ class ConnectOptions:
     Attributes:
         name: the address as text.
         place: what it means.
-        start_place: what `start_register` and `start_flags` mean.
 
     Raises:
         BadAddress, BadValue: as `urlink.connect`.
@@ -58,13 +56,14 @@ class ConnectOptions:
     isolate: bool = False
     name: str = field(init=False)
     place: Address = field(init=False)
-    start_place: StartPlace = field(init=False)
 
     def __post_init__(self) -> None:
         checked: dict[str, object] = {"isolate": bool(self.isolate)}
         for name in ("timeout", "silence", "stale_after", "start_timeout"):
             checked[name] = check_number(getattr(self, name), name, _SHORTEST)
-        checked["start_place"] = _start_place(self.start_register, self.start_flags)
+        if self.start_register is not None:
+            checked["start_register"] = int(integer(self.start_register, 0, 47, "start_register"))
+        checked["start_flags"] = _each_once(self.start_flags)
         checked["reverse_port"] = int(integer(self.reverse_port, 0, 65535, "reverse_port"))
         for name in ("reverse_host", "reverse_peer"):
             host = getattr(self, name)
@@ -82,15 +81,13 @@ class ConnectOptions:
         vars(self).update(checked)  # it is frozen for others
 
 
-def _start_place(register: int | None, flags: Collection[int]) -> StartPlace:
-    if register is not None:
-        register = int(integer(register, 0, 47, "start_register"))
+def _each_once(flags: Collection[int]) -> tuple[int, ...]:
     if not isinstance(flags, Collection):
         raise BadValue(f"start_flags is {flags!r}; expected numbers of flags, such as (30, 31), or () for none")
     numbers = tuple(int(integer(flag, 0, 31, "start_flags")) for flag in flags)
     if len(set(numbers)) < len(numbers):
         raise BadValue(f"start_flags is {flags!r}; expected each flag once")
-    return StartPlace(register, numbers)
+    return numbers
 
 
 def _taking(options: Callable[P, ConnectOptions]) -> Callable[[Callable[[ConnectOptions], T]], Callable[P, T]]:

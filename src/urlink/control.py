@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Hashable, Mapping, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Hashable, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, TypeVar
 
 from linkcore.errors import Closed, LocalError
 from linkcore.net.recall import Recall
@@ -12,6 +13,7 @@ from linkcore.streaming.stream import Stream
 from linkcore.threads import CallbackThread, MadeOnce
 from linkcore.wire.fields import Since
 
+from .address import RobotAddress
 from .commanding.channel import CommandChannel
 from .commanding.interlock import Interlock
 from .commanding.interpreter import Interpreters
@@ -34,9 +36,12 @@ from .motion.context import MotionContext
 from .motion.motions import Motions
 from .motion.register_link import POINT_INPUTS, SETPOINT_INPUTS, PointLinks, RegisterLink, RegisterPort
 from .motion.reverse import ReversePort
+from .urscript.wrapping import StartPlace
 
 if TYPE_CHECKING:
     from .rtde import Rtde
+
+T = TypeVar("T")
 
 #: Seconds that the dashboard has to say whether the robot is in remote control, when a setting was not confirmed.
 _ASK_TIMEOUT = 0.5
@@ -48,15 +53,13 @@ class Control:
     """The commanding side of a robot; nothing connects before it is used.
 
     Args:
-        name: of the robot, for threads.
-        host: where the controller is.
-        ports: name of each port that it serves -> number.
+        options: of the user; with its timeout the dashboard is connected too.
+        place: where the controller is, with the ports that it serves.
         peers: by what this process knows the controller again after the robot was closed, and each of its services;
             empty for one that ends with the robot.
         primary, realtime: the streams. A robot without references is collected: the callbacks of the reader threads
             refer to the connections, and not to the streams.
         who: identifies the controller.
-        options: of the user; with its timeout the dashboard is connected too.
         rtde: gives the robot's RTDE.
 
     Attributes:
@@ -65,24 +68,21 @@ class Control:
 
     def __init__(
         self,
-        name: str,
-        host: str,
-        ports: Mapping[str, int],
+        options: ConnectOptions,
+        place: RobotAddress,
         peers: Sequence[Hashable],
         primary: Stream[RobotState],
         realtime: Stream[RealtimeState],
         who: KnownIdentity,
-        options: ConnectOptions,
         rtde: Callable[[], Rtde],
     ) -> None:
-        self._host = host
-        self._ports = ports
+        self._host, self._ports = host, ports = place.host, place.ports
         self._timeout = timeout = options.timeout
         self._is_closed = False
         self._dashboard: MadeOnce[Dashboard] = MadeOnce()
         self._gripper: MadeOnce[Gripper] = MadeOnce()
         self._serial: MadeOnce[ToolSerial] = MadeOnce()
-        self._callbacks = callbacks = CallbackThread(f"{name} callbacks")
+        self._callbacks = callbacks = CallbackThread(f"{options.name} callbacks")
         # The library's side of the streams, which users do not hold.
         slow, fast = primary._connection, realtime._connection
         section = Section(slow.reads_here, fast.reads_here)
@@ -90,6 +90,7 @@ class Control:
         self._monitor = monitor = SafetyMonitor(slow, fast, interlock, section, callbacks)
         self._recall = recall = Recall.of(peers[0], host, self, *peers[1:]) if peers else Recall(host)
         channel = CommandChannel(slow, monitor, section, recall=recall)
+        start_place = StartPlace(options.start_register, tuple(options.start_flags))
         self._programs = programs = Programs(
             slow,
             channel,
@@ -97,7 +98,7 @@ class Control:
             section,
             callbacks,
             start_timeout=options.start_timeout,
-            start_place=options.start_place,
+            start_place=start_place,
             who=who,
         )
 
@@ -119,16 +120,9 @@ class Control:
         self.script = Scripts(programs, channel, callbacks)
         inputs = (lambda: rtde()._brief_claims()) if options.commands_via == "auto" else None
         setting_channel = SettingChannel(channel, slow, section, inputs)
-        self.settings = Settings(setting_channel, slow, fast, who, section, is_remote, options.start_place)
+        self.settings = Settings(setting_channel, slow, fast, who, section, is_remote, start_place)
         self.interpreters = Interpreters(
-            host,
-            ports.get("interpreter"),
-            programs,
-            channel,
-            callbacks,
-            lambda: who.identity.firmware,
-            recall,
-            timeout,
+            host, ports.get("interpreter"), programs, channel, callbacks, lambda: who.identity.firmware, recall, timeout
         )
         self.io = IO(self.settings, primary, realtime)
         reverse = ReversePort(host, options.reverse_host, options.reverse_port, options.reverse_peer)
@@ -147,12 +141,7 @@ class Control:
         """
         if not self._ports.keys() & {"dashboard", "robot_api"}:
             raise LocalError("the controller serves no dashboard")
-        known = self._dashboard.made
-        if known is not None:
-            return known
-        if self._is_closed:
-            raise Closed("the robot was closed")
-        return self._dashboard.keep(self._make_dashboard(self._timeout))
+        return self._once(self._dashboard, lambda: self._make_dashboard(self._timeout))
 
     @property
     def gripper(self) -> Gripper:
@@ -162,21 +151,12 @@ class Control:
             LocalError: a simulated controller that does not serve its port.
             Closed: the robot was closed before it was used.
         """
-        known = self._gripper.made
-        if known is not None:
-            return known
         if "gripper" not in self._ports:
             raise LocalError("the controller serves no gripper")
-        if self._is_closed:
-            raise Closed("the robot was closed")
-        made = Gripper(
-            self._host,
-            self._ports["gripper"],
-            timeout=self._timeout,
-            refused=lambda: "a Robotiq gripper is served by the URCap that is installed for it",
-            recall=self._recall,
-        )
-        return self._gripper.keep(made)
+        hint = "a Robotiq gripper is served by the URCap that is installed for it"
+        host, port = self._host, self._ports["gripper"]
+        make = partial(Gripper, host, port, timeout=self._timeout, refused=lambda: hint, recall=self._recall)
+        return self._once(self._gripper, make)
 
     @property
     def tool_serial(self) -> ToolSerial:
@@ -186,18 +166,24 @@ class Control:
             LocalError: a controller without one, or a simulated one that does not serve its port.
             Closed: the robot was closed before it was used.
         """
-        known = self._serial.made
-        if known is not None:
-            return known
-        firmware = self.settings.firmware
-        if not firmware.is_e_series or "tool_serial" not in self._ports:
-            raise LocalError(
-                f"firmware {firmware} has no serial line in the tool connector; e-Series have, from 5.0 on"
-            )
-        if self._is_closed:
+        if self._serial.made is None:
+            firmware = self.settings.firmware
+            if not firmware.is_e_series or "tool_serial" not in self._ports:
+                raise LocalError(
+                    f"firmware {firmware} has no serial line in the tool connector; e-Series have, from 5.0 on"
+                )
+        make = partial(ToolSerial, self._host, self._ports["tool_serial"], timeout=self._timeout)
+        return self._once(self._serial, make)
+
+    def _once(self, part: MadeOnce[T], make: Callable[[], T]) -> T:
+        """A part that is made at its first use.
+
+        Raises:
+            Closed: the robot was closed before.
+        """
+        if part.made is None and self._is_closed:
             raise Closed("the robot was closed")
-        made = ToolSerial(self._host, self._ports["tool_serial"], timeout=self._timeout)
-        return self._serial.keep(made)
+        return part.made or part.keep(make())
 
     def settle(self, timeout: float) -> None:
         """Wait until nothing is left that was given up and is to be taken back, for at most `timeout` seconds."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Protocol
 
 from linkcore.errors import BadValue
 
@@ -19,29 +18,14 @@ from .poses import compose, invert
 _FLAT = 1e-6
 
 
-class Curve(Protocol):
-    """A line or an arc.
+class Line:
+    """The tool goes straight from one pose to another.
 
     Attributes:
         start, end: the poses at both ends, m and rad.
         length: of the path of the tool's centre, m.
-        turn: the angle by which the tool turns on the path, rad; not counted is how far an arc carries it along.
+        turn: the angle by which the tool turns on the path, rad.
     """
-
-    start: list[float]
-    end: list[float]
-    length: float
-    turn: float
-
-    def pose(self, part: float) -> list[float]:
-        """Where the tool is after a part of the path, 0 to 1: m, and rotation vector in rad."""
-
-    def part(self, position: Sequence[float]) -> float:
-        """The part of the path at which the tool is closest to a position (3, m), 0 to 1."""
-
-
-class Line:
-    """The tool goes straight from one pose to another; attributes and methods as `Curve`."""
 
     def __init__(self, start: Sequence[float], end: Sequence[float]) -> None:
         self.start, self.end = list(start), list(end)
@@ -51,12 +35,12 @@ class Line:
         self.turn = math.hypot(*self._rotation)
 
     def pose(self, part: float) -> list[float]:
-        """Where the tool is after a part of the path."""
+        """Where the tool is after a part of the path, 0 to 1: m, and rotation vector in rad."""
         position = [a + part * way for a, way in zip(self.start[:3], self._way, strict=True)]
         return position + _rotated(self.start, self._rotation, part)
 
     def part(self, position: Sequence[float]) -> float:
-        """The part of the path at which the tool is closest to a position."""
+        """The part of the path at which the tool is closest to a position (3, m), 0 to 1."""
         if self.length == 0.0:
             return 0.0
         along = _dot(_minus(position[:3], self.start[:3]), self._way) / (self.length * self.length)
@@ -64,7 +48,7 @@ class Line:
 
 
 class Arc:
-    """The tool goes along the circle through three points; attributes and methods as `Curve`.
+    """The tool goes along the circle through three points; methods as those of `Line`.
 
     Args:
         start: the pose at the beginning.
@@ -72,6 +56,10 @@ class Arc:
         end: the pose at the end.
         is_fixed: the tool is held fast to the path and turns along with it. Then its orientation at the end follows
             from that at the beginning, and that of `end` does not count.
+
+    Attributes:
+        start, end, length: as those of `Line`.
+        turn: as that of `Line`; not counted is how far the arc carries the tool along.
 
     Raises:
         BadValue: the three points are on a straight line.
@@ -116,6 +104,10 @@ class Arc:
         """From the beginning to a position, about the axis: 0 to 2 pi."""
         chord = _minus(position[:3], self._centre)
         return math.atan2(_dot(chord, self._across), _dot(chord, self._arm)) % math.tau
+
+
+#: A path between two poses.
+Curve = Line | Arc
 
 
 def _circle(first: list[float], between: list[float], last: list[float]) -> tuple[list[float], list[float]]:

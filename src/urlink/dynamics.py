@@ -28,7 +28,7 @@ from linkcore.errors import BadValue
 
 from . import rigid
 from .kinematics import Arm
-from .kinematics.geometry import Angles, chain
+from .kinematics.geometry import chain
 from .models import Model
 from .motors import motors_of
 from .rigid import FLOATS, ROWS, Number, Rigid
@@ -140,12 +140,9 @@ class Dynamics:
             BadValue: not joint positions.
         """
         if rigid.is_single(q):
-            q1, q2, q3, q4, q5, q6 = rigid.floats(q, 6, "joint positions")
-            frames = chain(self._arm.geometry, FLOATS, (q1, q2, q3, q4, q5, q6))
-            return np.array(self._held(frames))
+            return np.array(self._held(self._frames(q)))
         given = rigid.rows(q, (6,), "joint positions")
-        each = chain(self._arm.geometry, ROWS, _components(given.reshape(-1, 6)))
-        return np.stack(self._held(each), axis=-1).reshape(given.shape)
+        return np.stack(self._held(self._frames_of_rows(given.reshape(-1, 6))), axis=-1).reshape(given.shape)
 
     def coriolis_torque(self, q: ArrayLike, qd: ArrayLike) -> FloatArray:
         """The Coriolis and centrifugal torques: what constant joint speeds take, weight left out; c(q, qd).
@@ -175,10 +172,9 @@ class Dynamics:
             BadValue: not joint positions.
         """
         if rigid.is_single(q):
-            q1, q2, q3, q4, q5, q6 = rigid.floats(q, 6, "joint positions")
-            return np.array(self._mass_matrix(chain(self._arm.geometry, FLOATS, (q1, q2, q3, q4, q5, q6))))
+            return np.array(self._mass_matrix(self._frames(q)))
         given = rigid.rows(q, (6,), "joint positions")
-        table = self._mass_matrix(chain(self._arm.geometry, ROWS, _components(given.reshape(-1, 6))))
+        table = self._mass_matrix(self._frames_of_rows(given.reshape(-1, 6)))
         matrices: FloatArray = np.moveaxis(
             np.array([np.broadcast_arrays(*row) for row in table], dtype=np.float64), -1, 0
         )
@@ -204,10 +200,19 @@ class Dynamics:
 
     # --- within ---
 
+    def _frames(self, q: ArrayLike) -> list[Rigid[float]]:
+        """The ends of the links, at the joint positions of one row."""
+        q1, q2, q3, q4, q5, q6 = rigid.floats(q, 6, "joint positions")
+        return chain(self._arm.geometry, FLOATS, (q1, q2, q3, q4, q5, q6))
+
+    def _frames_of_rows(self, q: FloatArray) -> list[Rigid[FloatArray]]:
+        """The ends of the links, at joint positions (n, 6)."""
+        q1, q2, q3, q4, q5, q6 = np.ascontiguousarray(q.T)
+        return chain(self._arm.geometry, ROWS, (q1, q2, q3, q4, q5, q6))
+
     def _torque(self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, gravity: tuple[float, float, float]) -> FloatArray:
         if rigid.is_single(q) and rigid.is_single(qd) and rigid.is_single(qdd):
-            q1, q2, q3, q4, q5, q6 = rigid.floats(q, 6, "joint positions")
-            frames = chain(self._arm.geometry, FLOATS, (q1, q2, q3, q4, q5, q6))
+            frames = self._frames(q)
             speeds, rates = rigid.floats(qd, 6, "joint speeds"), rigid.floats(qdd, 6, "joint accelerations")
             return np.array(self._newton_euler(frames, speeds, rates, gravity))
         given = (
@@ -216,8 +221,7 @@ class Dynamics:
             rigid.rows(qdd, (6,), "joint accelerations"),
         )
         (at, speed, rate), shape = rigid.aligned(*given)
-        each = chain(self._arm.geometry, ROWS, _components(at))
-        torques = self._newton_euler(each, list(speed.T), list(rate.T), gravity)
+        torques = self._newton_euler(self._frames_of_rows(at), list(speed.T), list(rate.T), gravity)
         return np.stack(torques, axis=-1).reshape(*shape, 6)
 
     def _held(self, frames: list[Rigid[Number]]) -> list[Number]:
@@ -291,11 +295,6 @@ _ZERO = np.zeros(6)
 def _away(mass: float, off: FloatArray) -> FloatArray:
     """What the inertia of a mass gains at a distance from its centre (parallel axes)."""
     return np.asarray(mass * (off @ off * np.eye(3) - np.outer(off, off)))
-
-
-def _components(q: FloatArray) -> Angles[FloatArray]:
-    q1, q2, q3, q4, q5, q6 = np.ascontiguousarray(q.T)
-    return q1, q2, q3, q4, q5, q6
 
 
 def _axes(frames: list[Rigid[Number]]) -> list[_Spatial[Number]]:

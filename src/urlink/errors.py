@@ -21,20 +21,6 @@ from __future__ import annotations
 
 from linkcore.errors import RemoteError
 
-__all__ = [
-    "CompileError",
-    "NoContact",
-    "NotConfirmed",
-    "NotEnabled",
-    "NotRunning",
-    "ProgramStopped",
-    "SafetyStop",
-    "ScriptError",
-    "ScriptFailed",
-    "StatementDiscarded",
-    "ToleranceExceeded",
-]
-
 
 class SafetyStop(RemoteError):
     """A stop ended the motions and refuses new ones.

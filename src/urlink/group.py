@@ -132,7 +132,12 @@ class Group:
         except BaseException:
             end_all([motion._life for motion in begun], "stopped, since that of another arm could not begin")
             raise
-        return self._motion("follow", begun, seconds)
+        life = self._life("follow")
+        life.begin()
+        motion = GroupMotion(life, begun, self._names, self._stopping)
+        if seconds:
+            motion.wait(seconds)
+        return motion
 
     def move_joints(
         self,
@@ -236,7 +241,7 @@ class Group:
         Raises:
             LinkError: that of the first one to which the stop could not be sent.
         """
-        check_wait(wait)
+        seconds = check_wait(wait)
         stops: list[Motion] = []
         errors: list[LinkError] = []
         for robot in self.robots:
@@ -244,9 +249,9 @@ class Group:
                 stops.append(robot.motion.stop(acceleration))
             except LinkError as error:
                 errors.append(error)
-        if wait:
+        if seconds:
             for stop in stops:
-                stop.wait(check_wait(wait))
+                stop.wait(seconds)
         if errors:
             raise errors[0]
 
@@ -265,14 +270,6 @@ class Group:
                 yield
 
         return Lifecycle(f"{name} of {len(self.robots)} arms", self._callbacks, waiting)
-
-    def _motion(self, name: str, motions: Sequence[Motion], seconds: float) -> GroupMotion:
-        life = self._life(name)
-        life.begin()
-        motion = GroupMotion(life, motions, self._names, self._stopping)
-        if seconds:
-            motion.wait(seconds)
-        return motion
 
     # -- states ----------------------------------------------------------------------------------------
 

@@ -20,7 +20,7 @@ from .models import Model
 from .motors import Motors, motors_of
 from .poses import rotvec_to_quaternion
 from .rigid import Rigid
-from .urdf import JOINTS, LINKS, RADIUS, link_frames
+from .urdf import JOINTS, LINKS, RADIUS, link_frames, numbers
 
 
 def to_mjcf(
@@ -60,7 +60,7 @@ def to_mjcf(
         _add_inertial(parent, model, i, end)
         _add_joint(parent, model, known, i)
         most = float(model.max_torque[i])
-        ElementTree.SubElement(actuators, "motor", name=JOINTS[i], joint=JOINTS[i], ctrlrange=_numbers(-most, most))
+        ElementTree.SubElement(actuators, "motor", name=JOINTS[i], joint=JOINTS[i], ctrlrange=numbers(-most, most))
     if shapes:
         _add_shapes(parent, end)
     ElementTree.SubElement(parent, "site", {"name": "tool0", **_place(end)})
@@ -70,10 +70,10 @@ def to_mjcf(
 
 def _add_shapes(body: ElementTree.Element, end: Rigid[float]) -> None:
     """A sphere at the beginning of a link, and a capsule to its end."""
-    ElementTree.SubElement(body, "geom", type="sphere", size=_numbers(RADIUS))
+    ElementTree.SubElement(body, "geom", type="sphere", size=numbers(RADIUS))
     if math.hypot(*end[9:]) >= RADIUS:
-        way = _numbers(0.0, 0.0, 0.0, *end[9:])
-        ElementTree.SubElement(body, "geom", type="capsule", size=_numbers(0.8 * RADIUS), fromto=way)
+        way = numbers(0.0, 0.0, 0.0, *end[9:])
+        ElementTree.SubElement(body, "geom", type="capsule", size=numbers(0.8 * RADIUS), fromto=way)
 
 
 def _add_joint(body: ElementTree.Element, model: Model, motors: Motors, i: int) -> None:
@@ -81,10 +81,10 @@ def _add_joint(body: ElementTree.Element, model: Model, motors: Motors, i: int) 
     joint = ElementTree.SubElement(body, "joint", name=JOINTS[i], type="hinge", axis="0 0 1")
     low, high = model.position_limits[i].tolist()
     if not math.isinf(high):
-        joint.set("range", _numbers(low, high))
-    joint.set("armature", _numbers(motors.rotor_inertias[i]))
-    joint.set("frictionloss", _numbers(constant * motors.coulomb[i]))
-    joint.set("damping", _numbers(constant * motors.viscous[i]))
+        joint.set("range", numbers(low, high))
+    joint.set("armature", numbers(motors.rotor_inertias[i]))
+    joint.set("frictionloss", numbers(constant * motors.coulomb[i]))
+    joint.set("damping", numbers(constant * motors.viscous[i]))
 
 
 def _add_inertial(body: ElementTree.Element, model: Model, i: int, end: Rigid[float]) -> None:
@@ -95,17 +95,12 @@ def _add_inertial(body: ElementTree.Element, model: Model, i: int, end: Rigid[fl
     ElementTree.SubElement(
         body,
         "inertial",
-        pos=_numbers(x, y, z),
-        mass=_numbers(float(model.link_masses[i])),
-        fullinertia=_numbers(xx, yy, zz, xy, xz, yz),
+        pos=numbers(x, y, z),
+        mass=numbers(float(model.link_masses[i])),
+        fullinertia=numbers(xx, yy, zz, xy, xz, yz),
     )
 
 
 def _place(frame: Rigid[float]) -> dict[str, str]:
     x, y, z, w = rotvec_to_quaternion(rigid.rotation_vector(frame)).tolist()
-    return {"pos": _numbers(*frame[9:]), "quat": _numbers(w, x, y, z)}
-
-
-def _numbers(*values: float) -> str:
-    """With all their digits, and no -0."""
-    return " ".join(repr(value + 0.0) for value in values)
+    return {"pos": numbers(*frame[9:]), "quat": numbers(w, x, y, z)}

@@ -37,16 +37,13 @@ from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from linkcore.arguments import check_number
 from linkcore.errors import BadValue, LocalError
 
-from .vectors import JOINTS
+from .vectors import JOINTS, FloatArray
 
 __all__ = ["MODELS", "Model", "UnknownModel", "indistinguishable", "model", "model_of"]
-
-FloatArray = NDArray[np.float64]
 
 _SHAPES: Mapping[str, tuple[int, ...]] = {
     "dh_a": (6,),

@@ -88,13 +88,13 @@ def numbers(name: str, of: str = "") -> tuple[float, ...]:
     return tuple(map(float, _value(name, of).split()))
 
 
-def is_assumed(name: str, of: str = "") -> bool:
+def is_assumed(name: str) -> bool:
     """The value of a parameter that is "yes" or "no".
 
     Raises:
         BadValue: no such parameter.
     """
-    return _value(name, of) == "yes"
+    return _value(name, "") == "yes"
 
 
 def _value(name: str, of: str) -> str:

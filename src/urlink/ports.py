@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from types import MappingProxyType
+from typing import Literal, get_args
 
 from .firmware import Firmware
 
@@ -28,6 +29,10 @@ PORTS: Mapping[str, int] = MappingProxyType(
         "tool_serial": 54321,
     }
 )
+
+#: Those of the client interfaces on which typed states come.
+Interface = Literal["realtime", "primary", "secondary"]
+INTERFACES: tuple[Interface, ...] = get_args(Interface)
 
 
 def interface(port: str) -> str:

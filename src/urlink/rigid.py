@@ -248,11 +248,7 @@ def _scaled_quaternions(rigid: Rigid[FloatArray]) -> FloatArray:
     by_w = r00 + r11 + r22 > 0.0
     found = np.array(np.broadcast_arrays(*_by_w(rigid)))
     if not by_w.all():
-        for chosen, formula in (
-            (by_x & ~by_w, _by_x),
-            (by_y & ~by_w, _by_y),
-            (~(by_x | by_y | by_w), _by_z),
-        ):
+        for chosen, formula in ((by_x & ~by_w, _by_x), (by_y & ~by_w, _by_y), (~(by_x | by_y | by_w), _by_z)):
             if chosen.any():
                 found[:, chosen] = np.array(formula(rigid))[:, chosen]
         found *= np.where(found[0] < 0.0, -1.0, 1.0)

@@ -96,27 +96,21 @@ def connect(options: ConnectOptions) -> Robot:
         ConnectFailed, ConnectionLost, LinkTimeout, WrongPeer: nobody, or somebody else, is there.
     """
     if isinstance(options.place, RecordingAddress):
-        return Robot(
-            options.name,
-            recorded(options.place),
-            refusal=f"{options.name} is a recording, so it cannot be commanded",
-        )
-    controller = None
+        refusal = f"{options.name} is a recording, so it cannot be commanded"
+        return Robot(options.name, recorded(options.place), refusal=refusal)
+    controller = robot = None
     place = options.place
     if isinstance(place, SimulatorAddress):
         controller, place = simulated(place)
     try:
         robot = assemble(options, place, networked(place, options), controller)
-    except BaseException:
-        if controller is not None:
-            controller.close()
-        raise
-    if owes(robot, place):
-        try:
+        if owes(robot, place):
             take_back(robot, options.timeout)
-        except BaseException:
-            robot.close()
-            raise
+    except BaseException:
+        opened = robot or controller
+        if opened is not None:
+            opened.close()
+        raise
     return robot
 
 
@@ -128,14 +122,10 @@ def simulated(place: SimulatorAddress) -> tuple[Controller, RobotAddress]:
             no file of a scene.
         LocalError: no adapter for the scene is installed, or it cannot open it.
     """
+    from .arm_file import read_arm_file
     from .simulator import Controller, Demonstration
 
-    like = None
-    if place.like is not None:
-        from .arm_file import read_arm_file
-
-        like = read_arm_file(place.like)
-
+    like = None if place.like is None else read_arm_file(place.like)
     motion = Demonstration() if place.motion == "demo" else None
     controller = Controller(model=place.model, firmware=place.firmware, motion=motion, like=like, scene=place.scene)
     controller.start()
@@ -163,17 +153,8 @@ def assemble(
         # A program that only reads states never imports what commands: more than all the rest of this library.
         from .control import Control
 
-        return Control(
-            address,
-            place.host,
-            place.ports,
-            peers_of(place) if controller is None else (),
-            robot.primary,
-            robot.realtime,
-            robot._who,
-            options,
-            _rtde_of(robot),
-        )
+        peers = peers_of(place) if controller is None else ()
+        return Control(options, place, peers, robot.primary, robot.realtime, robot._who, _rtde_of(robot))
 
     if options.read_only:
         refusal = f"{address} was connected with read_only=True, so it cannot be commanded"

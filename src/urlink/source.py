@@ -18,14 +18,13 @@ from linkcore.wire.packet import State
 
 from .address import RecordingAddress, RobotAddress
 from .connect_options import ConnectOptions
-from .decoding import INTERFACES
 from .identity import Identity, described_identity, identify
 from .interfaces.primary.protocol import PrimaryProtocol
 from .interfaces.primary.robot_message import OtherPackage, RobotMessage
 from .interfaces.primary.robot_state import RobotState, SubPackage
 from .interfaces.realtime.packets import RealtimeState
 from .interfaces.realtime.protocol import RealtimeProtocol
-from .ports import refusal_hint
+from .ports import INTERFACES, refusal_hint
 
 if TYPE_CHECKING:
     from .interfaces.rtde.protocol import Requests
@@ -84,13 +83,7 @@ class Source(NamedTuple):
         else:
             fan_out = FanOut(kind, parts=_parts, others=(SubPackage, RobotMessage, OtherPackage))
         connection = self.connection(
-            name,
-            transport,
-            protocol,
-            fan_out,
-            backoff=self.backoff,
-            timeout=self.timeout,
-            silence=self.silence,
+            name, transport, protocol, fan_out, backoff=self.backoff, timeout=self.timeout, silence=self.silence
         )
         return Stream(connection, kind, lossless=self.is_lossless)
 

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from . import rigid
 from .kinematics import Arm
-from .kinematics.geometry import ArmLink
 from .models import Model
 from .poses import compose, rotvec_to_rpy
 from .rigid import Rigid
@@ -33,14 +32,7 @@ RADIUS = 0.05
 #: The links that move, from the shoulder on.
 LINKS = ("shoulder_link", "upper_arm_link", "forearm_link", "wrist_1_link", "wrist_2_link", "wrist_3_link")
 #: The joints, from the base on.
-JOINTS = (
-    "shoulder_pan_joint",
-    "shoulder_lift_joint",
-    "elbow_joint",
-    "wrist_1_joint",
-    "wrist_2_joint",
-    "wrist_3_joint",
-)
+JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
 
 
 def to_urdf(arm: Arm | Model | str, *, name: str | None = None, shapes: bool = False) -> str:
@@ -93,8 +85,12 @@ def link_frames(arm: Arm) -> Iterator[tuple[Rigid[float], Rigid[float]]]:
     """
     end = rigid.IDENTITY
     for link in arm.geometry.links:
-        begin = rigid.product(end, _begin(link))
-        end = _end(link)
+        # Where the joint of the link sits in the frame before, and how that is turned when the joint stands at 0.
+        joint = rigid.from_pose([0.0, 0.0, link.d, 0.0, 0.0, link.offset])
+        begin = rigid.product(end, joint)
+        # In the frame that turns with the joint.
+        ca, sa, cb, sb = link.turns
+        end = (cb, 0.0, sb, sa * sb, ca, -sa * cb, -ca * sb, sa, ca * cb, link.a, 0.0, 0.0)
         yield begin, end
 
 
@@ -107,24 +103,9 @@ def link_poses(arm: Arm, q: NDArray[np.float64]) -> Iterator[tuple[str, str, NDA
     for i, ((begin, _), child) in enumerate(zip(frames, LINKS, strict=True)):
         turned = np.zeros((len(q), 6))
         turned[:, 5] = q[:, i]
-        yield parent, child, compose(_pose(begin), turned)
+        yield parent, child, compose(rigid.to_pose(begin), turned)
         parent = child
-    yield parent, "tool0", np.tile(_pose(frames[-1][1]), (len(q), 1))
-
-
-def _pose(frame: Rigid[float]) -> NDArray[np.float64]:
-    return np.array([*frame[9:], *rigid.rotation_vector(frame)])
-
-
-def _begin(link: ArmLink) -> Rigid[float]:
-    """Where the joint of a link sits in the frame before it, and how that is turned when the joint stands at 0."""
-    return rigid.from_pose([0.0, 0.0, link.d, 0.0, 0.0, link.offset])
-
-
-def _end(link: ArmLink) -> Rigid[float]:
-    """The end of a link in the frame that turns with its joint."""
-    ca, sa, cb, sb = link.turns
-    return (cb, 0.0, sb, sa * sb, ca, -sa * cb, -ca * sb, sa, ca * cb, link.a, 0.0, 0.0)
+    yield parent, "tool0", np.tile(rigid.to_pose(frames[-1][1]), (len(q), 1))
 
 
 def _add_joint(
@@ -137,8 +118,8 @@ def _add_joint(
     ElementTree.SubElement(joint, "child", link=child)
     _add_origin(joint, origin)
     ElementTree.SubElement(joint, "axis", xyz="0 0 1")
-    limits = {} if endless else {"lower": _number(low), "upper": _number(high)}
-    most = {"effort": _number(float(model.max_torque[i])), "velocity": _number(float(model.max_speed[i]))}
+    limits = {} if endless else {"lower": numbers(low), "upper": numbers(high)}
+    most = {"effort": numbers(float(model.max_torque[i])), "velocity": numbers(float(model.max_speed[i]))}
     ElementTree.SubElement(joint, "limit", {**limits, **most})
 
 
@@ -154,10 +135,9 @@ def _add_shapes(element: ElementTree.Element, end: Rigid[float]) -> None:
         if shape == "cylinder" and length < RADIUS:
             continue
         visual = ElementTree.SubElement(element, "visual")
-        place = " ".join(map(_number, xyz))
-        ElementTree.SubElement(visual, "origin", xyz=place, rpy=" ".join(map(_number, (0.0, pitch, yaw))))
+        ElementTree.SubElement(visual, "origin", xyz=numbers(*xyz), rpy=numbers(0.0, pitch, yaw))
         geometry = ElementTree.SubElement(visual, "geometry")
-        ElementTree.SubElement(geometry, shape, {key: _number(value) for key, value in sizes.items()})
+        ElementTree.SubElement(geometry, shape, {key: numbers(value) for key, value in sizes.items()})
 
 
 def _add_inertial(element: ElementTree.Element, model: Model, i: int, end: Rigid[float]) -> None:
@@ -165,18 +145,17 @@ def _add_inertial(element: ElementTree.Element, model: Model, i: int, end: Rigid
     cog = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, *model.link_cogs[i].tolist())
     inertial = ElementTree.SubElement(element, "inertial")
     _add_origin(inertial, rigid.product(end, cog))
-    ElementTree.SubElement(inertial, "mass", value=_number(float(model.link_masses[i])))
+    ElementTree.SubElement(inertial, "mass", value=numbers(float(model.link_masses[i])))
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = model.link_inertias[i].tolist()
     tensor = {"ixx": xx, "ixy": xy, "ixz": xz, "iyy": yy, "iyz": yz, "izz": zz}
-    ElementTree.SubElement(inertial, "inertia", {key: _number(value) for key, value in tensor.items()})
+    ElementTree.SubElement(inertial, "inertia", {key: numbers(value) for key, value in tensor.items()})
 
 
 def _add_origin(element: ElementTree.Element, origin: Rigid[float]) -> None:
-    roll, pitch, yaw = rotvec_to_rpy(rigid.rotation_vector(origin)).tolist()
-    xyz = " ".join(map(_number, origin[9:]))
-    ElementTree.SubElement(element, "origin", xyz=xyz, rpy=" ".join(map(_number, (roll, pitch, yaw))))
+    rpy = rotvec_to_rpy(rigid.rotation_vector(origin)).tolist()
+    ElementTree.SubElement(element, "origin", xyz=numbers(*origin[9:]), rpy=numbers(*rpy))
 
 
-def _number(value: float) -> str:
-    """With all its digits, and no -0."""
-    return repr(value + 0.0)
+def numbers(*values: float) -> str:
+    """With all their digits, and no -0."""
+    return " ".join(repr(value + 0.0) for value in values)

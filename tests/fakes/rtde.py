@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any
 
 from linkcore.wire.framing import Framer
 from linkcore.wire.packet import State
 from tests.fakes.link import ScriptedTransport
-from urlink.interfaces.rtde.framing import REQUEST_SIZES, RtdeBoundary
 from urlink.interfaces.rtde.packets import (
     ControllerVersionReply,
     ControllerVersionRequest,
@@ -22,6 +22,7 @@ from urlink.interfaces.rtde.packets import (
     Protocol,
     ProtocolReply,
     ProtocolRequest,
+    RtdeBoundary,
     StartReply,
     StartRequest,
     decode_request,
@@ -32,6 +33,23 @@ from urlink.interfaces.rtde.variables import IN_USE, INPUTS, NOT_FOUND, OUTPUTS
 
 #: What stands in place of an answer: the request as it was decoded -> what is sent, one package after the other.
 Answer = Callable[[Any], list[State]]
+
+
+class RequestBoundary(RtdeBoundary):
+    """Frame boundaries of what a client sends."""
+
+    sizes: Mapping[int, range] = MappingProxyType(
+        {
+            ord("V"): range(5, 6),
+            ord("v"): range(3, 4),
+            ord("O"): range(3, 1 << 14),
+            ord("I"): range(3, 1 << 14),
+            ord("S"): range(3, 4),
+            ord("P"): range(3, 4),
+            ord("M"): range(6, 517),
+            ord("U"): range(4, 1 << 14),
+        }
+    )
 
 
 class ScriptedRtde(ScriptedTransport):
@@ -53,12 +71,12 @@ class ScriptedRtde(ScriptedTransport):
         self.written: dict[str, Any] = {}
         self.outputs: Recipe | None = None
         self.claims: dict[int, Recipe] = {}
-        self._framer = Framer(RtdeBoundary(REQUEST_SIZES))
+        self._framer = Framer(RequestBoundary())
 
     def open(self, timeout: float) -> None:
         super().open(timeout)
         self.protocol, self.outputs, self.claims = 1, None, {}
-        self._framer = Framer(RtdeBoundary(REQUEST_SIZES))
+        self._framer = Framer(RequestBoundary())
 
     def send(self, data: bytes, timeout: float) -> None:
         super().send(data, timeout)

@@ -234,12 +234,12 @@ class AwaitedRtde(RtdeTransport):
         try:
             while not dialogue.is_over:
                 # The first bytes on a connection: the buffer of the kernel has room for them.
-                self._tcp.send(dialogue.requests(), 0.0)
+                self._tcp.send(dialogue.protocol.requests(), 0.0)
                 try:
                     dialogue.receive(*await self._tcp.receive_awaited(max(until - time.monotonic(), 0.001)))
                 except LinkTimeout:
                     raise dialogue.unanswered(self.name, timeout) from None
-                if time.monotonic() > until and not dialogue.is_answered:
+                if time.monotonic() > until and not dialogue.protocol.is_ready:
                     raise dialogue.unanswered(self.name, timeout)
         except BaseException:
             self._tcp.abort()

@@ -21,7 +21,7 @@ from linkcore.wire.framing import Framer
 from linkcore.wire.packet import State
 from linkcore.wire.schema import Row, header_rows
 
-from ..decoding import INTERFACES, Interface, decode
+from ..decoding import decode
 from ..firmware import Firmware, known_firmware
 from ..interfaces.headers import PACKAGE
 from ..interfaces.primary.decoder import PackageDecoder
@@ -29,6 +29,7 @@ from ..interfaces.primary.protocol import PackageBoundary
 from ..interfaces.primary.robot_message import VersionMessage
 from ..interfaces.primary.robot_state import RobotState
 from ..interfaces.realtime.protocol import RealtimeBoundary
+from ..ports import INTERFACES, Interface
 from .options import argument, command, positive_int
 from .values import as_text, plain
 

@@ -18,9 +18,9 @@ from linkcore.text import strict_json
 from linkcore.wire.packet import State
 
 from .. import packets
-from ..decoding import INTERFACES
 from ..interfaces.primary.robot_state import RobotState
 from ..interfaces.realtime.packets import RealtimeState
+from ..ports import INTERFACES
 from ..robot import Robot, connect
 from .glance import counted
 from .options import ADDRESS, DURATION, Tap, argument, command, interface_of, positive_int, seconds

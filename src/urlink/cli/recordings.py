@@ -18,7 +18,7 @@ from linkcore.streaming.stream import Stream
 from linkcore.text import strict_json
 from linkcore.wire.packet import State
 
-from ..decoding import INTERFACES
+from ..ports import INTERFACES
 from ..robot import connect
 from .echo import PRINTED, echo, kind_of, shower
 from .options import ADDRESS, DURATION, RECORDING, argument, command, positive_int, tell

@@ -10,32 +10,6 @@ from enum import IntFlag
 
 from linkcore.wire.fields import OpenInt
 
-__all__ = [
-    "AnalogDomain",
-    "ControlMode",
-    "DigitalBits",
-    "JointMode",
-    "MasterOnOffState",
-    "MasterSafetyState",
-    "MessageSource",
-    "MessageType",
-    "PackageType",
-    "ProgramState",
-    "ReportDataType",
-    "ReportLevel",
-    "RequestedType",
-    "RobotMode",
-    "RobotModeCB2",
-    "RobotStatusBits",
-    "RobotType",
-    "SafetyMode",
-    "SafetyStatusBits",
-    "TimeScaleSource",
-    "ToolDigitalOutputMode",
-    "ToolMode",
-    "ToolOutputMode",
-]
-
 
 class PackageType(OpenInt):
     """Type byte of a package on the primary and secondary interface."""

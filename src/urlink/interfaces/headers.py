@@ -27,8 +27,8 @@ REALTIME_INTERFACE = "the real-time interface (port 30003)"
 PACKAGE_INTERFACE = "a primary or secondary interface (port 30001 or 30002)"
 _DASHBOARD = "the dashboard server (port 29999)"
 
-# Robot state and robot message. As a real-time packet, this byte would be the top of a time: 0x00, or 0x3f and up.
-_PACKAGE_TYPES = (0x10, 0x14)
+#: Types of packages. In place of that byte, a real-time packet has the top of a time: 0x00, or 0x3f and up.
+ROBOT_STATE, ROBOT_MESSAGE = 0x10, 0x14
 
 
 def interface_of(first: bytes | bytearray) -> str | None:
@@ -36,7 +36,7 @@ def interface_of(first: bytes | bytearray) -> str | None:
     if DASHBOARD_GREETING.startswith(bytes(first[: len(DASHBOARD_GREETING)])):
         return _DASHBOARD
     size, kind = int.from_bytes(first[:4], "big"), first[4]
-    if size in PACKAGE_SIZES and kind in _PACKAGE_TYPES:
+    if size in PACKAGE_SIZES and kind in (ROBOT_STATE, ROBOT_MESSAGE):
         return PACKAGE_INTERFACE
     if size in REALTIME_SIZES and size % 8 == 4:
         return REALTIME_INTERFACE

@@ -10,7 +10,6 @@ import contextlib
 import threading
 import time
 from collections.abc import Iterator
-from types import TracebackType
 
 from linkcore.arguments import check_seconds
 from linkcore.errors import BadValue, Closed, ConnectionLost, LinkTimeout
@@ -104,9 +103,7 @@ class ToolSerial:
     def __enter__(self) -> ToolSerial:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exc: object) -> None:
         self.close()
 
     # -- inside, by the thread that has its turn -----------------------------------------------------------

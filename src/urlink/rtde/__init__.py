@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from ..interfaces.rtde.variables import INPUTS as INPUTS
     from ..interfaces.rtde.variables import OUTPUTS as OUTPUTS
     from ..interfaces.rtde.variables import Variable as Variable
+    from .claims import Registers as Registers
     from .client import Rtde as Rtde
     from .inputs import Inputs as Inputs
     from .outputs import OutputStream as OutputStream
-    from .shared_registers import Registers as Registers
 
 else:
     __getattr__, __dir__, __all__ = lazy_names(
@@ -37,7 +37,7 @@ else:
             ".client": "Rtde",
             ".inputs": "Inputs",
             ".outputs": "OutputStream",
-            ".shared_registers": "Registers",
+            ".claims": "Registers",
         },
         moved={"urlink": "InputInUse NoSuchVariable RtdeRefused"},
     )

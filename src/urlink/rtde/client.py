@@ -14,10 +14,11 @@ from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import Backoff
 from linkcore.streaming.receiver import Receiver
 from linkcore.streaming.statistics import StreamCounters
+from linkcore.threads import MadeOnce
 
 from ..firmware import Firmware
-from ..interfaces.rtde.framing import LONGEST_NAMES
 from ..interfaces.rtde.packets import (
+    LONGEST_NAMES,
     InputsReply,
     InputsRequest,
     OutputsReply,
@@ -30,10 +31,9 @@ from ..interfaces.rtde.recipes import Outputs
 from ..interfaces.rtde.transport import RtdeTransport
 from ..interfaces.rtde.variables import IN_USE, INPUTS, NOT_FOUND, OUTPUTS
 from ..source import Source
-from .brief_claims import CLAIM_TIMEOUT, BriefClaims
+from .claims import CLAIM_TIMEOUT, BriefClaims, Claims, Registers
 from .inputs import Inputs, with_masks
 from .outputs import OutputStream, connection_of, declared, recorded_plan
-from .shared_registers import Claims, Registers
 
 if TYPE_CHECKING:
     from .names import AnyOutputs, InputName, OutputName
@@ -72,9 +72,8 @@ class Rtde:
         self._refusal = refusal
         self._lock = threading.RLock()  # re-entrant, since a signal handler may close the robot
         self._open: list[OutputStream[Any] | Inputs | Claims] = []
-        self._claims: Claims | None = None
-        rtde = weakref.proxy(self)  # which holds the claims
-        self._brief = BriefClaims(lambda plan: rtde._connect_briefly(plan))
+        self._claims: MadeOnce[Claims] = MadeOnce()
+        self._brief = BriefClaims(weakref.proxy(self))  # which holds them
         self._is_closed = False
 
     @property
@@ -132,7 +131,9 @@ class Rtde:
             optional = frozenset(wanted)
         if self.is_recorded:
             return self._recorded(wanted, optional, kind)
-        self._check_frequency(frequency)
+        most = self._check_there().rate
+        if frequency is not None and not _LEAST_FREQUENCY <= frequency <= most:
+            raise BadValue(f"frequency={frequency!r}; this controller sends 1 to {most} packages a second")
         plan = Requests(wanted, frequency, optional, kind=kind)
         connection, transport = self._connection(plan, "rtde")
         stream: OutputStream[Any] = OutputStream(connection, plan, transport)
@@ -145,14 +146,7 @@ class Rtde:
         lacking = [name for name in wanted if name not in plan.outputs and name not in optional]
         if lacking:
             raise BadValue(f"{self._name} was recorded without {', '.join(lacking)}; it has {', '.join(plan.outputs)}")
-        connection = connection_of(
-            f"{self._name} rtde",
-            self._source.transport("rtde"),
-            plan,
-            backoff=self._source.backoff,
-            timeout=self._source.timeout,
-            silence=None,
-        )
+        connection = connection_of(f"{self._name} rtde", self._source.transport("rtde"), plan, self._source)
         stream: OutputStream[Any] = OutputStream(connection, plan, None, lossless=self._source.is_lossless)
         self._keep(stream)
         return stream
@@ -170,11 +164,6 @@ class Rtde:
         if firmware < _FIRST:
             raise LocalError(f"firmware {firmware} has no RTDE, which came with 3.3; robot.realtime has states too")
         return firmware
-
-    def _check_frequency(self, frequency: float | None) -> None:
-        most = self._check_there().rate
-        if frequency is not None and not _LEAST_FREQUENCY <= frequency <= most:
-            raise BadValue(f"frequency={frequency!r}; this controller sends 1 to {most} packages a second")
 
     # -- writing -----------------------------------------------------------------------------------------
 
@@ -207,23 +196,17 @@ class Rtde:
 
         `robot.registers` is the one without.
         """
-
-        def outputs(names: tuple[str, ...], frequency: float) -> OutputStream[Any]:
-            return self.outputs(*names, frequency=frequency)
-
-        return Registers(self._claimed, outputs, self._source.timeout, lower=lower)
+        return Registers(self, self._source.timeout, lower=lower)
 
     def _claimed(self) -> Claims:
         """The connection on which registers are claimed."""
         self._check_writable()
-        with self._lock:
-            claims = self._claims
+        claims = self._claims.made
         if claims is None:
             plan = Requests(("timestamp",), _HEARTBEAT)
             connection, transport = self._connection(plan, "rtde registers")
             made = Claims(connection, transport, plan, self._source.timeout)
-            with self._lock:
-                claims = self._claims = self._claims or made
+            claims = self._claims.keep(made)
             if claims is made:
                 self._keep(made)
         return claims
@@ -237,9 +220,10 @@ class Rtde:
         self._check_writable()
         return self._brief
 
-    def _connect_briefly(self, plan: Requests) -> tuple[Connection, Claims]:
-        connection, transport = self._connection(plan, "rtde settings", timeout=CLAIM_TIMEOUT, backoff=Backoff(tries=0))
-        return connection, Claims(connection, transport, plan, CLAIM_TIMEOUT)
+    def _connect_briefly(self, plan: Requests) -> Claims:
+        brief = self._source._replace(timeout=CLAIM_TIMEOUT, backoff=Backoff(tries=0))
+        connection, transport = self._connection(plan, "rtde settings", brief)
+        return Claims(connection, transport, plan, CLAIM_TIMEOUT)
 
     def who_holds(self) -> dict[str, str]:
         """Try each input, and say of those that cannot be had why.
@@ -309,9 +293,8 @@ class Rtde:
     @staticmethod
     def _replies(transport: RtdeTransport, count: int, until: float) -> list[OutputsReply | InputsReply]:
         """The answers about so many recipes; what else comes is passed over."""
-        receiver = Receiver(
-            transport.name, RtdeProtocol(Requests()), StreamCounters()
-        )  # the dialogue's bytes come first
+        # The dialogue's bytes come first.
+        receiver = Receiver(transport.name, RtdeProtocol(Requests()), StreamCounters())
         replies: list[OutputsReply | InputsReply] = []
         while len(replies) < count:
             left = until - time.monotonic()
@@ -330,21 +313,10 @@ class Rtde:
 
     # -- connections -------------------------------------------------------------------------------------
 
-    def _connection(
-        self, plan: Requests, what: str, *, timeout: float | None = None, backoff: Backoff | None = None
-    ) -> tuple[Connection, RtdeTransport]:
-        source = self._source
+    def _connection(self, plan: Requests, what: str, source: Source | None = None) -> tuple[Connection, RtdeTransport]:
+        source = source or self._source
         transport = (source.rtde or RtdeTransport)(source.transport("rtde"), plan)
-        connection = connection_of(
-            f"{self._name} {what}",
-            transport,
-            plan,
-            backoff=backoff or source.backoff,
-            timeout=timeout or source.timeout,
-            silence=source.silence,
-            make=source.connection,
-        )
-        return connection, transport
+        return connection_of(f"{self._name} {what}", transport, plan, source), transport
 
     def _keep(self, opened: OutputStream[Any] | Inputs | Claims) -> None:
         """Close this with the robot.

@@ -14,7 +14,7 @@ from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import ConnectionState
 
 from ..interfaces.rtde.packets import join_names
-from ..interfaces.rtde.protocol import check_names
+from ..interfaces.rtde.protocol import RtdeProtocol, check_names
 from ..interfaces.rtde.recipes import Recipe
 from ..interfaces.rtde.transport import RtdeTransport
 
@@ -175,10 +175,7 @@ class Inputs:
 
     def _recipe(self) -> Recipe:
         """What was claimed on the present connection, or on the one before if there is none."""
-        dialogue = self._transport.dialogue
-        if dialogue is None:
-            raise ConnectionLost(f"{self._connection.name} is not connected")
-        return dialogue.claims[0]
+        return dialogue_of(self._connection, self._transport).claims[0]
 
     def _package(self, recipe: Recipe, values: Mapping[str, Any]) -> dict[str, Any]:
         """The value of each variable of the recipe, masks included."""
@@ -216,6 +213,17 @@ class Inputs:
 
     def __repr__(self) -> str:
         return f"<Inputs {join_names(self.names)} of {self._connection.name}: {self.connection.value}>"
+
+
+def dialogue_of(connection: Connection, transport: RtdeTransport) -> RtdeProtocol:
+    """The dialogue of the present connection, or of the one before if there is none.
+
+    Raises:
+        ConnectionLost: there has not been one.
+    """
+    if transport.dialogue is None:
+        raise ConnectionLost(f"{connection.name} is not connected")
+    return transport.dialogue
 
 
 def put_whole(connection: Connection, package: bytes) -> None:

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
 from linkcore.errors import BadRecording, BadValue
 from linkcore.net.transport import Transport
 from linkcore.streaming.connection import Connection
-from linkcore.streaming.connection_life import Backoff
 from linkcore.streaming.fanout import FanOut
 from linkcore.streaming.stream import Stream
-from linkcore.streaming.thread_connection import ThreadConnection
 
 from ..firmware import Firmware
 from ..interfaces.rtde.packets import REPLIES
@@ -23,6 +21,8 @@ from ..interfaces.rtde.transport import RtdeTransport
 
 if TYPE_CHECKING:
     from typing_extensions import Self
+
+    from ..source import Source
 
 T = TypeVar("T", bound=Outputs)
 
@@ -51,21 +51,16 @@ def _may_be_none(hint: Any) -> bool:
     return type(None) in get_args(hint)
 
 
-def connection_of(
-    name: str,
-    transport: Transport,
-    plan: Requests,
-    *,
-    backoff: Backoff | None,
-    timeout: float,
-    silence: float | None,
-    make: Callable[..., Connection] = ThreadConnection,
-) -> Connection:
-    """A connection that asks for what the plan says, each time it is made."""
+def connection_of(name: str, transport: Transport, plan: Requests, source: Source) -> Connection:
+    """A connection that asks for what the plan says, each time it is made; it is kept up as the source says."""
+    silence = source.silence
     if silence is not None and plan.frequency is not None:
         silence = max(silence, _LATE / plan.frequency)
     fan_out = FanOut(plan.kind, parts=lambda packet: (), others=tuple(REPLIES.values()))
-    return make(name, transport, lambda: RtdeProtocol(plan), fan_out, backoff=backoff, timeout=timeout, silence=silence)
+    backoff, timeout = source.backoff, source.timeout
+    return source.connection(
+        name, transport, lambda: RtdeProtocol(plan), fan_out, backoff=backoff, timeout=timeout, silence=silence
+    )
 
 
 def recorded_plan(info: Mapping[str, Any], kind: type[Outputs]) -> Requests:

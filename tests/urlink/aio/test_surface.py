@@ -144,7 +144,7 @@ GIVEN = {
     "typing.Iterator[tuple": "typing.AsyncIterator[tuple",
     "urlink.motion.teaching.Teaching": "urlink.aio.parts.AsyncTeaching",
     "urlink.rtde.inputs.Inputs": "urlink.aio.parts.AsyncInputs",
-    "urlink.rtde.shared_registers.Registers": "urlink.aio.parts.AsyncRegisters",
+    "urlink.rtde.claims.Registers": "urlink.aio.parts.AsyncRegisters",
     "linkcore.streaming.feed.Feed": "linkcore.aio.async_stream.AsyncFeed",
     "typing.Iterator": "linkcore.aio.packets.Packets",
 }

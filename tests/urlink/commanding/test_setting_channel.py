@@ -23,7 +23,7 @@ from urlink.commanding.channel import CommandChannel
 from urlink.commanding.section import Section
 from urlink.errors import NotConfirmed, NotRunning
 from urlink.interfaces.enums import RobotMode
-from urlink.rtde import brief_claims, client
+from urlink.rtde import claims, client
 from urlink.simulator import Controller
 
 pytestmark = pytest.mark.simulated_time
@@ -264,9 +264,9 @@ def connect(controller: Controller) -> urlink.Robot:
 @pytest.fixture
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """On a busy machine a claim may take longer than a setting is ready to wait for it."""
-    for place in (brief_claims, client):
+    for place in (claims, client):
         monkeypatch.setattr(place, "CLAIM_TIMEOUT", 20.0)
-    monkeypatch.setattr(brief_claims, "HOLD", 60.0)
+    monkeypatch.setattr(claims, "HOLD", 60.0)
 
 
 @pytest.mark.slow
@@ -279,7 +279,7 @@ def test_settings_go_over_rtde_and_nothing_stays_claimed(
         for on in (True, False):
             set_all(robot, on)
             with monkeypatch.context() as soon:
-                soon.setattr(brief_claims, "HOLD", 0.0)
+                soon.setattr(claims, "HOLD", 0.0)
                 until(lambda: not other.rtde.who_holds())
         robot.io.set_digital_out(3, True)
         assert other.rtde.who_holds()
@@ -287,8 +287,8 @@ def test_settings_go_over_rtde_and_nothing_stays_claimed(
             inputs.send(standard_digital_output={3: False})
             until(lambda: not robot.io.digital_out(3))
         robot.io.set_digital_out(3, True)
-        robot.rtde._brief._standing[0].abort()  # type: ignore[index]
-        until(lambda: robot.rtde._brief._standing[0].failure is not None)  # type: ignore[index]
+        robot.rtde._brief._standing._connection.abort()  # type: ignore[union-attr]
+        until(lambda: robot.rtde._brief._standing._connection.failure is not None)  # type: ignore[union-attr]
         robot.io.set_digital_out(3, False)
     assert texts(controller) == []
 

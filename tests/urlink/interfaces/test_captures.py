@@ -19,7 +19,6 @@ import urlink
 from linkcore.errors import PacketError
 from linkcore.wire.packet import State
 from urlink import decode
-from urlink.decoding import Interface
 from urlink.firmware import Firmware, infer
 from urlink.interfaces.primary.protocol import PrimaryProtocol
 from urlink.interfaces.realtime.protocol import RealtimeProtocol
@@ -37,6 +36,7 @@ from urlink.packets import (
     UnnamedMessage12,
     VersionMessage,
 )
+from urlink.ports import Interface
 
 pytestmark = pytest.mark.captures("ur")
 

@@ -575,13 +575,13 @@ def test_a_reply_that_trickles_does_not_outlast_the_deadline(opened: Opened) -> 
 def test_slow_commands_have_longer(opened: Opened, monkeypatch: pytest.MonkeyPatch) -> None:
     _, dashboard = opened(answering(stepped("5.11")), timeout=SHORT)
     waited: list[float] = []
-    exchange = dashboard._exchange
+    ask = dashboard._dialogue.ask
 
-    def noting(line: str, timeout: float, *how: Any) -> str:
+    def noting(line: str, timeout: float, *how: Any, **options: Any) -> str:
         waited.append(timeout)
-        return exchange(line, timeout, *how)
+        return ask(line, timeout, *how, **options)
 
-    monkeypatch.setattr(dashboard, "_exchange", noting)
+    monkeypatch.setattr(dashboard._dialogue, "ask", noting)
     dashboard.generate_flight_report("controller")
     dashboard.generate_support_file("programs")
     dashboard.running()

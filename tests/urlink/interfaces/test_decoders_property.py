@@ -25,13 +25,13 @@ from linkcore.wire.layout import Place
 from linkcore.wire.packet import State
 from tests.oracle import parse
 from urlink import decode
-from urlink.decoding import Interface
 from urlink.firmware import RELEASES, Firmware, Release
 from urlink.interfaces.primary import robot_message, robot_state
 from urlink.interfaces.primary.decoder import PackageDecoder
 from urlink.interfaces.primary.robot_state import SUB_PACKAGES
 from urlink.interfaces.realtime import packets as realtime
 from urlink.packets import RealtimeState, RobotMessage, RobotState
+from urlink.ports import Interface
 
 pytestmark = pytest.mark.property
 

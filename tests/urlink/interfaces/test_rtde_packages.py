@@ -16,9 +16,9 @@ from linkcore.errors import BadValue, PacketError, WrongPeer
 from linkcore.wire.framing import Framer
 from linkcore.wire.packet import State
 from tests import real_captures
+from tests.fakes.rtde import RequestBoundary
 from tests.oracle import parse
 from tests.urlink.interfaces.rtde_material import recordings, replies, requests
-from urlink.interfaces.rtde.framing import REPLY_SIZES, REQUEST_SIZES, RtdeBoundary
 from urlink.interfaces.rtde.packets import (
     REPLIES,
     REQUESTS,
@@ -30,6 +30,7 @@ from urlink.interfaces.rtde.packets import (
     OutputsRequest,
     ProtocolReply,
     ProtocolRequest,
+    RtdeBoundary,
     RtdeMessage,
     decode_reply,
     decode_request,
@@ -44,7 +45,7 @@ def cut(stream: bytes, at: list[int]) -> list[bytes]:
 
 
 def framer(side: str) -> Framer:
-    return Framer(RtdeBoundary(REQUEST_SIZES if side == "request" else REPLY_SIZES))
+    return Framer(RequestBoundary() if side == "request" else RtdeBoundary())
 
 
 @pytest.mark.parametrize(

@@ -16,17 +16,18 @@ from linkcore.clock import Stamp
 from linkcore.errors import BadValue, PacketError
 from linkcore.wire.framing import Framer
 from tests import real_captures
+from tests.fakes.rtde import RequestBoundary
 from tests.oracle import parse
 from tests.urlink.interfaces.rtde_material import recipes, recordings
 from urlink.firmware import Firmware
 from urlink.interfaces.enums import JointMode, RobotMode
-from urlink.interfaces.rtde.framing import REPLY_SIZES, REQUEST_SIZES, RtdeBoundary
 from urlink.interfaces.rtde.packets import (
     DataPackage,
     InputsReply,
     OutputsReply,
     Protocol,
     ProtocolReply,
+    RtdeBoundary,
     RtdeMessage,
     decode_reply,
     decode_request,
@@ -209,13 +210,13 @@ def test_every_data_package_of_the_recorded_connections() -> None:
     """The recipes of real clients fit the data packages of the same connection, on either side."""
     outputs = inputs = misfits = 0
     for recording in recordings(real_captures.folder("rtde")):
-        requests = Framer(RtdeBoundary(REQUEST_SIZES)).feed(recording.sent)
+        requests = Framer(RequestBoundary()).feed(recording.sent)
         # Replies come in the order of the requests; what a request means depends on the replies before it.
         unanswered = [frame for frame in requests if frame[2] not in b"MU"]
         protocol: Protocol = 1
         recipe: Recipe | None = None
         claimed: dict[int | None, Recipe] = {}
-        for frame in Framer(RtdeBoundary(REPLY_SIZES)).feed(recording.received):
+        for frame in Framer(RtdeBoundary()).feed(recording.received):
             reply: Any = decode_reply(frame, protocol)
             if isinstance(reply, DataPackage):
                 # Some are of the recipe before: those that came before the reply to its successor.

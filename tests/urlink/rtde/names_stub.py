@@ -8,7 +8,7 @@ from __future__ import annotations
 import textwrap
 from pathlib import Path
 
-from urlink.interfaces.rtde.variables import INPUTS, OUTPUTS, Variable
+from urlink.interfaces.rtde.variables import INPUTS, OUTPUTS, TYPES, Variable
 
 PATH = Path(__file__).resolve().parents[3] / "src" / "urlink" / "rtde" / "names.pyi"
 
@@ -57,7 +57,7 @@ def annotation(variable: Variable) -> str:
     if variable.meaning is None:
         return _TYPES.get(variable.type, "int")
     name: str = variable.meaning.__name__
-    return name if variable.shape.count is None else f"tuple[{name}, ...]"
+    return name if TYPES[variable.type].count is None else f"tuple[{name}, ...]"
 
 
 def literal(name: str, names: list[str]) -> str:

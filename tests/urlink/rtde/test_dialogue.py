@@ -16,9 +16,8 @@ from linkcore.streaming.statistics import StreamCounters
 from linkcore.wire.framing import Framer
 from linkcore.wire.packet import State
 from tests import real_captures
-from tests.fakes.rtde import ScriptedRtde
+from tests.fakes.rtde import RequestBoundary, ScriptedRtde
 from tests.urlink.interfaces.rtde_material import Recorded, recordings, replies
-from urlink.interfaces.rtde.framing import REPLY_SIZES, REQUEST_SIZES, RtdeBoundary
 from urlink.interfaces.rtde.packets import (
     ControllerVersionReply,
     DataPackage,
@@ -29,6 +28,7 @@ from urlink.interfaces.rtde.packets import (
     OutputsRequest,
     ProtocolReply,
     ProtocolRequest,
+    RtdeBoundary,
     RtdeMessage,
     StartReply,
     StartRequest,
@@ -101,7 +101,8 @@ def test_what_the_controller_lacks_is_left_out_and_asked_again(caplog: pytest.Lo
     plan = Requests(("timestamp", "payload", "actual_q", "payload_cog"), optional=frozenset(["payload", "payload_cog"]))
     with caplog.at_level(logging.INFO):
         transport, dialogue = opened(desk, plan)
-    assert dialogue.left_out == ("payload", "payload_cog")
+    assert dialogue.recipe is not None
+    assert dialogue.recipe.names == ("timestamp", "actual_q")
     assert "does not have payload, payload_cog" in caplog.text
     state = received(transport, plan)[-1]
     assert (state.payload, state.payload_cog, state.actual_q.tolist()) == (None, None, [0.0] * 6)
@@ -313,7 +314,7 @@ def test_whatever_is_answered_gives_a_packet_or_a_documented_error(
     plan = Requests(names, frequency, frozenset(names if optional else ()), [("input_int_register_24",)])
     protocol = RtdeProtocol(plan)
     for answer in answers:
-        requests = Framer(RtdeBoundary(REQUEST_SIZES)).feed(protocol.requests())
+        requests = Framer(RequestBoundary()).feed(protocol.requests())
         assert all(isinstance(decode_request(frame, protocol.protocol), State) for frame in requests)
         try:
             assert isinstance(protocol.decode(answer), State)
@@ -323,7 +324,8 @@ def test_whatever_is_answered_gives_a_packet_or_a_documented_error(
             return
     if protocol.is_ready:
         assert protocol.recipe is not None
-        assert {*protocol.recipe.names, *protocol.left_out} == set(names)
+        assert set(protocol.recipe.names) <= set(names)
+        assert optional or protocol.recipe.names == names
         assert len(protocol.claims) == 1
 
 
@@ -332,13 +334,13 @@ def test_whatever_is_answered_gives_a_packet_or_a_documented_error(
 
 def answers_in(recording: Recorded) -> tuple[Requests, dict[str, list[bytes]], bool]:
     """What the client of a recording asked for as a plan, the answers to it, and whether all were given."""
-    unanswered = [frame for frame in Framer(RtdeBoundary(REQUEST_SIZES)).feed(recording.sent) if frame[2] not in b"MU"]
+    unanswered = [frame for frame in Framer(RequestBoundary()).feed(recording.sent) if frame[2] not in b"MU"]
     protocol: Any = 1
     outputs: tuple[str, ...] = ()
     inputs: list[tuple[str, ...]] = []
     answers: dict[str, list[bytes]] = {kind: [] for kind in "VvOISPU"}
     is_granted = True
-    for frame in Framer(RtdeBoundary(REPLY_SIZES)).feed(recording.received):
+    for frame in Framer(RtdeBoundary()).feed(recording.received):
         reply: Any = decode_reply(frame, protocol)
         if isinstance(reply, RtdeMessage):
             continue
@@ -375,7 +377,7 @@ def replayed(plan: Requests, answers: dict[str, list[bytes]]) -> Iterator[tuple[
     protocol = RtdeProtocol(plan)
     left = {kind: list(frames) for kind, frames in answers.items()}
     while not protocol.is_ready:
-        for frame in Framer(RtdeBoundary(REQUEST_SIZES)).feed(protocol.requests()):
+        for frame in Framer(RequestBoundary()).feed(protocol.requests()):
             kind = chr(frame[2])
             protocol.take(left[kind].pop(0) if left[kind] else USUAL[kind])
     for frame in answers["U"]:

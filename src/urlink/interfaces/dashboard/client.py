@@ -375,10 +375,12 @@ class Dashboard:
         self._check_served(self._port, "dashboard server")
         encode_line(command)
         within = self._timeout if timeout is None else _positive(timeout)
+
+        def stays(reply: str) -> bool:
+            return not reply.casefold().startswith(_NOT_ALLOWED)
+
         with self._command(command.strip().casefold()) as given_up:
-            return self._exchange(
-                command, within, lambda reply: not reply.casefold().startswith(_NOT_ALLOWED), given_up
-            )
+            return self._dialogue.ask(command, within, stays, given_up=given_up)
 
     def quit(self) -> None:
         """Take leave of the controller and disconnect; the next command connects again."""
@@ -442,16 +444,10 @@ class Dashboard:
             return not is_last if command.match(reply) else command.is_refusal(reply)
 
         with self._command(name, command.only_asks) as given_up:
-            reply = self._exchange(line, max(self._timeout, command.slow), stays, given_up)
+            reply = self._dialogue.ask(line, max(self._timeout, command.slow), stays, given_up=given_up)
         if command.match(reply) is None:
             raise DashboardRefused(line, reply)
         return reply
-
-    def _exchange(
-        self, line: str, timeout: float, stays: Callable[[str], bool], given_up: Callable[[], object] | None = None
-    ) -> str:
-        """Send a line and wait for the reply; `stays` says by the reply whether the connection is kept."""
-        return self._dialogue.ask(line, timeout, stays, given_up=given_up)
 
     def _command(
         self, name: str, only_asks: bool = False

@@ -148,7 +148,8 @@ class DashboardProtocol:
             return None
         self._rest = rest
         self._is_asked = False
-        return _text(line)
+        # It should be ASCII; what is not text is kept as escapes, so that a person can see it.
+        return line.decode("utf-8", "backslashreplace").strip()
 
     def _greet(self) -> None:
         wanted = len(DASHBOARD_GREETING)
@@ -163,11 +164,6 @@ class DashboardProtocol:
     def _bound(self, line: bytes) -> None:
         if len(line) > LONGEST_REPLY:
             raise WrongPeer(f"a dashboard server says short lines, but here is one that begins with {line[:32]!r}")
-
-
-def _text(line: bytes) -> str:
-    """A reply as text. It should be ASCII; what is not text is kept as escapes, so that a person can see it."""
-    return line.decode("utf-8", "backslashreplace").strip()
 
 
 # -- replies -------------------------------------------------------------------------------------------

@@ -192,7 +192,7 @@ class RobotApi:
         content: bytes,
         replaces: bool,
         firmware: Firmware,
-        given_up: Callable[[], object] | None = None,
+        given_up: Callable[[], object] | None,
     ) -> str | None:
         """Store another one, or replace one; the name that the controller says it has. Raises as `do`."""
         form = encode_form(file_name, content)
@@ -252,7 +252,7 @@ class RobotApi:
         return answer
 
     def _exchange(
-        self, request: HttpRequest, command: str, slow: float, given_up: Callable[[], object] | None = None
+        self, request: HttpRequest, command: str, slow: float, given_up: Callable[[], object] | None
     ) -> HttpResponse:
         """The answer, where it says that it was done."""
         response = self._client.ask(request, max(self._timeout, slow), given_up)

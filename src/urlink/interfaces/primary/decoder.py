@@ -17,12 +17,13 @@ from linkcore.wire.fields import Version
 from linkcore.wire.packet import State
 
 from ..enums import PackageType
+from ..headers import ROBOT_MESSAGE, ROBOT_STATE
 from .robot_message import MESSAGE_HEAD, MESSAGES, PACKAGES, OtherPackage, UnknownMessage, VersionMessage
 from .robot_state import SUB_PACKAGES, RobotState, SubPackage, UnknownSubPackage
 
 _HEAD = struct.Struct(">iB")
-_ROBOT_STATE, _ROBOT_MESSAGE = int(PackageType.ROBOT_STATE), int(PackageType.ROBOT_MESSAGE)
-_KNOWN_TYPES = frozenset(kind & 0xFF for kind in map(int, PackageType))
+#: Type bytes of packages.
+KNOWN_TYPES = frozenset(kind & 0xFF for kind in map(int, PackageType))
 
 # Of sizes and texts that come off the wire, no more are kept than can be useful.
 _MOST_PLANS = 64
@@ -71,13 +72,8 @@ class PackageDecoder:
         self.unknown = 0
         self.tails = 0
 
-    @property
-    def version(self) -> Version | None:
-        """The firmware whose layouts are the least that will do; None goes by sizes alone."""
-        return self._version
-
-    @version.setter
-    def version(self, version: Version | None) -> None:
+    def use(self, version: Version) -> None:
+        """From now on, the layouts of this firmware are the least that will do."""
         self._version = version
         self._plans = {}  # they were made for another
 
@@ -88,12 +84,12 @@ class PackageDecoder:
             PacketError: a layout that the package, or one of its sub-packages, cannot hold.
         """
         kind = frame[4]
-        if kind == _ROBOT_STATE:
+        if kind == ROBOT_STATE:
             return self._robot_state(frame, stamp)
-        if kind == _ROBOT_MESSAGE:
+        if kind == ROBOT_MESSAGE:
             return self._robot_message(frame, stamp)
         state = self._package(PACKAGES.get(kind, OtherPackage), frame, None, stamp)
-        if kind not in _KNOWN_TYPES:
+        if kind not in KNOWN_TYPES:
             self._count_unknown(f"package type {kind}")
         return state
 
@@ -210,13 +206,13 @@ class PackageDecoder:
 
     def _version_for(self, cls: type[State]) -> Version | None:
         """The version, unless that one is not known to send this class: then the size decides."""
-        if self.version is None:
+        if self._version is None:
             return None
         try:
-            cls.LAYOUTS.of(self.version)
+            cls.LAYOUTS.of(self._version)
         except PacketError:
             return None
-        return self.version
+        return self._version
 
     # -- what is not known ---------------------------------------------------------------------
 

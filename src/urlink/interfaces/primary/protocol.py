@@ -20,9 +20,8 @@ from linkcore.wire.framing import Framer
 from linkcore.wire.packet import State
 
 from ...firmware import Firmware
-from ..enums import PackageType
-from ..headers import PACKAGE_INTERFACE, PACKAGE_SIZES, interface_of
-from .decoder import PackageDecoder
+from ..headers import PACKAGE_INTERFACE, PACKAGE_SIZES, ROBOT_MESSAGE, ROBOT_STATE, interface_of
+from .decoder import KNOWN_TYPES, PackageDecoder
 from .robot_message import MESSAGE_HEAD, MESSAGES, VersionMessage
 from .robot_state import RobotModeData
 
@@ -38,8 +37,6 @@ _MODES, _CB2_SIZE = 0, RobotModeData.LAYOUTS.all[0].size
 
 _SIZE = struct.Struct(">i")
 _HEAD_AND_FIRST = struct.Struct(">iBi")  # of a robot state, with the size of its first sub-package
-_ROBOT_STATE, _ROBOT_MESSAGE = int(PackageType.ROBOT_STATE), int(PackageType.ROBOT_MESSAGE)
-_KNOWN_TYPES = frozenset(kind & 0xFF for kind in map(int, PackageType))
 
 # Out of step, and for unknown types, larger sizes are not believed. The largest one seen has 1471 bytes.
 _LARGEST_BELIEVED = 8192
@@ -80,10 +77,10 @@ class PackageBoundary:
         if there < _HEAD.size:
             return 0, _HEAD.size
         size, kind = _HEAD.unpack_from(buffer, at)
-        is_believed = kind in _KNOWN_TYPES or (self._is_begun and size <= _LARGEST_BELIEVED)
+        is_believed = kind in KNOWN_TYPES or (self._is_begun and size <= _LARGEST_BELIEVED)
         if size not in PACKAGE_SIZES or not is_believed:
             return 0, 0
-        if kind == _ROBOT_STATE and size > _HEAD.size:
+        if kind == ROBOT_STATE and size > _HEAD.size:
             if there < _HEAD.size + _SIZE.size:
                 return 0, _HEAD.size + _SIZE.size
             (first,) = _SIZE.unpack_from(buffer, at + _HEAD.size)
@@ -99,7 +96,7 @@ class PackageBoundary:
         if not size or there < need:
             return size, need
         kind = buffer[at + 4]
-        if kind not in _KNOWN_TYPES:
+        if kind not in KNOWN_TYPES:
             # What follows may be of a type that nobody knows too, but its size is a small number, which what stands
             # elsewhere in a stream seldom is.
             if there < size + _HEAD.size:
@@ -107,13 +104,13 @@ class PackageBoundary:
             (next_size,) = _SIZE.unpack_from(buffer, at + size)
             if not _HEAD.size <= next_size <= _LARGEST_BELIEVED:
                 return 0, 0
-        elif kind == _ROBOT_STATE and not _add_up(buffer, at, size)[0]:
+        elif kind == ROBOT_STATE and not _add_up(buffer, at, size)[0]:
             # If a package follows where this one should end, its size is right and its inside is damaged.
             if there < size + _HEAD.size:
                 return size, size + _HEAD.size
             if not _is_header(buffer, at + size):
                 return 0, 0
-        elif kind == _ROBOT_MESSAGE and size < MESSAGE_HEAD:
+        elif kind == ROBOT_MESSAGE and size < MESSAGE_HEAD:
             return 0, 0
         return size, size
 
@@ -128,7 +125,7 @@ class PackageBoundary:
             size, kind, first = _HEAD_AND_FIRST.unpack_from(buffer, at)
             if size > _LARGEST_BELIEVED:
                 continue
-            if kind == _ROBOT_STATE:
+            if kind == ROBOT_STATE:
                 if not _HEAD.size <= first <= size - _HEAD.size:
                     continue
                 is_whole, need = _add_up(buffer, at, size)
@@ -154,7 +151,7 @@ class PackageBoundary:
 
 def _is_header(buffer: bytes | bytearray, at: int) -> bool:
     size, kind = _HEAD.unpack_from(buffer, at)
-    return size in PACKAGE_SIZES and kind in _KNOWN_TYPES
+    return size in PACKAGE_SIZES and kind in KNOWN_TYPES
 
 
 def _add_up(buffer: bytes | bytearray, at: int, size: int) -> tuple[bool, int]:
@@ -213,13 +210,13 @@ class PrimaryProtocol:
         state = self._decoder.decode(frame, stamp)
         if isinstance(state, VersionMessage):
             self.firmware = Firmware(state.major, state.minor, state.bugfix or 0, state.build or 0)
-            self._decoder.version = self.firmware
+            self._decoder.use(self.firmware)
         return state
 
 
 def _moment(frame: bytes) -> float | None:
     """The time of a robot state; None of other packages, and on CB2, which counts something unknown there."""
-    at = _HEAD.size if frame[4] == _ROBOT_STATE else len(frame)
+    at = _HEAD.size if frame[4] == ROBOT_STATE else len(frame)
     while at + _HEAD_AND_TIME.size <= len(frame):
         size, kind, time = _HEAD_AND_TIME.unpack_from(frame, at)
         if kind == _MODES:

@@ -18,9 +18,10 @@ from linkcore.wire.cycles import MissedCycles
 from linkcore.wire.framing import Framer
 
 from ...firmware import RELEASES
-from ..enums import PackageType
-from ..headers import REALTIME_INTERFACE, REALTIME_SIZES, interface_of
+from ..headers import REALTIME_INTERFACE, REALTIME_SIZES, ROBOT_STATE, interface_of
 from .packets import RealtimeState
+
+_log = logging.getLogger(__name__)
 
 # Two zero bytes, then a size of 4 + 8k below 4096.
 _SIZE = re.compile(
@@ -29,13 +30,11 @@ _SIZE = re.compile(
     re.DOTALL,
 )
 _SIZE_BYTES = 4
-_TIME = struct.Struct(">d")
 _HEAD = struct.Struct(">id")  # size and time
+_TIME = struct.Struct(">4xd")  # alone
 
 # Seconds that the controller's clock may have gone on while the boundary was lost, and between two packets.
 _LONGEST_LOSS = 1.0
-
-_ROBOT_STATE = int(PackageType.ROBOT_STATE)
 
 
 class RealtimeBoundary:
@@ -91,7 +90,7 @@ class RealtimeBoundary:
         """See `FrameBoundary.check`."""
         size, need = self.declared(buffer, at)
         there = len(buffer) - at
-        if size and not self.last and buffer[at + 4] == _ROBOT_STATE:
+        if size and not self.last and buffer[at + 4] == ROBOT_STATE:
             # 716 bytes of robot state have a legal size. As a real-time packet its time would be 1e-230 s.
             if there < _HEAD.size:
                 return 0, _HEAD.size
@@ -134,11 +133,11 @@ class RealtimeBoundary:
         """The first packet of the connection's size whose time follows that of the last one."""
         if not self.last:
             return None
-        (latest,) = _TIME.unpack_from(self.last, _SIZE_BYTES)
-        until = max(len(buffer) - _TIME.size, 0)
+        (latest,) = _TIME.unpack_from(self.last)
+        until = max(len(buffer) - _TIME.size + _SIZE_BYTES, 0)
         at = buffer.find(self.head, start, until)
         while at >= 0:
-            (time,) = _TIME.unpack_from(buffer, at + _SIZE_BYTES)
+            (time,) = _TIME.unpack_from(buffer, at)
             if latest <= time <= latest + _LONGEST_LOSS:
                 return at
             at = buffer.find(self.head, at + 1, until)
@@ -155,12 +154,6 @@ class RealtimeBoundary:
             self.size, self.head = size, size.to_bytes(_SIZE_BYTES, "big")
             if self._learnt is not None:
                 self._learnt(size)
-
-
-#: A packet begins with its size in four bytes, then its time.
-_STAMP = struct.Struct(">4xd")
-
-_log = logging.getLogger(__name__)
 
 
 class RealtimeProtocol:
@@ -180,7 +173,6 @@ class RealtimeProtocol:
         self.framer = Framer(RealtimeBoundary(learn))
         self.cycles: MissedCycles | None = None  # known with the size
         self.unknown = 0
-        self._size: int | None = None
         self._any = _AnyLayout()
         self.decode = self._any.decode
 
@@ -191,17 +183,16 @@ class RealtimeProtocol:
 
     def _learn(self, size: int) -> None:
         """The frame boundary has learnt the size of this connection's packets, and the size determines the layout."""
-        if self.cycles is None:
-            self.cycles = MissedCycles(_moment, periods_of(size), time=_STAMP.unpack_from, size=size, is_uniform=True)
+        is_first = self.cycles is None
+        if is_first:
+            self.cycles = MissedCycles(_moment, periods_of(size), time=_TIME.unpack_from, size=size, is_uniform=True)
+        decode = None
         if all(layout.size != size for layout in RealtimeState.LAYOUTS.all):
             _log.warning("real-time packets of %d bytes: no such firmware is known; decoded as far as one is", size)
-        elif self._size is None:
-            self._size = size
-            self.decode = RealtimeState.LAYOUTS.decoder(size) or self._any.decode
-            return
+        elif is_first:
+            decode = RealtimeState.LAYOUTS.decoder(size)
         # An unknown size, or another than before: packets of both may wait to be decoded.
-        self._size = 0
-        self.decode = self._any.decode
+        self.decode = decode or self._any.decode
 
 
 class _AnyLayout:
@@ -229,5 +220,5 @@ def periods_of(size: int) -> tuple[float, ...]:
 
 
 def _moment(frame: bytes) -> float:
-    time: float = _STAMP.unpack_from(frame)[0]
+    time: float = _TIME.unpack_from(frame)[0]
     return time

@@ -1,14 +1,18 @@
-"""The packages of RTDE (TCP 30004): one class for each, in its layouts under protocol 1 and protocol 2.
+"""The packages of RTDE (TCP 30004): one class for each, in its layouts under protocol 1 and protocol 2; and where a
+package ends.
 
 A request and its reply have the same type byte, so what a package is depends on who sent it: `decode_request` reads
 what a client sends, `decode_reply` what a controller sends. The *version* of these layouts is that of the protocol,
 ``"1.0"`` or ``"2.0"``. The values of a data package are laid out by a recipe (`urlink.interfaces.rtde.recipes`).
+
+A package begins with its size in two bytes and its type in one.
 
 Sources: docs/protocols/rtde.md, section Packages: the vendor's article, public drivers, recorded connections.
 """
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Literal
@@ -18,6 +22,7 @@ from linkcore.errors import PacketError
 from linkcore.wire.fields import Coded, Float64b, Header, Int8ub, Int16ub, Int32ub, OpenInt, Raw, Text
 from linkcore.wire.packet import State, packet, wire
 
+from ..headers import interface_of
 from .variables import IN_USE, NOT_FOUND
 
 #: The versions of the protocol. 1 holds until 2 has been asked for and accepted.
@@ -25,6 +30,9 @@ Protocol = Literal[1, 2]
 
 #: The header of every package. The size counts these three bytes too.
 HEADER = Header(size=Int16ub, type=Int8ub)
+
+#: Bytes of names in one request (vendor's guide).
+LONGEST_NAMES = 2048
 
 _BOOL = Coded(Int8ub, bool)
 _NAMES_DOC = "names of the variables, with commas between them"
@@ -203,13 +211,13 @@ REPLIES: Mapping[int, type[State]] = MappingProxyType(
 _ALWAYS_V2 = frozenset(b"MU")
 
 
-def decode_request(frame: bytes, protocol: Protocol, stamp: Stamp | None = None) -> State:
+def decode_request(frame: bytes, protocol: Protocol) -> State:
     """What a client sent in one whole package, while `protocol` holds.
 
     Raises:
         PacketError: of a type that nobody knows, or too short for it.
     """
-    return _decode(frame, REQUESTS, 2 if _ALWAYS_V2.issuperset(frame[2:3]) else protocol, stamp)
+    return _decode(frame, REQUESTS, 2 if _ALWAYS_V2.issuperset(frame[2:3]) else protocol, None)
 
 
 def decode_reply(frame: bytes, protocol: Protocol, stamp: Stamp | None = None) -> State:
@@ -233,3 +241,106 @@ def _decode(frame: bytes, kinds: Mapping[int, type[State]], protocol: Protocol, 
         raise PacketError(
             error.reason, packet=error.packet, expected=error.expected, actual=error.actual, offset=error.offset
         ) from None
+
+
+# -- frame boundaries ------------------------------------------------------------------------------
+
+# Larger packages are not believed. All 406 variables have 2.9 kB, and their names some 10 kB, in several requests;
+# 1024 unknown names of one letter would be answered by 10 kB of NOT_FOUND.
+_LARGEST = 1 << 14
+
+_HEAD = struct.Struct(">HB")
+
+# Bytes by which another interface is recognised.
+_PEER = 5
+
+
+def _sizes(kind: type[State]) -> range:
+    """The sizes that a package can have, header included."""
+    least = min(layout.size for layout in kind.LAYOUTS.all)
+    return range(least, _LARGEST if kind.LAYOUTS.all[0].has_text else least + 1)
+
+
+#: Type byte -> possible sizes of a controller's packages, header included.
+REPLY_SIZES: Mapping[int, range] = MappingProxyType({type: _sizes(kind) for type, kind in REPLIES.items()})
+
+
+class RtdeBoundary:
+    """Frame boundaries of what a controller sends.
+
+    In step, the size is believed where the type can have it. Out of step, a package is believed if another one stands
+    where it ends. Packages of unknown types are taken once a known one has come, where another package follows them.
+
+    Attributes:
+        sizes: type byte -> sizes that a package of it can have.
+    """
+
+    sizes: Mapping[int, range] = REPLY_SIZES
+
+    largest = _LARGEST + _HEAD.size
+    pace = 64
+    size, head = 0, b""
+    last: bytes | bytearray = b""
+
+    def __init__(self) -> None:
+        self._is_begun = False
+
+    def __str__(self) -> str:
+        return "RTDE (port 30004)"
+
+    def whole(self, buffer: bytes | bytearray) -> list[bytes]:
+        """One package that fills the buffer: the common case."""
+        there = len(buffer)
+        if there < _HEAD.size:
+            return []
+        size, kind = _HEAD.unpack_from(buffer)
+        if size != there or size not in self.sizes.get(kind, ()):
+            return []
+        self._is_begun = True
+        return [bytes(buffer)]
+
+    def check(self, buffer: bytes | bytearray, at: int) -> tuple[int, int]:
+        """See `FrameBoundary.check`."""
+        there = len(buffer) - at
+        if there < _HEAD.size:
+            return 0, _HEAD.size
+        size, kind = _HEAD.unpack_from(buffer, at)
+        sizes = self.sizes.get(kind)
+        if sizes is not None and size in sizes:
+            self._is_begun = True
+            return size, size
+        if sizes is None and self._is_begun and _HEAD.size <= size < _LARGEST:
+            return self._followed(buffer, at, size)
+        # At the beginning the peer may be another service, which takes some bytes more to recognise.
+        return 0, 0 if self._is_begun else _PEER
+
+    def search(self, buffer: bytes | bytearray, start: int) -> tuple[int, int, int]:
+        """See `FrameBoundary.search`."""
+        sizes = self.sizes
+        last = len(buffer) - _HEAD.size
+        for at in range(start, last + 1):
+            kind = buffer[at + 2]
+            if kind not in sizes:
+                continue
+            size = (buffer[at] << 8) | buffer[at + 1]
+            if size not in sizes[kind]:
+                continue
+            found, need = self._followed(buffer, at, size)
+            if found or need > len(buffer) - at:
+                return at, found, need
+        return max(start, last + 1), 0, _HEAD.size
+
+    def peer(self, buffer: bytes | bytearray) -> str | None:
+        """See `FrameBoundary.peer`."""
+        return interface_of(buffer) if len(buffer) >= _PEER else None
+
+    def _followed(self, buffer: bytes | bytearray, at: int, size: int) -> tuple[int, int]:
+        """As `check`: a package is believed if one of a known type and of its size stands where it ends."""
+        need = size + _HEAD.size
+        if len(buffer) - at < need:
+            return size, need
+        next_size, next_kind = _HEAD.unpack_from(buffer, at + size)
+        if next_size not in self.sizes.get(next_kind, ()):
+            return 0, 0
+        self._is_begun = True
+        return size, need

@@ -24,8 +24,9 @@ from linkcore.wire.framing import Framer
 from linkcore.wire.packet import State
 
 from ...firmware import Firmware
-from .framing import LONGEST_NAMES, REPLY_SIZES, RtdeBoundary
 from .packets import (
+    LONGEST_NAMES,
+    REPLIES,
     ControllerVersionReply,
     ControllerVersionRequest,
     InputsReply,
@@ -36,6 +37,7 @@ from .packets import (
     Protocol,
     ProtocolReply,
     ProtocolRequest,
+    RtdeBoundary,
     RtdeMessage,
     StartReply,
     StartRequest,
@@ -143,20 +145,18 @@ class RtdeProtocol:
         protocol: the version that holds.
         controller: what the controller reported of itself, or None so far.
         recipe: of the data packages, or None so far.
-        left_out: outputs that the controller lacks.
         claims: the recipes of the inputs, in the order of the plan.
         is_ready: everything was asked and answered.
     """
 
     def __init__(self, plan: Requests) -> None:
-        self.framer = Framer(RtdeBoundary(REPLY_SIZES))
+        self.framer = Framer(RtdeBoundary())
         self.unknown = 0
         self.tails = 0
         self.cycles: MissedCycles | None = None  # known with the recipe
         self.protocol: Protocol = 1
         self.controller: Firmware | None = None
         self.recipe: Recipe | None = None
-        self.left_out: tuple[str, ...] = ()
         self.claims: list[Recipe] = []
         self.is_ready = False
         self._plan = plan
@@ -166,7 +166,6 @@ class RtdeProtocol:
         self._decode: Callable[..., Any] | None = None
         self._size = 0
         if plan.recorded is not None:
-            self.left_out = tuple(name for name in plan.outputs if name not in plan.recorded.names)
             self._use(plan.recorded)
             self.protocol = 1 if plan.recorded.number is None else 2
         self._ask(ProtocolRequest(wanted=2), ProtocolReply)
@@ -181,7 +180,7 @@ class RtdeProtocol:
     @property
     def awaits(self) -> str:
         """What the controller still has to say, for messages."""
-        return "data packages" if self._awaited is None else f"{self._awaited.__name__}"
+        return "data packages" if self._awaited is None else self._awaited.__name__
 
     def _ask(self, request: State, reply: type[State]) -> None:
         self._requests.append(request)
@@ -190,20 +189,16 @@ class RtdeProtocol:
     def _ask_next(self) -> None:
         """The next request of the plan that has no answer yet."""
         if self._outputs and self.recipe is None:
-            version = f"{self.protocol}.0"
+            assert self.controller is not None, "it was asked for before"
+            frequency = float(self.controller.rate) if self._plan.frequency is None else self._plan.frequency
             names = join_names(self._outputs)
-            self._ask(OutputsRequest(version, frequency=self._frequency, names=names), OutputsReply)
+            self._ask(OutputsRequest(f"{self.protocol}.0", frequency=frequency, names=names), OutputsReply)
         elif len(self.claims) < len(self._plan.inputs):
             self._ask(InputsRequest(names=join_names(self._plan.inputs[len(self.claims)])), InputsReply)
         elif self._outputs:
             self._ask(StartRequest(), StartReply)
         else:
             self._finish()
-
-    @property
-    def _frequency(self) -> float:
-        most = 500.0 if self.controller is None else float(self.controller.rate)
-        return most if self._plan.frequency is None else self._plan.frequency
 
     def _finish(self) -> None:
         self._awaited = None
@@ -242,7 +237,6 @@ class RtdeProtocol:
             self.controller = Firmware(reply.major, reply.minor, reply.bugfix, reply.build)
             # What was known of a recording: this one begins with a dialogue of its own.
             self.recipe = self._decode = None
-            self.left_out = ()
             self._ask_next()
         elif isinstance(reply, OutputsReply):
             self._take_outputs(reply)
@@ -260,11 +254,11 @@ class RtdeProtocol:
         types = _types(names, reply.types)
         missing = _check(names, types, self._plan.optional)
         if missing:
-            self.left_out += missing
             self._outputs = tuple(name for name in names if name not in missing)
             _log.info("RTDE: this controller does not have %s", ", ".join(missing))
             if not self._outputs:
-                raise NoSuchVariable(f"this controller has none of {', '.join(self.left_out)}", self.left_out)
+                lacking = self._plan.outputs
+                raise NoSuchVariable(f"this controller has none of {', '.join(lacking)}", lacking)
             return
         if reply.recipe == 0:
             raise RtdeRefused(f"the controller refused the outputs {', '.join(names)}", names)
@@ -273,7 +267,8 @@ class RtdeProtocol:
     def _use(self, recipe: Recipe) -> None:
         self.recipe = recipe
         self._size = recipe.size
-        layout = recipe.state_class(self._plan.kind, self.left_out).LAYOUTS.all[0]
+        left_out = tuple(name for name in self._plan.outputs if name not in recipe.names)
+        layout = recipe.state_class(self._plan.kind, left_out).LAYOUTS.all[0]
         self._decode = layout.decode
         self.cycles = None
         if CLOCK in layout.places:
@@ -300,7 +295,7 @@ class RtdeProtocol:
         try:
             packet = self.take(frame, stamp)
         except PacketError:
-            self.unknown += frame[2] not in REPLY_SIZES
+            self.unknown += frame[2] not in REPLIES
             raise
         if isinstance(packet, RtdeMessage):
             level = _LEVELS.get(packet.level, logging.INFO)

@@ -47,20 +47,14 @@ class Outputs(State):
         # The class was made at run time, so it is made again.
         recipe, base = self.RECIPE, type(self).__mro__[1]
         assert recipe is not None, "there are no packets of a class without a recipe"
-        made = (recipe.names, recipe.types, recipe.number, base, self.LEFT_OUT)
-        return (_restored, (*made, self._data, self._stamp))
+        made = (recipe.names, recipe.types, recipe.number)
+        return (_restored, (made, base, self.LEFT_OUT, self._data, self._stamp))
 
 
 def _restored(
-    names: tuple[str, ...],
-    types: tuple[str, ...],
-    number: int | None,
-    base: type[Outputs],
-    left_out: tuple[str, ...],
-    data: bytes,
-    stamp: Stamp | None,
+    recipe: tuple[Any, ...], base: type[Outputs], left_out: tuple[str, ...], data: bytes, stamp: Stamp | None
 ) -> Any:
-    return Recipe(names, types, number).state_class(base, left_out).LAYOUTS.decode(data, None, stamp)
+    return Recipe(*recipe).state_class(base, left_out).LAYOUTS.decode(data, None, stamp)
 
 
 class Recipe:

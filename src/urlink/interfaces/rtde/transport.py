@@ -33,18 +33,9 @@ class RtdeDialogue:
         self._has_data = not plan.outputs
 
     @property
-    def is_answered(self) -> bool:
-        """Everything that was asked for is answered."""
-        return self.protocol.is_ready
-
-    @property
     def is_over(self) -> bool:
-        """It is answered, and data has come."""
-        return self.is_answered and self._has_data
-
-    def requests(self) -> bytes:
-        """What is to be sent now; nothing where an answer is waited for."""
-        return self.protocol.requests()
+        """Everything that was asked for is answered, and data has come."""
+        return self.protocol.is_ready and self._has_data
 
     def receive(self, data: bytes, stamp: Stamp) -> None:
         """Bytes have come.
@@ -105,23 +96,20 @@ class RtdeTransport:
         """
         until = time.monotonic() + timeout
         self._transport.open(timeout)
+        dialogue = RtdeDialogue(self._plan)
         try:
-            self._ask(until, timeout)
+            while not dialogue.is_over:
+                if requests := dialogue.protocol.requests():
+                    self._transport.send(requests, max(until - time.monotonic(), 0.0))
+                try:
+                    dialogue.receive(*self._transport.receive(max(until - time.monotonic(), 0.001)))
+                except LinkTimeout:
+                    raise dialogue.unanswered(self.name, timeout) from None
+                if time.monotonic() > until and not dialogue.protocol.is_ready:
+                    raise dialogue.unanswered(self.name, timeout)
         except BaseException:
             self._transport.abort()
             raise
-
-    def _ask(self, until: float, timeout: float) -> None:
-        dialogue = RtdeDialogue(self._plan)
-        while not dialogue.is_over:
-            if requests := dialogue.requests():
-                self._transport.send(requests, max(until - time.monotonic(), 0.0))
-            try:
-                dialogue.receive(*self._transport.receive(max(until - time.monotonic(), 0.001)))
-            except LinkTimeout:
-                raise dialogue.unanswered(self.name, timeout) from None
-            if time.monotonic() > until and not dialogue.is_answered:
-                raise dialogue.unanswered(self.name, timeout)
         self._begin(dialogue)
 
     def _begin(self, dialogue: RtdeDialogue) -> None:

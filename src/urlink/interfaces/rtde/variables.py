@@ -65,11 +65,6 @@ class Variable(NamedTuple):
         """Whether a controller of this firmware has it. Where the release is not known the answer is True, a guess."""
         return firmware.major >= 3 if self.since is None else firmware in self.since
 
-    @property
-    def shape(self) -> Shape:
-        """On the wire."""
-        return shape_of(self, self.type)
-
 
 def shape_of(variable: Variable | None, type: str) -> Shape:
     """The shape of a variable that a controller answers this type for.

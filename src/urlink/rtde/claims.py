@@ -1,7 +1,7 @@
-"""General-purpose registers by number: what a program on the controller and a client send each other.
+"""Inputs that are claimed when they are needed: for general-purpose registers by number, and for a robot's settings.
 
-A client writes input registers, which the program reads by `read_input_integer_register(n)`; the program writes output
-registers by `write_output_integer_register(n, value)`, which a client reads. The numbers are those of URScript.
+An input belongs to one client at a time, and most other clients fail where one is taken. A register stays claimed; for
+settings, nothing is held for longer than a burst of them: whoever asks later gets it.
 """
 
 from __future__ import annotations
@@ -9,26 +9,36 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from linkcore.arguments import check_whole
-from linkcore.errors import BadValue, ConnectionLost, LinkTimeout
+from linkcore.errors import BadValue, Closed, ConnectionLost, LinkTimeout
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import ConnectionState
 from linkcore.streaming.packet_queue import block
 
 from ..interfaces.rtde.packets import InputsReply, InputsRequest, PauseRequest, StartRequest, join_names
-from ..interfaces.rtde.protocol import Requests, RtdeProtocol, claim_of
-from ..interfaces.rtde.recipes import Recipe
+from ..interfaces.rtde.protocol import Requests, claim_of
+from ..interfaces.rtde.recipes import Outputs, Recipe
 from ..interfaces.rtde.transport import RtdeTransport
-from .inputs import checked, put_whole
+from .inputs import checked, dialogue_of, put_whole
 from .outputs import OutputStream
+
+if TYPE_CHECKING:
+    from .client import Rtde
 
 #: Kind of register -> the first of the upper range, and how many there are.
 _RANGES = {"bit": (64, 128), "int": (24, 48), "double": (24, 48)}
 
 #: Packages a second in which the registers are read.
 _FREQUENCY = 125.0
+
+#: Seconds that connecting and claiming may take. In a local network it is a few cycles of the controller.
+CLAIM_TIMEOUT = 0.25
+#: Seconds after the last setting at which everything is given back.
+HOLD = 2.0
+#: Packages a second meanwhile. The first of them ends connecting, and each is an occasion to give back.
+_HEARTBEAT = 50.0
 
 
 class Claims:
@@ -89,7 +99,7 @@ class Claims:
         if not self._lock.acquire(timeout=self._timeout):
             raise LinkTimeout(f"{self._connection.name}: another claim is not answered yet, after {self._timeout:g} s")
         try:
-            dialogue = self._dialogue()
+            dialogue = dialogue_of(self._connection, self._transport)
             if names in self._plan.inputs:
                 return
             recipe = self._claim(names)
@@ -100,15 +110,9 @@ class Claims:
         finally:
             self._lock.release()
 
-    def _dialogue(self) -> RtdeProtocol:
-        """The dialogue of the present connection, or of the one before if there is none."""
-        dialogue = self._transport.dialogue
-        if dialogue is None:
-            raise ConnectionLost(f"{self._connection.name} is not connected")
-        return dialogue
-
     def _package(self, values: Mapping[str, Any]) -> bytes:
-        recipe = self._dialogue().claims[self._plan.inputs.index(tuple(values))]
+        claims = dialogue_of(self._connection, self._transport).claims
+        recipe = claims[self._plan.inputs.index(tuple(values))]
         return recipe.encode(
             {name: checked(name, type, values[name]) for name, type in zip(recipe.names, recipe.types, strict=True)}
         )
@@ -138,24 +142,100 @@ class Claims:
         self._connection.close(timeout)
 
 
+class BriefClaims:
+    """Claims of one robot, on one connection that is there as long as they are.
+
+    Args:
+        rtde: makes the connection and the claims of a plan; the connection is not kept up when it is lost.
+    """
+
+    def __init__(self, rtde: Rtde) -> None:
+        self._rtde = rtde
+        self._lock = threading.Lock()  # one claim at a time
+        #: replaced as a whole, so that whoever gives back needs no lock
+        self._standing: Claims | None = None
+        self._used = 0.0
+        self._is_closed = False
+
+    def claim(self, names: tuple[str, ...], *, wait: bool) -> Callable[[Mapping[str, Any]], None] | None:
+        """What writes these inputs, masks included, without waiting; None where that would have to be waited for.
+
+        Args:
+            names: of the inputs.
+            wait: until they are claimed, `CLAIM_TIMEOUT` at most; otherwise they have to be.
+
+        Raises:
+            InputInUse, NoSuchVariable: they cannot be had.
+            LinkError: RTDE cannot be had.
+        """
+        self._used = time.monotonic()
+        # In a signal handler, who has the lock waits for this very call to end.
+        if not self._lock.acquire(timeout=CLAIM_TIMEOUT if wait else 0.0):
+            return None
+        try:
+            claims = self._standing
+            if claims is not None and (claims.is_over or claims._connection.failure is not None):
+                claims = self._standing = None
+            if wait:
+                claims = claims or self._open(names)
+                claims.claim(names)
+            elif claims is None or not claims.has(names):
+                return None
+        finally:
+            self._lock.release()
+        return claims.put
+
+    def _open(self, names: tuple[str, ...]) -> Claims:
+        """Claims on a new connection, which begins with these."""
+        claims = self._rtde._connect_briefly(Requests(("timestamp",), _HEARTBEAT, inputs=[names]))
+        connection = claims._connection
+
+        def look(state: Outputs) -> None:
+            if time.monotonic() - self._used > HOLD:
+                self.give_back()
+
+        self._standing = claims  # before it connects: whoever closes the robot meanwhile ends that too
+        try:
+            if self._is_closed:
+                raise Closed(f"{connection.name} was closed")
+            connection.subscribe_inline(Outputs, look)
+        except BaseException:
+            self.abort()  # in a process that was held up, it may come up yet
+            raise
+        return claims
+
+    def give_back(self, timeout: float = 1.0) -> None:
+        """Disconnect, in good order: what was written arrives. From any thread; idempotent."""
+        standing, self._standing = self._standing, None
+        if standing is not None:
+            standing.close(timeout)
+
+    def abort(self) -> None:
+        """Disconnect, and discard what has not arrived."""
+        standing, self._standing = self._standing, None
+        if standing is not None:
+            standing._connection.abandon()
+
+    def close(self, timeout: float) -> None:
+        """Give everything back, for good. Idempotent."""
+        self._is_closed = True
+        self.give_back(timeout)
+
+
 class Registers:
     """The general-purpose registers of a controller, by number; `robot.registers`.
+
+    They are what a program on the controller and a client send each other. A client writes input registers, which the
+    program reads by `read_input_integer_register(n)`; the program writes output registers by
+    `write_output_integer_register(n, value)`, which a client reads. The numbers are those of URScript.
 
     Each register that is written is claimed when it is written for the first time, and kept until the robot is closed,
     so no other client can write it. Bits 64 to 127, integers and floats 24 to 47 are for clients such as this one; the
     lower ones are for fieldbuses and PLCs, and not taken unless asked for (`Rtde.registers`).
     """
 
-    def __init__(
-        self,
-        claims: Callable[[], Claims],
-        outputs: Callable[[tuple[str, ...], float], OutputStream[Any]],
-        timeout: float,
-        *,
-        lower: bool,
-    ) -> None:
-        self._claims = claims
-        self._outputs = outputs
+    def __init__(self, rtde: Rtde, timeout: float, *, lower: bool) -> None:
+        self._rtde = rtde
         self._timeout = timeout
         self._lower = lower
         self._streams: dict[str, OutputStream[Any]] = {}
@@ -172,15 +252,15 @@ class Registers:
             RemoteError, Closed: the controller cannot be reached.
         """
         check_whole(number, "number", 64, 127)
-        self._claims().write({f"input_bit_register_{number}": value})
+        self._rtde._claimed().write({f"input_bit_register_{number}": value})
 
     def write_integer(self, number: int, value: int) -> None:
         """Write an input integer of 32 bits; see `write_bit`."""
-        self._claims().write({f"input_int_register_{self._checked(number, 'int')}": value})
+        self._rtde._claimed().write({f"input_int_register_{self._checked(number, 'int')}": value})
 
     def write_float(self, number: int, value: float) -> None:
         """Write an input float; see `write_bit`."""
-        self._claims().write({f"input_double_register_{self._checked(number, 'double')}": value})
+        self._rtde._claimed().write({f"input_double_register_{self._checked(number, 'double')}": value})
 
     # -- what a program on the controller writes -------------------------------------------------------
 
@@ -230,7 +310,7 @@ class Registers:
                     upper, end = _RANGES[kind]
                     first = upper if kind == "bit" or not self._lower else 0
                     names = tuple(f"output_{kind}_register_{number}" for number in range(first, end))
-                stream = self._streams[kind] = self._outputs(names, _FREQUENCY)
+                stream = self._streams[kind] = self._rtde.outputs(*names, frequency=_FREQUENCY)
         # A new stream is connected by waiting, so that its first package is not missed.
         state = (None if is_new else stream.latest) or stream.wait(self._timeout)
         return getattr(state, name)
