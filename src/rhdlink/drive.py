@@ -6,17 +6,17 @@ import math
 import os
 import threading
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
-from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError
+from linkcore.errors import BadValue, Closed, LinkTimeout
 from linkcore.handle import Lifecycle, Motion
 from linkcore.threads import CallbackThread, started
 
 from .smrcl.controller import MissionController
-from .smrcl.execution import Callbacks, MissionExecution, error_of, leaving_at_exit
+from .smrcl.execution import Callbacks, MissionExecution, leaving_at_exit
 from .smrcl.mission import Robot, suitable_conf
 from .smrcl.motion.basic import FollowDirection, Forward, Stop, Wheels
-from .smrcl.motion.control import ControlledMotion, MotionControl
+from .smrcl.motion.control import ControlledMotion
 from .smrcl.motion.following import FollowLine, FollowWall
 from .smrcl.motion.topoint import DriveToPoint
 from .smrcl.motion.turning import ArcTurn, Turn
@@ -42,17 +42,16 @@ _SETTLING = 500
 _CLOSE_TIMEOUT = 5.0
 
 
-class _Command:
+class _Command(NamedTuple):
     """A motion that was requested.
 
-    Args:
+    Attributes:
         begin: is called in the thread that drives, before the motion begins.
     """
 
-    def __init__(self, motion: ControlledMotion, life: Lifecycle, begin: Callable[[Vehicle], object]) -> None:
-        self.motion = motion
-        self.life = life
-        self.begin = begin
+    motion: ControlledMotion
+    life: Lifecycle
+    begin: Callable[[], object]
 
 
 class _Motions:
@@ -98,7 +97,7 @@ class _Motions:
                 before.life.cancel("preempted by another motion")
             if not new.life.is_over:
                 self._current = new
-                new.begin(self._vehicle)
+                new.begin()
                 self._vehicle.control.start(new.motion)
                 new.life.begin()
             return False
@@ -167,29 +166,24 @@ class Drive:
         self._speed = _number("speed", speed)
         self._acceleration = _positive("acceleration", acceleration)
         chosen = find_profile(compat)
-        link, owns = open_link(robot)
-        try:
-            controller = MissionController(suitable_conf(conf, link), link.read, link.write, profile=chosen, warm_up=0)
-        except BaseException:
-            if owns:
-                link.close()
-            raise
-        self._link, self._owns = link, owns
-        self._controller = controller
-        self._vehicle = controller.vehicle
-        self._motions = _Motions(self._vehicle)
-        controller.execute(self._motions)
-        self._execution = MissionExecution(link, controller, Callbacks())
-        self._callbacks = CallbackThread(f"drive {link.name} callbacks")
+        link = open_link(robot)
+        self._owned = None if link is robot else link
+        self._link = link
         self._wake = threading.Event()
         self._closing = threading.Event()
         self._error: Exception | None = None
-        self._thread = threading.Thread(target=self._run_in_thread, name=f"drive {link.name}", daemon=True)
         try:
+            controller = MissionController(suitable_conf(conf, link), link.read, link.write, profile=chosen, warm_up=0)
+            self._controller = controller
+            self._vehicle = controller.vehicle
+            self._motions = _Motions(self._vehicle)
+            controller.execute(self._motions)
+            self._execution = MissionExecution(link, controller, Callbacks())
+            self._callbacks = CallbackThread(f"drive {link.name} callbacks")
+            self._thread = threading.Thread(target=self._run_in_thread, name=f"drive {link.name}", daemon=True)
             started(self._thread)
-        except LocalError:
-            if owns:
-                link.close()
+        except BaseException:
+            self._close_link()
             raise
 
     # -- motions -------------------------------------------------------------------------------------
@@ -220,10 +214,11 @@ class Drive:
     def along(self, x: float, y: float, direction: float, *, speed: float | None = None) -> Motion:
         """Along the line through (x, y) in `direction`, until another motion begins or it is cancelled."""
         place = _number("x", x), _number("y", y), math.radians(_number("direction", direction))
+        control = self._vehicle.control
 
-        def begin(vehicle: Vehicle) -> None:
-            vehicle.control.distance = 0.0
-            vehicle.control.reference.set(*place)
+        def begin() -> None:
+            control.distance = 0.0
+            control.reference.set(*place)
 
         return self._begin("along", FollowDirection(), speed, begin)
 
@@ -237,8 +232,8 @@ class Drive:
         except ValueError:
             raise BadValue(f"kind is {kind!r}; expected one of {', '.join(each.value for each in LineKind)}") from None
 
-        def begin(vehicle: Vehicle) -> None:
-            vehicle.line_kind = wanted
+        def begin() -> None:
+            self._vehicle.line_kind = wanted
 
         return self._begin("follow_line", FollowLine(), speed, begin)
 
@@ -261,20 +256,20 @@ class Drive:
         name: str,
         motion: ControlledMotion,
         speed: float | None,
-        begin: Callable[[Vehicle], object] = lambda vehicle: None,
+        begin: Callable[[], object] = lambda: None,
     ) -> Motion:
         if self._closing.is_set() or self._error is not None:
             raise Closed(f"{self._link.name} is not driven any more") from self._error
         wanted = self._speed if speed is None else _number("speed", speed)
         control = self._vehicle.control
 
-        def prepare(vehicle: Vehicle) -> None:
+        def prepare() -> None:
             control.speed, control.acceleration = wanted, self._acceleration
-            begin(vehicle)
+            begin()
 
         life = Lifecycle(name, self._callbacks)
         life.brake = self._wake.set
-        handle = Motion(life, lambda: _progress(motion, control))
+        handle = Motion(life, lambda: motion.progress(control) if control.motion is motion else 0.0)
         self._motions.put(_Command(motion, life, prepare))
         self._wake.set()
         return handle
@@ -333,9 +328,8 @@ class Drive:
                         continue
                 self._execution.cycle()
                 self._controller.take_said()
-                failure = self._controller.failure
-                if failure is not None:
-                    raise error_of(failure)
+                if self._execution.error is not None:
+                    raise self._execution.error
         except Exception as error:
             self._error = error
             self._motions.end(error)
@@ -363,9 +357,12 @@ class Drive:
         self._leave()
         if self._thread.is_alive():
             raise LinkTimeout(f"{self._link.name} has not answered within {_CLOSE_TIMEOUT:g} s")
-        if self._owns:
-            self._link.close()
+        self._close_link()
         self._callbacks.close(_CLOSE_TIMEOUT)
+
+    def _close_link(self) -> None:
+        if self._owned is not None:
+            self._owned.close()
 
     def __enter__(self) -> Self:
         return self
@@ -379,10 +376,6 @@ class Drive:
         if not self._motions.is_idle:
             state = "moving"
         return f"<Drive {self._link.name} {state} at x {x:.3f} m, y {y:.3f} m, heading {math.degrees(theta):.1f} deg>"
-
-
-def _progress(motion: ControlledMotion, control: MotionControl) -> float:
-    return motion.progress(control) if control.motion is motion else 0.0
 
 
 def _number(name: str, value: float) -> float:
