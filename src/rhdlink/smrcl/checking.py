@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 
 from ..errors import Mistake
 from .commands import COMMANDS, ParameterKind
-from .parser import FUNCTIONS, Parser
+from .parser import Parser
 from .plan import MissionPlan, PlanLine
 from .symbols import split_index
 from .syntax import (
@@ -50,7 +50,7 @@ def check(
         checks_numbers: whether a number that no motion takes is a mistake.
         system: the system variables of the robot; None if that is not known.
     """
-    parser = Parser(frozenset(COMMANDS), {**FUNCTIONS, **dict.fromkeys(functions)})
+    parser = Parser(COMMANDS, functions)
     trees = [parser.parse(line.text) for line in plan.lines]
     made = {*variables, *_made(trees)}
     found: list[Mistake] = []
@@ -94,21 +94,14 @@ def _check_line(
 def _command_mistakes(statement: CommandStatement, plan: MissionPlan, checks_numbers: bool) -> Iterator[str]:
     if statement.is_broken:
         return
-    command, parameters = COMMANDS[statement.name], statement.parameters
-    if not command.takes(len(parameters)):
-        yield f"{command.name} takes {command.count}, not {len(parameters)}"
+    command = COMMANDS[statement.name]
+    known = [operand.value if isinstance(operand, NumberLiteral) else None for operand in statement.parameters]
+    yield from command.mistakes(statement, known, checks_numbers=checks_numbers)
+    if not command.takes(len(known)):
         return
-    for number, operand in enumerate(parameters):
-        text = command.mistake(number, operand)
-        if not text and checks_numbers and isinstance(operand, NumberLiteral):
-            text = command.excess(number, operand.value)
-        if text:
-            yield text
     for label in _texts(statement, ParameterKind.LABEL):
         if plan.find_label(label) is None:
             yield f'there is no label "{label}"'
-    if command.needs_condition and not statement.conditions:
-        yield f"{command.name} needs a condition, as in {command.needs_condition}"
     for setting in statement.speeds:
         if setting.letter == "a" and isinstance(setting.value, NumberLiteral) and not setting.value.value > 0.0:
             yield "an acceleration has to be above 0"

@@ -210,13 +210,21 @@ def go_to(effects: MissionEffects, label: str) -> Outcome:
 
 def call(effects: MissionEffects, label: str) -> Outcome:
     """`call`: likewise, up to `return`."""
-    effects.interpreter.call(label, effects.run)
+    run, most = effects.run, effects.interpreter.limits.calls
+    back = run.plan.next
+    effects.interpreter.go_to(label, run)
+    if len(run.calls) >= most:
+        raise LineFault(f"more than {most} calls within each other", is_limit=True)
+    run.calls.append(back)
     return effects.go_on(never)
 
 
 def go_back(effects: MissionEffects) -> Outcome:
     """`return`: behind the last `call`."""
-    effects.interpreter.go_back(effects.run)
+    run = effects.run
+    if not run.calls:
+        raise LineFault("return without a call")
+    run.plan.next = run.calls.pop()
     return effects.go_on(never)
 
 

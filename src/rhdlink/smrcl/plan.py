@@ -8,8 +8,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from .syntax import ScriptLine
-
 #: Characters of a line. MRC cuts longer ones, and takes the rest for the next line.
 LONGEST_LINE = 255
 
@@ -25,15 +23,13 @@ class PlanLine:
         text: without leading blanks; of a file with the line feed at its end.
         number: of the file, from 1.
         indent: blanks that were before it there.
-        tree: what it says, once it has been read.
-        steps: that compiled, by the interpreter that executes it.
+        steps: what it says, once it has been read; compiled by the interpreter that executes it, see `compile_line`.
     """
 
     text: str
     number: int
     indent: int = 0
-    tree: ScriptLine | None = None
-    steps: tuple[Callable[..., Any], ...] | None = field(default=None, repr=False)
+    steps: Sequence[tuple[int, Callable[..., Any]]] | None = field(default=None, repr=False)
 
 
 class MissionPlan:
