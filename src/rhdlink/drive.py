@@ -57,17 +57,15 @@ class _Command(NamedTuple):
 class _Motions:
     """The program of a `Drive`: the motion that was requested last."""
 
+    #: There is no script.
+    run: Run | None = None
+
     def __init__(self, vehicle: Vehicle) -> None:
         self._vehicle = vehicle
         self._lock = threading.Lock()
         self._next: _Command | None = None
         self._current: _Command | None = None
         self._error: Exception | None = None
-
-    @property
-    def run(self) -> Run | None:
-        """There is no script."""
-        return None
 
     @property
     def is_idle(self) -> bool:

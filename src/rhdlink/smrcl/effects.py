@@ -16,9 +16,8 @@ from .expressions import LineFault, Value
 from .interpreter import ScriptInterpreter, never
 from .motion.control import ControlledMotion
 from .plan import Outcome, Run
-from .recipients import Outbox, Recipient
+from .recipients import Recipient
 from .symbols import DataLog, split_index
-from .vehicle import Vehicle
 
 if TYPE_CHECKING:
     from .commands import ScriptCommand
@@ -62,13 +61,16 @@ class MissionEffects:
     """What commands act on.
 
     Args:
-        vehicle: what moves.
         interpreter: whose lines they are.
-        output: gets the output that MRC prints.
-        client: receives texts, events, streams and logs.
         hooks: what carries out commands that need hardware, by the name of the command.
 
     Attributes:
+        interpreter, hooks: as given.
+        vehicle: what moves.
+        output: gets the output that MRC prints.
+        client: receives texts, events, streams and logs.
+        profile: as MRC does it, or sound.
+        symbols: the variables of the mission.
         command: the present one, or the last.
         run: the plan that it belongs to.
         conditions: its stop conditions.
@@ -81,25 +83,18 @@ class MissionEffects:
         routine_result: what `resetmotors` prints: the x that it found the time before.
     """
 
-    def __init__(
-        self,
-        vehicle: Vehicle,
-        interpreter: ScriptInterpreter,
-        output: Outbox,
-        client: Recipient,
-        hooks: Mapping[str, Hook],
-    ) -> None:
-        self.vehicle = vehicle
+    def __init__(self, interpreter: ScriptInterpreter, hooks: Mapping[str, Hook]) -> None:
         self.interpreter = interpreter
-        self.output = output
-        self.client = client
         self.hooks = hooks
-        self.profile = vehicle.profile
-        self.symbols = vehicle.symbols
+        self.vehicle = interpreter.vehicle
+        self.output = interpreter.output
+        self.client: Recipient = interpreter.output
+        self.profile = interpreter.profile
+        self.symbols = interpreter.symbols
         self.command: ScriptCommand
         self.run: Run
         self.conditions: Sequence[Value] = ()
-        self.log = DataLog(vehicle.symbols.pool)
+        self.log = DataLog(interpreter.symbols.pool)
         self.watches: list[Watch] = []
         self.text_buffer = ""
         self.is_reading = False

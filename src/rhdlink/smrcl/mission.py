@@ -6,7 +6,7 @@ import math
 import os
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -149,14 +149,13 @@ class Mission(WithCallbacks):
         """Every mistake in the script that can be known before it runs, in the order of its lines."""
         return self._check(None)
 
-    def _check(self, system: Iterable[str] | None) -> list[Mistake]:
-        plan = MissionPlan(list(split_lines(self.source, cuts=False)), self.name)
+    def _check(self, system: Collection[str] | None) -> list[Mistake]:
         return check(
-            plan,
+            MissionPlan(split_lines(self.source, cuts=False)),
             functions=self._callbacks.functions,
             variables=self._variables,
             checks_numbers=self.profile.numbers_are_checked,
-            system=None if system is None else frozenset(system),
+            system=system,
         )
 
     # -- running -------------------------------------------------------------------------------------
@@ -236,7 +235,7 @@ class Mission(WithCallbacks):
         for name, value in self._variables.items():
             if (symbol := symbols.make(name)) is not None:
                 symbols.pool[symbol.place] = float(value)
-        controller.load(self.source, self.name)
+        controller.load(self.source)
         return controller
 
     def __repr__(self) -> str:

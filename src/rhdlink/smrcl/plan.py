@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import enum
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -44,7 +44,7 @@ class MissionPlan:
         next: index of the one that comes next.
     """
 
-    def __init__(self, lines: Sequence[PlanLine], name: str = "") -> None:
+    def __init__(self, lines: Iterable[PlanLine], name: str = "") -> None:
         self.name = name
         self.lines = list(lines)
         self.next = 0
