@@ -235,7 +235,7 @@ def wait(effects: MissionEffects, seconds: float) -> Outcome:
 def log(effects: MissionEffects, *names: str) -> Outcome:
     """`log`: have variables logged in each cycle."""
     for text in names:
-        if effects.log.columns >= DataLog.MOST_COLUMNS:
+        if len(effects.log.places) >= DataLog.MOST_COLUMNS:
             effects.reject_name(f"a log has at most {DataLog.MOST_COLUMNS} variables", "logtable full\n")
             continue
         is_system = text[:1] == "$"
@@ -247,7 +247,7 @@ def log(effects: MissionEffects, *names: str) -> Outcome:
         if effects.profile.indices_are_checked and not 0 <= index < symbol.size:
             raise LineFault(f"index {index} is beyond {name}, which has {symbol.size} values")
         if 0 <= symbol.place + index < len(effects.symbols.pool):
-            effects.log.add(symbol.place + index)
+            effects.log.places.append(symbol.place + index)
     return effects.at_once()
 
 
@@ -260,7 +260,7 @@ def control_log(effects: MissionEffects, word: str, name: str = "log", unused: s
     elif word == "resetlog":
         effects.log.reset()
     elif word == "removelogvars":
-        effects.log.remove_all()
+        effects.log.places.clear()
     elif word == "savelog":
         effects.client.save_log(name, effects.log.text)
     else:

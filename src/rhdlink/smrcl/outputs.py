@@ -26,7 +26,7 @@ class VehicleOutputs:
         self._symbols = symbols
         self._is_velomega = conf.drive is DriveKind.VELOMEGA
         self._scales = conf.left_speed_scale, conf.right_speed_scale
-        self._speeds = ("cmdtransvel", "cmdrotvel") if self._is_velomega else ("speedl", "speedr")
+        self._speeds = conf.writes
         self._words = {name: list(map(int, words)) for name, words in write.items()}
         self._changed: dict[str, list[int]] = {}
         self._count: Callable[[float], int] = _nearest

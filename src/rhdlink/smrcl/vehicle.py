@@ -63,17 +63,8 @@ class Vehicle:
         self.profile = profile
         self.symbols = Symbols(SYSTEM_NAMES, read, {name: len(words) for name, words in write.items()})
         self.outputs = VehicleOutputs(conf, self.symbols, write, profile)
-        self.odometry = Odometry(
-            left_scale=conf.left_scale,
-            right_scale=conf.right_scale,
-            width=conf.width,
-            period=conf.period,
-            max_tick=conf.max_tick,
-            heading_source=conf.heading_source,
-            is_rate=conf.is_rate,
-            is_relative=conf.is_relative,
-        )
-        self.covariance = Covariance(conf.left_scale, conf.right_scale, conf.width)
+        self.odometry = Odometry(conf)
+        self.covariance = Covariance(conf)
         self.infrared = InfraredSensors(conf.ir_k1, conf.ir_k2)
         white, black = conf.line_white, conf.line_black
         if white is None and profile.reads_uncalibrated:
@@ -97,19 +88,18 @@ class Vehicle:
         self.heading_gain = conf.heading_gain if is_velomega else 0.0
         self.control.obstacle_front, self.control.obstacle_back = _FREE_AHEAD, _FREE_BEHIND
         self._counters = "transpos" if is_velomega else "encl", "encr"
-        self._read = frozenset(read)
+        self._read = read
         self._has_raw_ir = self._has_ir = read.get("irsensor", 0) >= 5
         self._has_raw_line = read.get("linesensor", 0) >= conf.line_size
         self._has_tick = "tick" in read
         self._tick, self.cycles = 0, 1
         self.generator_output: tuple[str, int] | None = None
-        self._generator: FunctionGenerator | None = None
+        self._generated = 0.0
         if is_velomega and (heading := self.symbols.system.get("rotpos")) is not None:
             self.symbols.find_system("rotpos")
             self.functions.route_input("mrc", "odoconnect", "dth", heading.place)
         for scale in conf.scales:
-            name, index = split_index(scale.variable)
-            self.symbols.set_scale(name, index, offset=scale.offset, gain=scale.gain)
+            self.symbols.set_scale(*split_index(scale.variable), offset=scale.offset, gain=scale.gain)
         for setting in conf.settings:
             self.functions.set_parameter(setting.module, setting.function, setting.parameter, setting.value)
         for route in conf.routes:
@@ -184,10 +174,9 @@ class Vehicle:
         self.functions.act(self.symbols.pool)
         control.update()
         if isinstance(control.motion, FunctionGenerator):
-            self._generator = control.motion
+            self._generated = control.motion.output
         if self.generator_output is not None:
-            name, index = self.generator_output
-            self.outputs.set(name, index, 0.0 if self._generator is None else self._generator.output)
+            self.outputs.set(*self.generator_output, self._generated)
         self.outputs.set_speeds(control.left, control.right, control.omega)
         return self.outputs.take_changed()
 
