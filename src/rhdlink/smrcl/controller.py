@@ -27,7 +27,7 @@ from .effects import Hook, MissionEffects
 from .expressions import LineFault
 from .interpreter import MissionLimits, ScriptInterpreter
 from .motion.topoint import NoWay
-from .plan import Failure, MissionPlan, Run, split_lines
+from .plan import Failure, MissionPlan, Run, Stage, split_lines
 from .profile import SOUND, Profile
 from .recipients import Outbox, Said
 from .robot_conf import RobotConf
@@ -195,7 +195,7 @@ class MissionController:
     def is_held(self) -> bool:
         """Whether the mission stands at a breakpoint."""
         run = self.run
-        return run is not None and run.is_held
+        return run is not None and run.stage is Stage.HOLD
 
     def _act(self) -> dict[str, list[int]]:
         try:

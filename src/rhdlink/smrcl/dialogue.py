@@ -236,7 +236,7 @@ class ClientDialogue:
         self._outbox.message("\n" + "".join(f"{line.text}\0" for line in plan.lines) + f"endplan {text}\n")
         # MRC prints addresses; these count from the beginning of the plan.
         size = sum(len(line.text) + 1 for line in plan.lines)
-        self._outbox.message(f"start 0 end {size:x}  label 0 nlabels {plan.labels}\n")
+        self._outbox.message(f"start 0 end {size:x}  label 0 nlabels {len(plan.labels)}\n")
         session.send("ok\n")
 
     def _delete_plan(self, name: str) -> None:

@@ -111,7 +111,7 @@ class ScriptInterpreter:
             self._wait(run)
         elif run.stage is Stage.ROUTINE:
             run.continue_routine()
-        return run.is_done
+        return run.stage is Stage.DONE
 
     def update_variables(self, run: Run) -> None:
         """Bring the system variables up to date, with distance and time of a run."""
@@ -340,7 +340,7 @@ class ScriptInterpreter:
         Raises:
             LineFault: there is no such label.
         """
-        place = run.plan.find_label(label)
+        place = run.plan.labels.get(label)
         if place is None:
             raise LineFault(f'there is no label "{label}"')
         run.plan.next = place

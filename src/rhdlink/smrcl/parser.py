@@ -161,6 +161,11 @@ class Parser:
             token.text in KEYWORDS or token.text in self._commands or token.text in self._functions
         )
 
+    def _number(self, expected: str) -> float:
+        if self._token.type is not TokenType.NUMBER:
+            raise self._unexpected(expected)
+        return self._next().value
+
     def _variable(self) -> VariableName:
         token = self._next()
         if len(token.text) > LONGEST_NAME:
@@ -207,9 +212,7 @@ class Parser:
         if word == "switch":
             return Switch(self._bracketed("after switch"))
         if word == "case":
-            if self._token.type is not TokenType.NUMBER:
-                raise self._unexpected("a number after case")
-            return Case(NumberLiteral(self._next().value))
+            return Case(NumberLiteral(self._number("a number after case")))
         return EndSwitch()
 
     def _assignment(self) -> Assign:
@@ -252,18 +255,14 @@ class Parser:
         if self._is_variable(token):
             return self._variable()
         if self._take("-"):
-            if self._token.type is not TokenType.NUMBER:
-                raise self._unexpected("a number after '-'; a parameter is a number, a variable or a text")
-            return NumberLiteral(-self._next().value)
+            return NumberLiteral(-self._number("a number after '-'; a parameter is a number, a variable or a text"))
         return None
 
     def _speed(self) -> SpeedSetting | None:
         for letter in "va":
             if self._take(f"@{letter}"):
                 if letter == "v" and self._take("-"):
-                    if self._token.type is not TokenType.NUMBER:
-                        raise self._unexpected("a number after '@v -'")
-                    return SpeedSetting(letter, NumberLiteral(-self._next().value))
+                    return SpeedSetting(letter, NumberLiteral(-self._number("a number after '@v -'")))
                 if self._token.type is TokenType.NUMBER:
                     return SpeedSetting(letter, NumberLiteral(self._next().value))
                 if self._is_variable(self._token):
