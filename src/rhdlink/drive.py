@@ -8,12 +8,12 @@ import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
-from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError
+from linkcore.errors import BadValue, Closed, LinkTimeout
 from linkcore.handle import Lifecycle, Motion
 from linkcore.threads import CallbackThread, started
 
 from .smrcl.controller import MissionController
-from .smrcl.execution import Callbacks, MissionExecution, error_of, leaving_at_exit
+from .smrcl.execution import Callbacks, MissionExecution, leaving_at_exit
 from .smrcl.mission import Robot, suitable_conf
 from .smrcl.motion.basic import FollowDirection, Forward, Stop, Wheels
 from .smrcl.motion.control import ControlledMotion, MotionControl
@@ -56,17 +56,15 @@ class _Command(NamedTuple):
 class _Motions:
     """The program of a `Drive`: the motion that was requested last."""
 
+    #: There is no script.
+    run: Run | None = None
+
     def __init__(self, control: MotionControl) -> None:
         self._control = control
         self._lock = threading.Lock()
         self._next: _Command | None = None
         self._current: _Command | None = None
         self._error: Exception | None = None
-
-    @property
-    def run(self) -> Run | None:
-        """There is no script."""
-        return None
 
     @property
     def is_idle(self) -> bool:
@@ -164,29 +162,24 @@ class Drive:
         self._speed = _number("speed", speed)
         self._acceleration = _positive("acceleration", acceleration)
         chosen = find_profile(compat)
-        link, owns = open_link(robot)
-        try:
-            controller = MissionController(suitable_conf(conf, link), link.read, link.write, profile=chosen, warm_up=0)
-        except BaseException:
-            if owns:
-                link.close()
-            raise
-        self._link, self._owns = link, owns
-        self._controller = controller
-        self._vehicle = controller.vehicle
-        self._motions = _Motions(self._vehicle.control)
-        controller.execute(self._motions)
-        self._execution = MissionExecution(link, controller, Callbacks())
-        self._callbacks = CallbackThread(f"drive {link.name} callbacks")
+        link = open_link(robot)
+        self._owned = None if link is robot else link
+        self._link = link
         self._wake = threading.Event()
         self._closing = threading.Event()
         self._error: Exception | None = None
-        self._thread = threading.Thread(target=self._run_in_thread, name=f"drive {link.name}", daemon=True)
         try:
+            controller = MissionController(suitable_conf(conf, link), link.read, link.write, profile=chosen, warm_up=0)
+            self._controller = controller
+            self._vehicle = controller.vehicle
+            self._motions = _Motions(self._vehicle.control)
+            controller.execute(self._motions)
+            self._execution = MissionExecution(link, controller, Callbacks())
+            self._callbacks = CallbackThread(f"drive {link.name} callbacks")
+            self._thread = threading.Thread(target=self._run_in_thread, name=f"drive {link.name}", daemon=True)
             started(self._thread)
-        except LocalError:
-            if owns:
-                link.close()
+        except BaseException:
+            self._close_link()
             raise
 
     # -- motions -------------------------------------------------------------------------------------
@@ -255,7 +248,11 @@ class Drive:
         return self._begin("stop", Stop(), None)
 
     def _begin(
-        self, name: str, motion: ControlledMotion, speed: float | None, begin: Callable[[], object] = lambda: None
+        self,
+        name: str,
+        motion: ControlledMotion,
+        speed: float | None,
+        begin: Callable[[], object] = lambda: None,
     ) -> Motion:
         if self._closing.is_set() or self._error is not None:
             raise Closed(f"{self._link.name} is not driven any more") from self._error
@@ -327,9 +324,8 @@ class Drive:
                         continue
                 self._execution.cycle()
                 self._controller.take_said()
-                failure = self._controller.failure
-                if failure is not None:
-                    raise error_of(failure)
+                if self._execution.error is not None:
+                    raise self._execution.error
         except Exception as error:
             self._error = error
             self._motions.end(error)
@@ -357,9 +353,12 @@ class Drive:
         self._leave()
         if self._thread.is_alive():
             raise LinkTimeout(f"{self._link.name} has not answered within {_CLOSE_TIMEOUT:g} s")
-        if self._owns:
-            self._link.close()
+        self._close_link()
         self._callbacks.close(_CLOSE_TIMEOUT)
+
+    def _close_link(self) -> None:
+        if self._owned is not None:
+            self._owned.close()
 
     def __enter__(self) -> Self:
         return self

@@ -5,28 +5,21 @@ Whether a system variable exists depends on the robot, so that is found only whe
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import fields, is_dataclass
 
 from ..errors import Mistake
 from .commands import COMMANDS, ParameterKind
-from .parser import FUNCTIONS, Parser
+from .parser import Parser
 from .plan import MissionPlan, PlanLine
 from .symbols import split_index
 from .syntax import (
     ArrayElement,
     Assign,
-    Binary,
-    Call,
     CommandStatement,
-    Evaluate,
-    Expression,
     If,
-    Negate,
     NumberLiteral,
-    Operand,
     ScriptLine,
-    Statement,
-    Switch,
     TextLiteral,
     VariableName,
     WaitFor,
@@ -50,7 +43,7 @@ def check(
         checks_numbers: whether a number that no motion takes is a mistake.
         system: the system variables of the robot; None if that is not known.
     """
-    parser = Parser(frozenset(COMMANDS), {**FUNCTIONS, **dict.fromkeys(functions)})
+    parser = Parser(COMMANDS, functions)
     trees = [parser.parse(line.text) for line in plan.lines]
     made = {*variables, *_made(trees)}
     found: list[Mistake] = []
@@ -80,7 +73,7 @@ def _check_line(
                     yield mistake(variable.column, f"the robot has no system variable ${variable.name}")
             elif variable.name not in made:
                 yield mistake(variable.column, f"nothing in the script makes the variable {variable.name}")
-        if isinstance(statement, If) and plan.find_label(statement.label) is None:
+        if isinstance(statement, If) and statement.label not in plan.labels:
             yield mistake(statement.column, f'there is no label "{statement.label}"')
         if isinstance(statement, WaitFor) and not statement.conditions:
             yield mistake(statement.column, "a character that is not ASCII can stand in texts and comments only")
@@ -94,21 +87,14 @@ def _check_line(
 def _command_mistakes(statement: CommandStatement, plan: MissionPlan, checks_numbers: bool) -> Iterator[str]:
     if statement.is_broken:
         return
-    command, parameters = COMMANDS[statement.name], statement.parameters
-    if not command.takes(len(parameters)):
-        yield f"{command.name} takes {command.count}, not {len(parameters)}"
+    command = COMMANDS[statement.name]
+    known = [operand.value if isinstance(operand, NumberLiteral) else None for operand in statement.parameters]
+    yield from command.mistakes(statement, known, checks_numbers=checks_numbers)
+    if not command.takes(len(known)):
         return
-    for number, operand in enumerate(parameters):
-        text = command.mistake(number, operand)
-        if not text and checks_numbers and isinstance(operand, NumberLiteral):
-            text = command.excess(number, operand.value)
-        if text:
-            yield text
     for label in _texts(statement, ParameterKind.LABEL):
-        if plan.find_label(label) is None:
+        if label not in plan.labels:
             yield f'there is no label "{label}"'
-    if command.needs_condition and not statement.conditions:
-        yield f"{command.name} needs a condition, as in {command.needs_condition}"
     for setting in statement.speeds:
         if setting.letter == "a" and isinstance(setting.value, NumberLiteral) and not setting.value.value > 0.0:
             yield "an acceleration has to be above 0"
@@ -131,43 +117,17 @@ def _made(trees: Iterable[ScriptLine]) -> Iterator[str]:
                 yield from (split_index(name)[0] for name in _texts(statement, ParameterKind.NEW_NAME))
 
 
-def _variables(statement: Statement) -> Iterator[VariableName]:
-    """The variables that a statement reads."""
-    if isinstance(statement, CommandStatement):
-        operands: Sequence[Operand] = [*statement.parameters, *(each.value for each in statement.speeds)]
-        yield from (each for each in operands if isinstance(each, VariableName))
-        yield from _of_all(statement.conditions)
-    elif isinstance(statement, WaitFor):
-        yield from _of_all(statement.conditions)
-    elif isinstance(statement, Evaluate):
-        yield from _of_all(statement.values)
-    elif isinstance(statement, If):
-        yield from _of(statement.condition)
-    elif isinstance(statement, Switch):
-        yield from _of(statement.value)
-    elif isinstance(statement, Assign):
-        yield from _of(statement.value)
-        if isinstance(statement.target, ArrayElement):
-            yield from _of(statement.target)
-        elif statement.target.is_system:
-            yield statement.target
-
-
-def _of_all(expressions: Iterable[Expression]) -> Iterator[VariableName]:
-    for expression in expressions:
-        yield from _of(expression)
-
-
-def _of(expression: Expression) -> Iterator[VariableName]:
-    if isinstance(expression, VariableName):
-        yield expression
-    elif isinstance(expression, ArrayElement):
-        yield expression.array
-        yield from _of(expression.index)
-    elif isinstance(expression, Call):
-        yield from _of_all(expression.arguments)
-    elif isinstance(expression, Negate):
-        yield from _of(expression.operand)
-    elif isinstance(expression, Binary):
-        yield from _of(expression.left)
-        yield from _of(expression.right)
+def _variables(part: object) -> Iterator[VariableName]:
+    """The variables that a statement reads, or a part of one."""
+    if isinstance(part, VariableName):
+        yield part
+    elif isinstance(part, Assign):
+        yield from _variables(part.value)
+        if isinstance(part.target, ArrayElement) or part.target.is_system:
+            yield from _variables(part.target)
+    elif isinstance(part, tuple):
+        for each in part:
+            yield from _variables(each)
+    elif is_dataclass(part):
+        for field in fields(part):
+            yield from _variables(getattr(part, field.name))

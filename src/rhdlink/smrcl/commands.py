@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import enum
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -16,7 +16,7 @@ from . import driving, effects, settings
 from .arithmetic import format_number
 from .parser import FUNCTIONS, KEYWORDS
 from .plan import Outcome
-from .syntax import Operand, TextLiteral
+from .syntax import CommandStatement, TextLiteral
 
 #: Parameters of a command whose last one may be repeated, as in MRC, which calls it "up to 9".
 MOST_PARAMETERS = 49
@@ -39,8 +39,9 @@ class ParameterKind(enum.Enum):
     ANY = "anything"
 
 
-_TEXTS = frozenset((ParameterKind.TEXT, ParameterKind.LABEL, ParameterKind.NEW_NAME))
-_NUMBERS = frozenset((ParameterKind.NUMBER, ParameterKind.LENGTH))
+_ANY, _LENGTH, _NUMBER, _TEXT = ParameterKind.ANY, ParameterKind.LENGTH, ParameterKind.NUMBER, ParameterKind.TEXT
+_TEXTS = frozenset((_TEXT, ParameterKind.LABEL, ParameterKind.NEW_NAME))
+_NUMBERS = frozenset((_NUMBER, _LENGTH))
 
 
 @dataclass(frozen=True)
@@ -102,24 +103,29 @@ class ScriptCommand:
         """The kind of a parameter, counted from 0, be it one too many."""
         return self.kinds[min(number, len(self.kinds) - 1)] if self.kinds else ParameterKind.ANY
 
-    def mistake(self, number: int, operand: Operand) -> str:
-        """The error of a parameter, counted from 0; "" for none."""
-        kind = self.kind(number)
-        if kind in _TEXTS and not isinstance(operand, TextLiteral):
-            return f'{self.name}: parameter {number + 1} has to be a text, as in "name"'
-        if kind in _NUMBERS and isinstance(operand, TextLiteral):
-            return f"{self.name}: parameter {number + 1} has to be a number or a variable, not a text"
-        return ""
+    def mistakes(self, statement: CommandStatement, values: Sequence[object], *, checks_numbers: bool) -> Iterator[str]:
+        """The errors of a statement with this command.
 
-    def excess(self, number: int, value: float | str) -> str:
-        """The error of a parameter's value, counted from 0; "" for none."""
-        if self.kind(number) is not ParameterKind.LENGTH or not isinstance(value, float) or abs(value) <= _FARTHEST:
-            return ""
-        expected = f"{ParameterKind.LENGTH.value} of at most {_FARTHEST:g}"
-        return f"{self.name}: parameter {number + 1} has to be {expected}, not {format_number(value)}"
+        Args:
+            statement: as it is written.
+            values: of its parameters, a float or a str each; None for one that is not known yet.
+            checks_numbers: whether a number that no motion takes is an error.
+        """
+        if not self.takes(len(values)):
+            yield f"{self.name} takes {self.count}, not {len(values)}"
+            return
+        for number, (operand, value) in enumerate(zip(statement.parameters, values, strict=True)):
+            kind, has_to_be = self.kind(number), f"{self.name}: parameter {number + 1} has to be"
+            if kind in _TEXTS and not isinstance(operand, TextLiteral):
+                yield f'{has_to_be} a text, as in "name"'
+            elif kind in _NUMBERS and isinstance(operand, TextLiteral):
+                yield f"{has_to_be} a number or a variable, not a text"
+            elif checks_numbers and kind is _LENGTH and isinstance(value, float) and not abs(value) <= _FARTHEST:
+                yield f"{has_to_be} {kind.value} of at most {_FARTHEST:g}, not {format_number(value)}"
+        if self.needs_condition and not statement.conditions:
+            yield f"{self.name} needs a condition, as in {self.needs_condition}"
 
 
-_ANY, _LENGTH, _NUMBER, _TEXT = ParameterKind.ANY, ParameterKind.LENGTH, ParameterKind.NUMBER, ParameterKind.TEXT
 _REFERENCE = (_LENGTH, _LENGTH, _LENGTH, _ANY)
 
 _TABLE = (

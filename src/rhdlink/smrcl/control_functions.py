@@ -60,9 +60,9 @@ class ControlFunctions:
     def __init__(self, control: MotionControl) -> None:
         self.control = control
         self.heading = self.steering_angle = self.stop = 0.0
-        self._routes: dict[tuple[bool, str], int] = {}
-        self._sensed: list[tuple[object, str, int]] = []
-        self._acted: list[tuple[object, str, int]] = []
+        # Owner and name of the attribute, and the place, by what stands in `_INPUTS`.
+        self._sensed: dict[str, tuple[object, str, int]] = {}
+        self._acted: dict[str, tuple[object, str, int]] = {}
 
     def set_parameter(self, module: str, function: str, name: str, value: float) -> bool:
         """Set a parameter. False if there is none of that name."""
@@ -78,23 +78,20 @@ class ControlFunctions:
 
     def route_input(self, module: str, function: str, name: str, place: int) -> bool:
         """Have an input come from a place in the pool. False if there is none of that name."""
-        path = _INPUTS.get((module, function, name))
-        if path is None:
+        if not self.has_input(module, function, name):
             return False
-        self._routes[path] = place
-        inputs: tuple[list[tuple[object, str, int]], ...] = [], []
-        for (is_sensed, attribute), where in self._routes.items():
-            owner, _, attribute = attribute.rpartition(".")
-            inputs[not is_sensed].append((attrgetter(owner)(self) if owner else self, attribute, where))
-        self._sensed, self._acted = inputs
+        is_sensed, path = _INPUTS[module, function, name]
+        owner, _, attribute = path.rpartition(".")
+        routes = self._sensed if is_sensed else self._acted
+        routes[path] = attrgetter(owner)(self) if owner else self, attribute, place
         return True
 
     def sense(self, pool: Sequence[float]) -> None:
         """Take the inputs that come before the script."""
-        for owner, attribute, place in self._sensed:
+        for owner, attribute, place in self._sensed.values():
             setattr(owner, attribute, pool[place])
 
     def act(self, pool: Sequence[float]) -> None:
         """Take the others."""
-        for owner, attribute, place in self._acted:
+        for owner, attribute, place in self._acted.values():
             setattr(owner, attribute, pool[place])

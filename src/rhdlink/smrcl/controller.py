@@ -17,7 +17,7 @@ acts on the robot from its next answer on.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
 from .arithmetic import format_number
@@ -27,7 +27,7 @@ from .effects import Hook, MissionEffects
 from .expressions import LineFault
 from .interpreter import MissionLimits, ScriptInterpreter
 from .motion.topoint import NoWay
-from .plan import Failure, MissionPlan, Run, split_lines
+from .plan import Failure, MissionPlan, Run, Stage, split_lines
 from .profile import SOUND, Profile
 from .recipients import Outbox, Said
 from .robot_conf import RobotConf
@@ -58,11 +58,7 @@ class PlanProgram:
     """
 
     interpreter: ScriptInterpreter
-    plan: MissionPlan
-    run: Run = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.run = Run(self.plan)
+    run: Run
 
     def step(self) -> bool:
         """One cycle; whether the script is over."""
@@ -88,7 +84,7 @@ class MissionController:
         effects: what commands do.
         failure: why the mission ended early; None if it did not.
         is_finished: the mission is over: what `step` returned last has the robot stand.
-        cycle: cycles so far; -1 before the first.
+        cycle: of the mission, from 0; -1 once the robot has answered what comes before the first.
     """
 
     def __init__(
@@ -110,14 +106,13 @@ class MissionController:
         self.interpreter = ScriptInterpreter(
             self.vehicle, self._outbox, COMMANDS, functions or {}, limits or MissionLimits()
         )
-        self.effects = MissionEffects(self.vehicle, self.interpreter, self._outbox, self._outbox, hooks or {})
+        self.effects = MissionEffects(self.interpreter, hooks or {})
         self.interpreter.perform = self.effects.perform
         self._profile = profile
         self._program: CycleProgram | None = None
         self.failure: Failure | None = None
         self.is_finished = False
-        self.cycle = -1
-        self._is_begun = False
+        self.cycle = -2
         self._was_blocked = False
 
     def _say_of_motion(self, text: str) -> None:
@@ -126,17 +121,14 @@ class MissionController:
 
     # -- what is executed -------------------------------------------------------------------------------
 
-    def load(self, source: str, name: str = "") -> MissionPlan:
+    def load(self, source: str) -> None:
         """Execute a script."""
-        plan = MissionPlan(list(split_lines(source, cuts=not self._profile.checks_first)), name)
-        self._program = PlanProgram(self.interpreter, plan)
-        return plan
+        plan = MissionPlan(split_lines(source, cuts=not self._profile.checks_first))
+        self._program = PlanProgram(self.interpreter, Run(plan))
 
-    def serve(self, *, exit_ends: bool | None = None) -> ClientDialogue:
+    def serve(self) -> ClientDialogue:
         """Execute what clients send. `exit` ends all of it under MRC's profile, and otherwise only that client."""
-        ends = not self._profile.client_loss_stops if exit_ends is None else exit_ends
-        dialogue = ClientDialogue(self.vehicle, self.interpreter, self.effects, self._outbox, exit_ends=ends)
-        self._program = dialogue
+        self._program = dialogue = ClientDialogue(self.effects)
         return dialogue
 
     def execute(self, program: CycleProgram) -> None:
@@ -170,11 +162,10 @@ class MissionController:
             What is to be written next, by name.
         """
         vehicle = self.vehicle
-        if not self._is_begun:
-            self._is_begun = True
+        self.cycle += 1
+        if self.cycle < 0:
             vehicle.begin(raw)
             return {}
-        self.cycle += 1
         self.interpreter.time = time
         is_over = False
         try:
@@ -190,7 +181,7 @@ class MissionController:
         self._supervise()
         self.effects.log.update()
         if vehicle.functions.stop:
-            if not isinstance(self._program, ClientDialogue) or self._program.exit_ends:
+            if not isinstance(self._program, ClientDialogue) or not self._profile.client_loss_stops:
                 is_over = True
             elif self._program.run is not None:
                 self._fail("the input stop of mrccontrol is not 0")
@@ -204,7 +195,7 @@ class MissionController:
     def is_held(self) -> bool:
         """Whether the mission stands at a breakpoint."""
         run = self.run
-        return run is not None and run.is_held
+        return run is not None and run.stage is Stage.HOLD
 
     def _act(self) -> dict[str, list[int]]:
         try:

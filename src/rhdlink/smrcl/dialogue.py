@@ -11,16 +11,13 @@ No socket is here: bytes come in by `Session.receive` and go out by `Session.tak
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from .arithmetic import format_number, leading_number
 from .effects import MissionEffects
-from .interpreter import ScriptInterpreter
 from .motion.basic import Stop
 from .plan import ERROR, FREE_LINE, Failure, MissionPlan, PlanLine, Run
-from .recipients import Outbox, Session
-from .vehicle import Vehicle
+from .recipients import Session
 
 #: Commands that wait, and plans: as in MRC.
 MOST_COMMANDS, MOST_PLANS = 400, 10
@@ -43,41 +40,26 @@ class ClientDialogue:
     """Executes what clients send, stepped once per cycle.
 
     Args:
-        vehicle: what moves.
-        interpreter: executes lines.
-        effects: what commands do.
-        outbox: gets the output that MRC prints, and replaces a client that has gone.
-        exit_ends: a client's `exit` ends the dialogue, as it ends MRC; otherwise only that client.
+        effects: what commands do, and the interpreter that executes them.
 
     Attributes:
-        exit_ends: as given.
         sessions: the clients.
         failures: of commands, the newest last.
-        time: ``$time`` of this cycle.
+        queue: the commands that wait.
+        run: the program that is executed.
     """
 
-    def __init__(
-        self,
-        vehicle: Vehicle,
-        interpreter: ScriptInterpreter,
-        effects: MissionEffects,
-        outbox: Outbox,
-        *,
-        exit_ends: bool,
-    ) -> None:
-        self._vehicle = vehicle
-        self._interpreter = interpreter
+    def __init__(self, effects: MissionEffects) -> None:
         self._effects = effects
-        self._outbox = outbox
-        self.exit_ends = exit_ends
-        self._profile = vehicle.profile
-        self.pool: Sequence[float] = vehicle.symbols.pool
+        self._vehicle = effects.vehicle
+        self._interpreter = effects.interpreter
+        self._outbox = effects.output
+        self._profile = effects.profile
         self.sessions: list[Session] = []
         self.failures: deque[Failure] = deque(maxlen=100)
-        self.time = 0.0
-        self._queue: deque[_Queued] = deque()
+        self.queue: deque[_Queued] = deque()
+        self.run: Run | None = None
         self._plans: list[MissionPlan] = []
-        self._run: Run | None = None
         self._current: _Queued | None = None
         # MRC leaves the result of the command before in place, where an empty plan ends with it.
         self._result = 0.0
@@ -88,7 +70,7 @@ class ClientDialogue:
 
     def connect(self) -> Session:
         """A new client."""
-        session = Session(self)
+        session = Session(self._outbox, self._vehicle.symbols.pool)
         self.sessions.append(session)
         return session
 
@@ -103,48 +85,38 @@ class ClientDialogue:
         self.sessions.remove(session)
         if not self._profile.client_loss_stops:
             return
-        self._queue = deque(each for each in self._queue if each.session is not session)
+        self.queue = deque(each for each in self.queue if each.session is not session)
         if self._current is not None and self._current.session is session:
-            self._run = self._current = None
+            self.run = self._current = None
             self._interpreter.skips = False
             self._vehicle.control.finish()
-
-    @property
-    def waiting(self) -> int:
-        """Commands in the queue."""
-        return len(self._queue)
-
-    @property
-    def run(self) -> Run | None:
-        """The program that is executed."""
-        return self._run
 
     # -- cycles ---------------------------------------------------------------------------------------
 
     def step(self) -> bool:
         """One cycle; whether the dialogue is over."""
         self._cycles += 1
-        self.time = self._interpreter.time
+        time = self._interpreter.time
         for session in self.sessions:
-            session.begin_cycle(self._cycles, self.time, self.pool)
+            session.begin_cycle(self._cycles, time)
         is_over = self._is_ending
         if is_over:
-            self._run = None
+            self.run = None
             self._vehicle.control.start(Stop())
         else:
             for session in list(self.sessions):
                 self._take_lines(session)
             self._go_on()
-        if self._run is None:
+        if self.run is None:
             period = self._vehicle.control.parameters.period
-            self._vehicle.variables.update(self._vehicle.odometry.distance, self._cycles * period, self.time)
+            self._vehicle.variables.update(self._vehicle.odometry.distance, self._cycles * period, time)
         for session in self.sessions:
             session.end_cycle()
         return is_over
 
     def fail(self, failure: Failure) -> None:
         """What is executed cannot go on: its command ends with an error. Those that wait are begun after it."""
-        run, current = self._run, self._current
+        run, current = self.run, self._current
         if run is not None and current is not None:
             run.failure, run.result = failure, ERROR
             self._interpreter.skips = False
@@ -157,14 +129,6 @@ class ClientDialogue:
         for session in self.sessions:
             session.event(plain, xml)
 
-    def say(self, text: str) -> None:
-        """Something that MRC prints."""
-        self._outbox.message(text)
-
-    def save_log(self, name: str, text: str) -> None:
-        """`control "savelog"`."""
-        self._outbox.save_log(name, text)
-
     def _take_lines(self, session: Session) -> None:
         for _ in range(_MOST_LINES):
             line = session.next_line()
@@ -176,7 +140,7 @@ class ClientDialogue:
         # The order matters, since only the beginning of the line is looked at: `planet` is a line of a plan.
         if line.startswith("exit"):
             session.send("ok\n")
-            if self.exit_ends:
+            if not self._profile.client_loss_stops:
                 self._is_ending = True
             else:
                 self.disconnect(session)
@@ -214,15 +178,15 @@ class ClientDialogue:
 
     def _enqueue(self, session: Session, line: str) -> None:
         session.commands += 1
-        if len(self._queue) >= MOST_COMMANDS:
+        if len(self.queue) >= MOST_COMMANDS:
             session.answer_command(session.commands, "refused")
             return
-        self._queue.append(_Queued(session, session.commands, line))
+        self.queue.append(_Queued(session, session.commands, line))
         session.answer_command(session.commands, "queued")
 
     def _flush(self, session: Session) -> None:
-        self._queue.clear()
-        self._run = None
+        self.queue.clear()
+        self.run = None
         self._interpreter.skips = False
         if self._profile.flush_stops:
             self._vehicle.control.finish()
@@ -251,7 +215,7 @@ class ClientDialogue:
         if len(self._plans) < MOST_PLANS:
             session.recorded = MissionPlan([], name)
             self._plans.append(session.recorded)
-            self.say(f"beginplan {name}\n")
+            self._outbox.message(f"beginplan {name}\n")
             session.send("ok\n")
         else:
             # MRC says ok, and adds the lines to the plan before.
@@ -264,15 +228,15 @@ class ClientDialogue:
             session.send("error no plan has begun, or it is too long\n")
             return
         plan.append(PlanLine(text.lstrip(" \t"), len(plan.lines) + 1))
-        self.say(f"plan {text}\n")
+        self._outbox.message(f"plan {text}\n")
         session.send("ok\n")
 
     def _end_plan(self, session: Session, text: str) -> None:
         plan = session.recorded or MissionPlan([])
-        self.say("\n" + "".join(f"{line.text}\0" for line in plan.lines) + f"endplan {text}\n")
+        self._outbox.message("\n" + "".join(f"{line.text}\0" for line in plan.lines) + f"endplan {text}\n")
         # MRC prints addresses; these count from the beginning of the plan.
         size = sum(len(line.text) + 1 for line in plan.lines)
-        self.say(f"start 0 end {size:x}  label 0 nlabels {plan.labels}\n")
+        self._outbox.message(f"start 0 end {size:x}  label 0 nlabels {len(plan.labels)}\n")
         session.send("ok\n")
 
     def _delete_plan(self, name: str) -> None:
@@ -291,16 +255,16 @@ class ClientDialogue:
         """Go on with the present command, and begin others until one takes time."""
         left = MOST_COMMANDS
         while True:
-            run, current = self._run, self._current
+            run, current = self.run, self._current
             if run is not None and current is not None:
                 self._effects.client = current.session
                 if not self._interpreter.step(run):
                     return
                 self._finish(run, current)
-            elif self._queue:
-                self._begin(self._queue.popleft())
+            elif self.queue:
+                self._begin(self.queue.popleft())
             left -= 1
-            if self._run is not None or not self._queue or left < 0:
+            if self.run is not None or not self.queue or left < 0:
                 return
 
     def _begin(self, queued: _Queued) -> None:
@@ -308,7 +272,7 @@ class ClientDialogue:
         self._effects.client = session = queued.session
         run = Run(self._plan(queued.text), self._result)
         if not self._interpreter.step(run):
-            self._run = run
+            self.run = run
             session.command_event(queued.number, "started")
             return
         self._keep(run)
@@ -320,7 +284,7 @@ class ClientDialogue:
             session.command_event(queued.number, "stopcond", run.result)
 
     def _finish(self, run: Run, current: _Queued) -> None:
-        self._run = None
+        self.run = None
         self._keep(run)
         # A plan whose last line took no time ends without a word.
         if run.result != FREE_LINE:

@@ -16,9 +16,8 @@ from .expressions import LineFault, Value
 from .interpreter import ScriptInterpreter, never
 from .motion.control import ControlledMotion
 from .plan import Outcome, Run
-from .recipients import Outbox, Recipient
+from .recipients import Recipient
 from .symbols import DataLog, split_index
-from .vehicle import Vehicle
 
 if TYPE_CHECKING:
     from .commands import ScriptCommand
@@ -62,13 +61,16 @@ class MissionEffects:
     """What commands act on.
 
     Args:
-        vehicle: what moves.
         interpreter: whose lines they are.
-        output: gets the output that MRC prints.
-        client: receives texts, events, streams and logs.
         hooks: what carries out commands that need hardware, by the name of the command.
 
     Attributes:
+        interpreter, hooks: as given.
+        vehicle: what moves.
+        output: gets the output that MRC prints.
+        client: receives texts, events, streams and logs.
+        profile: as MRC does it, or sound.
+        symbols: the variables of the mission.
         command: the present one, or the last.
         run: the plan that it belongs to.
         conditions: its stop conditions.
@@ -81,25 +83,18 @@ class MissionEffects:
         routine_result: what `resetmotors` prints: the x that it found the time before.
     """
 
-    def __init__(
-        self,
-        vehicle: Vehicle,
-        interpreter: ScriptInterpreter,
-        output: Outbox,
-        client: Recipient,
-        hooks: Mapping[str, Hook],
-    ) -> None:
-        self.vehicle = vehicle
+    def __init__(self, interpreter: ScriptInterpreter, hooks: Mapping[str, Hook]) -> None:
         self.interpreter = interpreter
-        self.output = output
-        self.client = client
         self.hooks = hooks
-        self.profile = vehicle.profile
-        self.symbols = vehicle.symbols
+        self.vehicle = interpreter.vehicle
+        self.output = interpreter.output
+        self.client: Recipient = interpreter.output
+        self.profile = interpreter.profile
+        self.symbols = interpreter.symbols
         self.command: ScriptCommand
         self.run: Run
         self.conditions: Sequence[Value] = ()
-        self.log = DataLog(vehicle.symbols.pool)
+        self.log = DataLog(interpreter.symbols.pool)
         self.watches: list[Watch] = []
         self.text_buffer = ""
         self.is_reading = False
@@ -210,13 +205,21 @@ def go_to(effects: MissionEffects, label: str) -> Outcome:
 
 def call(effects: MissionEffects, label: str) -> Outcome:
     """`call`: likewise, up to `return`."""
-    effects.interpreter.call(label, effects.run)
+    run, most = effects.run, effects.interpreter.limits.calls
+    back = run.plan.next
+    effects.interpreter.go_to(label, run)
+    if len(run.calls) >= most:
+        raise LineFault(f"more than {most} calls within each other", is_limit=True)
+    run.calls.append(back)
     return effects.go_on(never)
 
 
 def go_back(effects: MissionEffects) -> Outcome:
     """`return`: behind the last `call`."""
-    effects.interpreter.go_back(effects.run)
+    run = effects.run
+    if not run.calls:
+        raise LineFault("return without a call")
+    run.plan.next = run.calls.pop()
     return effects.go_on(never)
 
 
@@ -232,7 +235,7 @@ def wait(effects: MissionEffects, seconds: float) -> Outcome:
 def log(effects: MissionEffects, *names: str) -> Outcome:
     """`log`: have variables logged in each cycle."""
     for text in names:
-        if effects.log.columns >= DataLog.MOST_COLUMNS:
+        if len(effects.log.places) >= DataLog.MOST_COLUMNS:
             effects.reject_name(f"a log has at most {DataLog.MOST_COLUMNS} variables", "logtable full\n")
             continue
         is_system = text[:1] == "$"
@@ -244,7 +247,7 @@ def log(effects: MissionEffects, *names: str) -> Outcome:
         if effects.profile.indices_are_checked and not 0 <= index < symbol.size:
             raise LineFault(f"index {index} is beyond {name}, which has {symbol.size} values")
         if 0 <= symbol.place + index < len(effects.symbols.pool):
-            effects.log.add(symbol.place + index)
+            effects.log.places.append(symbol.place + index)
     return effects.at_once()
 
 
@@ -257,7 +260,7 @@ def control_log(effects: MissionEffects, word: str, name: str = "log", unused: s
     elif word == "resetlog":
         effects.log.reset()
     elif word == "removelogvars":
-        effects.log.remove_all()
+        effects.log.places.clear()
     elif word == "savelog":
         effects.client.save_log(name, effects.log.text)
     else:

@@ -8,6 +8,7 @@ import logging
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +19,6 @@ from ..errors import MissionFailed, MissionLimit
 from .commands import COMMANDS
 from .controller import MissionController
 from .effects import Hook
-from .plan import Failure
 from .recipients import Said, SaidKind
 from .robot_link import RobotLink
 
@@ -34,6 +34,12 @@ Provider = Callable[[], "float | Sequence[float]"]
 _STAND_TIMEOUT = 0.5
 
 
+#: Commands that a function can carry out.
+_COMMANDS = frozenset(command.name for command in COMMANDS.values() if command.hook is not None)
+_OBSERVED = frozenset(kind.value for kind in SaidKind if kind is not SaidKind.LOG)
+
+
+@dataclass
 class Callbacks:
     """The callbacks of a user's program. All of them are called between two ticks, so they have to be quick.
 
@@ -45,31 +51,11 @@ class Callbacks:
         functions: for expressions, by name.
     """
 
-    #: Commands that a function can carry out.
-    COMMANDS = frozenset(command.name for command in COMMANDS.values() if command.hook is not None)
-    OBSERVED = frozenset(kind.value for kind in SaidKind if kind is not SaidKind.LOG)
-
-    def __init__(self) -> None:
-        self.hooks: dict[str, Hook] = {}
-        self.observers: dict[str, list[Callable[[str], object]]] = {}
-        self.readers: list[Callable[[Said], object]] = []
-        self.providers: dict[str, Provider] = {}
-        self.functions: dict[str, Callable[..., float]] = {}
-
-    def add(self, name: str, function: Callable[..., object]) -> None:
-        """Have a function carry out a command, or get the output of one kind.
-
-        Raises:
-            BadValue: there is nothing of that name, or it cannot be called.
-        """
-        check_callable(function, "function")
-        if name in self.COMMANDS:
-            self.hooks[name] = function  # type: ignore[assignment]
-        elif name in self.OBSERVED:
-            self.observers.setdefault(name, []).append(function)
-        else:
-            names = ", ".join(sorted(self.COMMANDS | self.OBSERVED))
-            raise BadValue(f"a mission has no {name!r}; expected one of {names}")
+    hooks: dict[str, Hook] = field(default_factory=dict)
+    observers: dict[str, list[Callable[[str], object]]] = field(default_factory=dict)
+    readers: list[Callable[[Said], object]] = field(default_factory=list)
+    providers: dict[str, Provider] = field(default_factory=dict)
+    functions: dict[str, Callable[..., float]] = field(default_factory=dict)
 
     def tell(self, said: Said) -> None:
         """Call the readers, and the observers of this kind. What one raises is logged; the others are called."""
@@ -107,7 +93,14 @@ class WithCallbacks:
         Raises:
             BadValue: there is nothing of that name, or it cannot be called.
         """
-        self._callbacks.add(name, function)
+        check_callable(function, "function")
+        if name in _COMMANDS:
+            self._callbacks.hooks[name] = function  # type: ignore[assignment]
+        elif name in _OBSERVED:
+            self._callbacks.observers.setdefault(name, []).append(function)
+        else:
+            names = ", ".join(sorted(_COMMANDS | _OBSERVED))
+            raise BadValue(f"a mission has no {name!r}; expected one of {names}")
         return self
 
     def on_said(self, function: Callable[[Said], object]) -> Self:
@@ -229,6 +222,15 @@ class MissionExecution:
         if self.controller.is_finished and self._save_log is not None and len(log):
             self._save_log("log", log.text)
 
+    @property
+    def error(self) -> MissionFailed | None:
+        """The error that a user's program gets, for why the mission ended early; None if it did not."""
+        failure = self.controller.failure
+        if failure is None:
+            return None
+        kind = MissionLimit if failure.is_limit else MissionFailed
+        return kind(failure.reason, failure.line, failure.text, failure.column)
+
     def stand(self) -> None:
         """Have the robot stand, if it can still be reached. Never raises."""
         request = self.controller.vehicle.stand()
@@ -250,12 +252,6 @@ def leaving_at_exit(leave: Callable[[], object]) -> Iterator[None]:
         yield
     finally:
         atexit.unregister(leave)
-
-
-def error_of(failure: Failure) -> MissionFailed:
-    """The error that a user's program gets for a failure."""
-    kind = MissionLimit if failure.is_limit else MissionFailed
-    return kind(failure.reason, failure.line, failure.text, failure.column)
 
 
 def log_saver(folder: str | os.PathLike[str] | None) -> Callable[[str, str], object] | None:

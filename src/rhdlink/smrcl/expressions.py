@@ -29,7 +29,10 @@ Value = Callable[[], float]
 #: What MRC reads beyond an array: the address of the array's name, taken for a double. It prints as 0 and is true.
 BEYOND = 4.6e-310
 
-_COMPARISONS: Mapping[str, Callable[[float, float], bool]] = {
+#: Operators whose result is 0 or 1. Both operands are computed before.
+_TRUTHS: Mapping[str, Callable[[float, float], bool]] = {
+    "|": lambda left, right: left != 0.0 or right != 0.0,
+    "&": lambda left, right: left != 0.0 and right != 0.0,
     "==": operator.eq,
     "!=": operator.ne,
     ">": operator.gt,
@@ -122,13 +125,9 @@ class Compiler:
             operand = self.compile(expression.operand)
             return lambda: -operand()
         left, right = self.compile(expression.left), self.compile(expression.right)
-        if expression.operator == "|":
-            return lambda: 1.0 if (left() != 0.0) | (right() != 0.0) else 0.0
-        if expression.operator == "&":
-            return lambda: 1.0 if (left() != 0.0) & (right() != 0.0) else 0.0
-        compare = _COMPARISONS.get(expression.operator)
-        if compare is not None:
-            return lambda: 1.0 if compare(left(), right()) else 0.0
+        is_true = _TRUTHS.get(expression.operator)
+        if is_true is not None:
+            return lambda: 1.0 if is_true(left(), right()) else 0.0
         calculate = _ARITHMETIC[expression.operator]
         return lambda: calculate(left(), right())
 
@@ -137,13 +136,7 @@ class Compiler:
         if variable.is_system and (symbol := self._symbols.find_system(variable.name)) is not None:
             place = symbol.place
             return lambda: pool[place]
-        user = self._symbols.user
-
-        def value() -> float:
-            found = None if variable.is_system else user.get(variable.name)
-            return pool[(found or self.find(variable)).place]
-
-        return value
+        return lambda: pool[self.find(variable).place]
 
     def _element(self, element: ArrayElement) -> Value:
         pool = self._symbols.pool

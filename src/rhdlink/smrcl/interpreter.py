@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING
 from .arithmetic import format_number, leading_number
 from .expressions import Compiler, LineFault, Value
 from .lexer import TokenType, tokenize
-from .parser import FUNCTIONS, Parser
+from .parser import Parser
 from .plan import ERROR, FREE_LINE, Failure, MissionPlan, Outcome, PlanLine, Run, Stage
 from .recipients import Outbox
-from .statements import column_of, compile_statement
+from .statements import compile_line
 from .syntax import Evaluate
 from .vehicle import Vehicle
 
@@ -55,7 +55,7 @@ class ScriptInterpreter:
         limits: bounds.
 
     Attributes:
-        vehicle, output, commands: as given.
+        vehicle, output, commands, limits: as given.
         profile: as MRC does it, or sound.
         symbols: the variables of the mission.
         compiler: of expressions.
@@ -80,10 +80,10 @@ class ScriptInterpreter:
         self.vehicle = vehicle
         self.output = output
         self.profile = vehicle.profile
-        self._limits = limits
+        self.limits = limits
         self.symbols = vehicle.symbols
         self.commands = commands
-        self._parser = Parser(frozenset(commands), {**FUNCTIONS, **dict.fromkeys(functions)})
+        self._parser = Parser(commands, functions)
         self.compiler = Compiler(vehicle.symbols, vehicle.profile, functions)
         self.perform: Callable[[ScriptCommand, Sequence[float | str], Run, Sequence[Value]], Outcome] | None = None
         self.executed = 0
@@ -111,7 +111,7 @@ class ScriptInterpreter:
             self._wait(run)
         elif run.stage is Stage.ROUTINE:
             run.continue_routine()
-        return run.is_done
+        return run.stage is Stage.DONE
 
     def update_variables(self, run: Run) -> None:
         """Bring the system variables up to date, with distance and time of a run."""
@@ -137,7 +137,7 @@ class ScriptInterpreter:
                 run.result = 0.0
 
     def _fetch(self, run: Run) -> None:
-        left = self._limits.lines
+        left = self.limits.lines
         plan = run.plan
         while plan.next < len(plan.lines):
             line = plan.lines[plan.next]
@@ -154,7 +154,7 @@ class ScriptInterpreter:
             self.output.line(self.executed, line)
             left -= 1
             if left < 0:
-                reason = f"a loop that takes no time: {self._limits.lines} lines in one cycle"
+                reason = f"a loop that takes no time: {self.limits.lines} lines in one cycle"
                 self._fail(run, LineFault(reason, is_limit=True))
                 return
             if self.skips:
@@ -188,9 +188,9 @@ class ScriptInterpreter:
     @staticmethod
     def failure(run: Run | None, reason: str, column: int = 0, *, is_limit: bool = False) -> Failure:
         """The failure of what a run executes, at a column of the line, or where the present statement begins."""
-        line = None if run is None else run.line
-        if run is None or line is None:
+        if run is None or run.line is None:
             return Failure(reason, 0, 0, "", is_limit)
+        line = run.line
         return Failure(reason, line.number, (column or run.column) + line.indent, line.text, is_limit)
 
     # -- conditions ---------------------------------------------------------------------------------
@@ -265,17 +265,13 @@ class ScriptInterpreter:
 
     def _execute(self, line: PlanLine, run: Run) -> Outcome:
         if line.steps is None:
-            self.prepare(line)
-        assert line.tree is not None
-        assert line.steps is not None
+            line.steps = compile_line(self._parser.parse(line.text), self)
         try:
-            for statement, step in zip(line.tree.statements, line.steps, strict=True):
-                run.column = column_of(statement)
+            for column, step in line.steps:
+                run.column = column
                 outcome: Outcome | None = step(run)
                 if outcome is not None:
                     return outcome
-            if (problem := line.tree.problem) is not None:
-                raise LineFault(problem.message, problem.column)
         except LineFault as fault:
             if self.profile.ascii_only or not fault.column:
                 raise
@@ -301,22 +297,15 @@ class ScriptInterpreter:
                 self.output.message(f'System variable "${token.text}" not found\n')
         return False
 
-    def prepare(self, line: PlanLine) -> None:
-        """Read a line, and compile what it says. What is wrong with it shows when it is executed."""
-        tree = line.tree = self._parser.parse(line.text)
-        line.steps = tuple(compile_statement(statement, self) for statement in tree.statements)
-
     def evaluate(self, text: str) -> list[float] | None:
         """The values of ``eval ...``, beside the present command; None if it is something else, or wrong."""
-        line = PlanLine(text, 0)
+        line = self._parser.parse(text)
+        statement = line.statements[0] if line.statements else None
         values: list[float] = []
         with self.aside():
-            self.prepare(line)
-            assert line.tree is not None
-            statement = line.tree.statements[0] if line.tree.statements else None
             try:
-                if line.tree.problem is not None:
-                    raise LineFault(line.tree.problem.message, line.tree.problem.column)
+                if line.problem is not None:
+                    raise LineFault(line.problem.message, line.problem.column)
                 if not isinstance(statement, Evaluate):
                     return None
                 values = [self.compiler.compile(each)() for each in statement.values]
@@ -351,29 +340,7 @@ class ScriptInterpreter:
         Raises:
             LineFault: there is no such label.
         """
-        place = run.plan.find_label(label)
+        place = run.plan.labels.get(label)
         if place is None:
             raise LineFault(f'there is no label "{label}"')
         run.plan.next = place
-
-    def call(self, label: str, run: Run) -> None:
-        """Go to a label, and remember the line to return to.
-
-        Raises:
-            LineFault: there is no such label, or there are too many calls within calls.
-        """
-        back = run.plan.next
-        self.go_to(label, run)
-        if len(run.calls) >= self._limits.calls:
-            raise LineFault(f"more than {self._limits.calls} calls within each other", is_limit=True)
-        run.calls.append(back)
-
-    def go_back(self, run: Run) -> None:
-        """Go on behind the last call.
-
-        Raises:
-            LineFault: there was none.
-        """
-        if not run.calls:
-            raise LineFault("return without a call")
-        run.plan.next = run.calls.pop()

@@ -6,7 +6,7 @@ import math
 import os
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,7 +23,7 @@ from ..world import Pose
 from .checking import check
 from .commands import RESERVED
 from .controller import MissionController
-from .execution import MissionExecution, WithCallbacks, error_of, leaving_at_exit, log_saver
+from .execution import MissionExecution, WithCallbacks, leaving_at_exit, log_saver
 from .interpreter import MissionLimits
 from .plan import MissionPlan, PlanLine, split_lines
 from .profile import Profile, find_profile
@@ -149,14 +149,13 @@ class Mission(WithCallbacks):
         """Every mistake in the script that can be known before it runs, in the order of its lines."""
         return self._check(None)
 
-    def _check(self, system: Iterable[str] | None) -> list[Mistake]:
-        plan = MissionPlan(list(split_lines(self.source, cuts=False)), self.name)
+    def _check(self, system: Collection[str] | None) -> list[Mistake]:
         return check(
-            plan,
+            MissionPlan(split_lines(self.source, cuts=False)),
             functions=self._callbacks.functions,
             variables=self._variables,
             checks_numbers=self.profile.numbers_are_checked,
-            system=None if system is None else frozenset(system),
+            system=system,
         )
 
     # -- running -------------------------------------------------------------------------------------
@@ -209,15 +208,16 @@ class Mission(WithCallbacks):
     def _prepare(self) -> MissionRun:
         if self._robot is None:
             raise BadValue("the mission has no robot; it can be checked, but not run")
-        link, owns = open_link(self._robot)
+        link = open_link(self._robot)
+        owned = None if link is self._robot else link
         try:
             controller = self._controller(link)
         except BaseException:
-            if owns:
-                link.close()
+            if owned is not None:
+                owned.close()
             raise
         execution = MissionExecution(link, controller, self._callbacks, log_saver(self._log_folder))
-        return MissionRun(self.name, execution, link if owns else None)
+        return MissionRun(self.name, execution, owned)
 
     def _controller(self, link: RobotLink) -> MissionController:
         controller = MissionController(
@@ -235,7 +235,7 @@ class Mission(WithCallbacks):
         for name, value in self._variables.items():
             if (symbol := symbols.make(name)) is not None:
                 symbols.pool[symbol.place] = float(value)
-        controller.load(self.source, self.name)
+        controller.load(self.source)
         return controller
 
     def __repr__(self) -> str:
@@ -362,8 +362,7 @@ class MissionRun(Handle):
             return
         if not self._execution.controller.is_finished:
             self._execution.stand()
-        failure = self._execution.controller.failure
-        self._end(None if failure is None else error_of(failure))
+        self._end(self._execution.error)
 
     def _begin(self) -> None:
         self._life.fire(Event.SEND)
@@ -379,9 +378,8 @@ class MissionRun(Handle):
             self._life.finish()
 
     def _close(self) -> None:
-        owned, self._owned = self._owned, None
-        if owned is not None:
-            owned.close()
+        if self._owned is not None:
+            self._owned.close()
 
 
 class Debugger:
@@ -458,8 +456,7 @@ class Debugger:
         return self.line
 
     def _finish(self) -> None:
-        failure = self._execution.controller.failure
-        error = None if failure is None else error_of(failure)
+        error = self._execution.error
         self.run._end(error)
         if error is not None:
             raise error

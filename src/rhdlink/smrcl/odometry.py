@@ -12,8 +12,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from .arithmetic import cosine, divide, normalize_angle, sine
+
+if TYPE_CHECKING:
+    from .robot_conf import RobotConf
 
 #: A difference beyond half of this is a counter of 30 bits that has wrapped.
 _COUNTER = 1 << 30
@@ -40,6 +44,9 @@ class Odometry:
     """The state of the odometry.
 
     Args:
+        conf: of the robot; what a script changes of it is changed here.
+
+    Attributes:
         left_scale: m per count of the left counter.
         right_scale: likewise of the right one.
         width: between the wheels, m.
@@ -48,8 +55,6 @@ class Odometry:
         heading_source: 0 for the wheels, 1 for `heading`, 2 for `curvature`.
         is_rate: `heading` is a rate in rad/s rather than an angle.
         is_relative: the counters tell the counts since the last cycle.
-
-    Attributes:
         pose: where the robot is since the start, or since it was set; the heading in [-pi, pi].
         heading: of a gyro or counter, rad.
         curvature: 1/m.
@@ -60,26 +65,14 @@ class Odometry:
         faults: steps that were dropped.
     """
 
-    def __init__(
-        self,
-        *,
-        left_scale: float,
-        right_scale: float,
-        width: float,
-        period: float,
-        max_tick: float,
-        heading_source: int = 0,
-        is_rate: bool = False,
-        is_relative: bool = False,
-    ) -> None:
-        self.left_scale = left_scale
-        self.right_scale = right_scale
-        self.width = width
-        self.period = period
-        self.max_tick = max_tick
-        self.heading_source = heading_source
-        self.is_rate = is_rate
-        self.is_relative = is_relative
+    def __init__(self, conf: RobotConf) -> None:
+        self.left_scale, self.right_scale = conf.left_scale, conf.right_scale
+        self.width = conf.width
+        self.period = conf.period
+        self.max_tick = conf.max_tick
+        self.heading_source = conf.heading_source
+        self.is_rate = conf.is_rate
+        self.is_relative = conf.is_relative
         self.pose = PlanarPose()
         self.heading = 0.0
         self.curvature = 0.0
@@ -158,16 +151,17 @@ class Covariance:
     distance between the wheels, whose variance grows with the turn. Robots without two wheels get what follows from
     their one counter, as in MRC: it means little.
 
+    Args:
+        conf: of the robot; what a script changes of it later does not count here.
+
     Attributes:
         wheel: variance of a wheel's travel after 1 m, m2.
         base: relative variance of the distance between the wheels after a full turn.
         th_th, th_x, th_y, x_x, x_y, y_y: of the covariance matrix, rad2, rad m, m2.
     """
 
-    def __init__(self, left_scale: float, right_scale: float, width: float) -> None:
-        self.left_scale = left_scale
-        self.right_scale = right_scale
-        self.width = width
+    def __init__(self, conf: RobotConf) -> None:
+        self._conf = conf
         self.wheel = 1e-4
         self.base = 1e-2
         self.reset()
@@ -181,8 +175,8 @@ class Covariance:
         """One cycle, with the counts of both wheels in it."""
         if not (left_step or right_step):
             return
-        left, right = left_step * self.left_scale, right_step * self.right_scale
-        width = self.width
+        left, right = left_step * self._conf.left_scale, right_step * self._conf.right_scale
+        width = self._conf.width
         way, turn, curvature = (right + left) / 2, divide(right - left, width), divide(1.0, width)
         middle = self._th + turn / 2
         self._th += turn

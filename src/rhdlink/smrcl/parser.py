@@ -20,7 +20,7 @@ the tree up to there and the error (`ScriptLine`), and executing it does the sam
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
 
 from .arithmetic import BINARY_FUNCTIONS, UNARY_FUNCTIONS
 from .lexer import LONGEST_NAME, Token, TokenType, tokenize
@@ -79,15 +79,15 @@ class Parser:
 
     Args:
         commands: names of the commands; a variable cannot have them.
-        functions: arguments of each function, by name; None for any number of them.
+        functions: names of functions beside those of the language; they take any number of arguments.
     """
 
-    def __init__(self, commands: frozenset[str], functions: Mapping[str, int | None] = FUNCTIONS) -> None:
+    def __init__(self, commands: Collection[str], functions: Iterable[str] = ()) -> None:
         self._commands = commands
-        self._functions = functions
+        self._functions: dict[str, int | None] = {**FUNCTIONS, **dict.fromkeys(functions)}
         self._tokens: list[Token] = []
-        self._place = 0
-        self._depth = 0
+        self._place = self._depth = 0
+        self._statements: list[Statement] = []
 
     def parse(self, text: str) -> ScriptLine:
         """The tree of a line. Never raises: what is wrong stands in it."""
@@ -98,19 +98,17 @@ class Parser:
                 (), Problem(LONGEST_LINE + 1, f"the line has {length} characters; {LONGEST_LINE} are allowed")
             )
         self._tokens = tokenize(text)
-        self._place = 0
-        self._depth = 0
-        statements: list[Statement] = []
+        self._place = self._depth = 0
+        self._statements = []
+        problem = None
         try:
-            while True:
-                statement = self._statement(statements)
-                if statement is None:
-                    return ScriptLine(tuple(statements))
-                statements.append(statement)
+            while (statement := self._statement()) is not None:
+                self._statements.append(statement)
                 if not isinstance(statement, Assign):
-                    return ScriptLine(tuple(statements))
+                    break
         except _Unexpected as error:
-            return ScriptLine(tuple(statements), Problem(error.token.column, str(error)))
+            problem = Problem(error.token.column, str(error))
+        return ScriptLine(tuple(self._statements), problem)
 
     # -- tokens --------------------------------------------------------------------------------
 
@@ -163,6 +161,11 @@ class Parser:
             token.text in KEYWORDS or token.text in self._commands or token.text in self._functions
         )
 
+    def _number(self, expected: str) -> float:
+        if self._token.type is not TokenType.NUMBER:
+            raise self._unexpected(expected)
+        return self._next().value
+
     def _variable(self) -> VariableName:
         token = self._next()
         if len(token.text) > LONGEST_NAME:
@@ -171,12 +174,8 @@ class Parser:
 
     # -- statements ----------------------------------------------------------------------------
 
-    def _statement(self, before: list[Statement]) -> Statement | None:
-        """The statement that begins here; None at the end of the line.
-
-        Args:
-            before: the statements of the line so far, to which one that breaks off is added.
-        """
+    def _statement(self) -> Statement | None:
+        """The statement that begins here; None at the end of the line."""
         token = self._token
         if token.type is TokenType.END:
             return None
@@ -194,7 +193,7 @@ class Parser:
                 return self._keyword(token.text)
             if token.text in self._commands:
                 self._place += 1
-                return self._command(token, before)
+                return self._command(token)
         raise self._unexpected("a command or an assignment")
 
     def _keyword(self, word: str) -> Statement:
@@ -213,27 +212,22 @@ class Parser:
         if word == "switch":
             return Switch(self._bracketed("after switch"))
         if word == "case":
-            if self._token.type is not TokenType.NUMBER:
-                raise self._unexpected("a number after case")
-            return Case(NumberLiteral(self._next().value))
+            return Case(NumberLiteral(self._number("a number after case")))
         return EndSwitch()
 
     def _assignment(self) -> Assign:
-        variable = self._variable()
-        target: VariableName | ArrayElement = variable
-        if self._take("["):
-            target = ArrayElement(variable, self._expression())
-            self._expect("]", "after the index")
+        target = self._variable_or_element()
         if not self._take("="):
-            if isinstance(target, VariableName) and not variable.is_system:
-                raise self._unexpected(f"'=' after {variable.name}, which is no command")
+            if isinstance(target, VariableName) and not target.is_system:
+                raise self._unexpected(f"'=' after {target.name}, which is no command")
             raise self._unexpected("'='")
         value = self._expression()
         following = self._token
         is_name = following.type is TokenType.NAME and self._is_variable(following)
         return Assign(target, value, following.text if is_name else None)
 
-    def _command(self, name: Token, before: list[Statement]) -> CommandStatement:
+    def _command(self, name: Token) -> CommandStatement:
+        """A command. One that breaks off is a statement of the line, too."""
         parameters: list[Operand] = []
         speeds: list[SpeedSetting] = []
         conditions: tuple[Expression, ...] = ()
@@ -246,7 +240,7 @@ class Parser:
                 conditions = self._conditions()
             self._end("the parameters" if not (speeds or conditions) else "the line")
         except _Unexpected:
-            before.append(
+            self._statements.append(
                 CommandStatement(name.text, tuple(parameters), tuple(speeds), column=name.column, is_broken=True)
             )
             raise
@@ -261,18 +255,14 @@ class Parser:
         if self._is_variable(token):
             return self._variable()
         if self._take("-"):
-            if self._token.type is not TokenType.NUMBER:
-                raise self._unexpected("a number after '-'; a parameter is a number, a variable or a text")
-            return NumberLiteral(-self._next().value)
+            return NumberLiteral(-self._number("a number after '-'; a parameter is a number, a variable or a text"))
         return None
 
     def _speed(self) -> SpeedSetting | None:
         for letter in "va":
             if self._take(f"@{letter}"):
                 if letter == "v" and self._take("-"):
-                    if self._token.type is not TokenType.NUMBER:
-                        raise self._unexpected("a number after '@v -'")
-                    return SpeedSetting(letter, NumberLiteral(-self._next().value))
+                    return SpeedSetting(letter, NumberLiteral(-self._number("a number after '@v -'")))
                 if self._token.type is TokenType.NUMBER:
                     return SpeedSetting(letter, NumberLiteral(self._next().value))
                 if self._is_variable(self._token):
@@ -326,13 +316,16 @@ class Parser:
             self._place += 1
             return self._call(token)
         if self._is_variable(token):
-            variable = self._variable()
-            if self._take("["):
-                element = ArrayElement(variable, self._expression())
-                self._expect("]", "after the index")
-                return element
-            return variable
+            return self._variable_or_element()
         raise self._unexpected("a number, a variable or '('")
+
+    def _variable_or_element(self) -> VariableName | ArrayElement:
+        variable = self._variable()
+        if not self._take("["):
+            return variable
+        element = ArrayElement(variable, self._expression())
+        self._expect("]", "after the index")
+        return element
 
     def _call(self, name: Token) -> Call:
         self._expect("(", f"after the function {name.text}")

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import enum
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
-
-from .syntax import ScriptLine
 
 #: Characters of a line. MRC cuts longer ones, and takes the rest for the next line.
 LONGEST_LINE = 255
@@ -25,15 +23,13 @@ class PlanLine:
         text: without leading blanks; of a file with the line feed at its end.
         number: of the file, from 1.
         indent: blanks that were before it there.
-        tree: what it says, once it has been read.
-        steps: that compiled, by the interpreter that executes it.
+        steps: what it says, once it has been read; compiled by the interpreter that executes it, see `compile_line`.
     """
 
     text: str
     number: int
     indent: int = 0
-    tree: ScriptLine | None = None
-    steps: tuple[Callable[..., Any], ...] | None = field(default=None, repr=False)
+    steps: Sequence[tuple[int, Callable[..., Any]]] | None = field(default=None, repr=False)
 
 
 class MissionPlan:
@@ -46,13 +42,14 @@ class MissionPlan:
     Attributes:
         lines: all of them.
         next: index of the one that comes next.
+        labels: index of the line of each label; of several lines with the same one the first counts.
     """
 
-    def __init__(self, lines: Sequence[PlanLine], name: str = "") -> None:
+    def __init__(self, lines: Iterable[PlanLine], name: str = "") -> None:
         self.name = name
         self.lines = list(lines)
         self.next = 0
-        self._labels: dict[str, int] = {}
+        self.labels: dict[str, int] = {}
         for index, line in enumerate(self.lines):
             self._note_label(index, line)
 
@@ -64,16 +61,7 @@ class MissionPlan:
     def _note_label(self, index: int, line: PlanLine) -> None:
         found = _LABEL.match(line.text)
         if found is not None:
-            self._labels.setdefault(found.group(1), index)
-
-    @property
-    def labels(self) -> int:
-        """How many labels there are."""
-        return len(self._labels)
-
-    def find_label(self, label: str) -> int | None:
-        """Index of the line with a label; None if there is none. Of several the first counts."""
-        return self._labels.get(label)
+            self.labels.setdefault(found.group(1), index)
 
 
 def split_lines(source: str, *, cuts: bool) -> Iterator[PlanLine]:
@@ -162,16 +150,6 @@ class Run:
         self.start_distance = 0.0
         self.calls: list[int] = []
         self._routine: Callable[[int], bool] | None = None
-
-    @property
-    def is_done(self) -> bool:
-        """Whether it is over."""
-        return self.stage is Stage.DONE
-
-    @property
-    def is_held(self) -> bool:
-        """Whether it stands at a breakpoint."""
-        return self.stage is Stage.HOLD
 
     def start_routine(self, routine: Callable[[int], bool]) -> None:
         """Go through a routine from the next cycle on; it is given the number of the cycle and says when it is over."""

@@ -6,13 +6,10 @@ import enum
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 from .arithmetic import format_number
 from .plan import LONGEST_LINE, MissionPlan, PlanLine
-
-if TYPE_CHECKING:
-    from .dialogue import ClientDialogue
 
 #: Messages of one cycle that are kept; a script can print 20000.
 _MOST = 50_000
@@ -68,7 +65,13 @@ class Said:
 
 
 class Recipient(Protocol):
-    """Receives what a script says to its client: the session of the client that sent the command, or an `Outbox`."""
+    """Receives what a script says to its client: the session of the client that sent the command, or an `Outbox`.
+
+    Attributes:
+        uses_xml: the form of events, for ``set "xmlon"``.
+    """
+
+    uses_xml: bool
 
     @property
     def can_answer(self) -> bool:
@@ -83,9 +86,6 @@ class Recipient(Protocol):
     def sync_event(self, name: str) -> None:
         """`syncevent`."""
 
-    def set_xml(self, is_on: bool) -> None:
-        """``set "xmlon"``."""
-
     def stream(self, period: int, variables: Sequence[tuple[str, int]]) -> None:
         """`stream`: names, and places in the pool."""
 
@@ -94,7 +94,14 @@ class Recipient(Protocol):
 
 
 class Outbox:
-    """Collects the output of the interpreter; it takes the place of a client where there is none."""
+    """Collects the output of the interpreter; it takes the place of a client where there is none.
+
+    Attributes:
+        can_answer, uses_xml: see `Recipient`; there is no client to answer, or to send XML to.
+    """
+
+    can_answer = False
+    uses_xml = False
 
     def __init__(self) -> None:
         self._said: list[Said] = []
@@ -125,11 +132,6 @@ class Outbox:
 
     # -- Recipient ------------------------------------------------------------------------------------
 
-    @property
-    def can_answer(self) -> bool:
-        """There is no client."""
-        return False
-
     def text(self, text: str) -> None:
         """`print`, `read`."""
         self._add(SaidKind.TEXT, text)
@@ -146,9 +148,6 @@ class Outbox:
         """A watch, or the status of motion control."""
         self._add(SaidKind.EVENT, text)
 
-    def set_xml(self, is_on: bool) -> None:
-        """Without effect: there is no client to send XML to."""
-
     def stream(self, period: int, variables: Sequence[tuple[str, int]]) -> None:
         """Not sent, since there is no client; MRC prints each variable that was asked for."""
         for each in variables:
@@ -163,13 +162,19 @@ class Outbox:
 class Session:
     """One client.
 
+    Args:
+        outbox: gets the output that MRC prints.
+        pool: the values of the variables.
+
     Attributes:
         is_closed: it has left, or was given up; nothing more is taken from it.
-        uses_xml: the form of its events.
+        uses_xml: the form of its events. Those that wait keep theirs.
     """
 
-    def __init__(self, dialogue: ClientDialogue) -> None:
-        self._dialogue = dialogue
+    def __init__(self, outbox: Outbox, pool: Sequence[float]) -> None:
+        self._outbox = outbox
+        self._pool = pool
+        self._time = 0.0
         self._line = bytearray()
         self._lines: deque[str] = deque()
         self._after = 0
@@ -270,20 +275,22 @@ class Session:
         else:
             self._waiting -= 1
 
-    def begin_cycle(self, cycle: int, time: float, pool: Sequence[float]) -> None:
-        """Send the streamed variables when it is time."""
+    def begin_cycle(self, cycle: int, time: float) -> None:
+        """Send the streamed variables when it is their turn; `time` is ``$time`` of this cycle."""
+        self._time = time
         if self._streamed and cycle % self._stream_period == 0:
-            self._send_streamed(self._streamed, time, pool)
+            self._send_streamed(self._streamed)
 
-    def _send_streamed(self, variables: Sequence[tuple[str, int]], time: float, pool: Sequence[float]) -> None:
+    def _send_streamed(self, variables: Sequence[tuple[str, int]]) -> None:
+        time, pool = format_number(self._time), self._pool
         if self.uses_xml:
             values = "".join(f'{name}="{format_number(pool[place])}" ' for name, place in variables)
-            self.send(f'<data time="{format_number(time)}" {values} />\n')
+            self.send(f'<data time="{time}" {values} />\n')
         else:
             values = "".join(f"{format_number(pool[place])} " for _, place in variables)
-            self.send(f"stream {format_number(time)} {values}\n")
+            self.send(f"stream {time} {values}\n")
 
-    # -- what a script says to its client (effects.Client) ----------------------------------------------
+    # -- Recipient ------------------------------------------------------------------------------------
 
     @property
     def can_answer(self) -> bool:
@@ -302,21 +309,16 @@ class Session:
         """`syncevent`: not queued in either form."""
         self.send(f"syncevent {name}\n")
 
-    def set_xml(self, is_on: bool) -> None:
-        """``set "xmlon"``. Events that wait stay where they are."""
-        self.uses_xml = is_on
-
     def stream(self, period: int, variables: Sequence[tuple[str, int]]) -> None:
         """`stream`: add variables, and send all of them in each `period`-th cycle; with 0 send these once."""
-        dialogue = self._dialogue
         if period == 0:
-            self._send_streamed(variables, dialogue.time, dialogue.pool)
+            self._send_streamed(variables)
             return
         self._stream_period = abs(period)
         for each in variables[: MOST_STREAMED - len(self._streamed)]:
             self._streamed.append(each)
-            dialogue.say(f"streamvar {each[0]} {len(self._streamed)} \n")
+            self._outbox.message(f"streamvar {each[0]} {len(self._streamed)} \n")
 
     def save_log(self, name: str, text: str) -> None:
         """`control "savelog"`."""
-        self._dialogue.save_log(name, text)
+        self._outbox.save_log(name, text)

@@ -6,7 +6,7 @@ A link exchanges values once per tick. What a mission does with them is the same
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
@@ -90,7 +90,7 @@ class ClientLink:
         for name, words in written.items():
             robot[name] = words[0] if len(words) == 1 else words
         robot.sync(timeout)
-        return _Fetched(robot)
+        return _Fetched(lambda name: _listed(robot[name]))
 
     def close(self) -> None:
         """Close the connection, if it is this link's own."""
@@ -101,12 +101,12 @@ class ClientLink:
 class _Fetched(dict[str, Sequence[int]]):
     """The read variables of a tick. A robot may have thousands, of which a mission looks at a few."""
 
-    def __init__(self, robot: Variables) -> None:
+    def __init__(self, fetch: Callable[[str], Sequence[int]]) -> None:
         super().__init__()
-        self._robot = robot
+        self._fetch = fetch
 
     def __missing__(self, name: str) -> Sequence[int]:
-        words = self[name] = _listed(self._robot[name])
+        words = self[name] = self._fetch(name)
         return words
 
 
@@ -152,7 +152,8 @@ class PluginLink:
         self._running = list(reversed(self._plugins))
         table = self.database.read
         self.read = {row.name: row.length for row in table}
-        self._places = {row.name: (table.start(place), row.length) for place, row in enumerate(table)}
+        starts = {row.name: table.start(place) for place, row in enumerate(table)}
+        self._places = {name: slice(start, start + self.read[name]) for name, start in starts.items()}
         self.write: dict[str, Sequence[int]] = {
             row.name: self.database.write.value(place).tolist() for place, row in enumerate(self.database.write)
         }
@@ -178,9 +179,9 @@ class PluginLink:
             if identity is not None:
                 write.set(identity, words[0] if len(words) == 1 else np.asarray(words))
                 write.updated[identity] = True
-        answer = _Copied(read.values.copy(), self._places)
+        values = read.values.copy()
         self._call_plugins()
-        return answer
+        return _Fetched(lambda name: _listed(values[self._places[name]]))
 
     def _call_plugins(self) -> None:
         for plugin in self._running:
@@ -198,23 +199,8 @@ class PluginLink:
             plugin.terminate()
 
 
-class _Copied(dict[str, Sequence[int]]):
-    """The read variables of a tick, taken out of a copy when they are asked for."""
-
-    def __init__(self, values: np.ndarray[Any, np.dtype[np.int32]], places: Mapping[str, tuple[int, int]]) -> None:
-        super().__init__()
-        self._values = values
-        self._places = places
-
-    def __missing__(self, name: str) -> Sequence[int]:
-        start, length = self._places[name]
-        words: list[int] = self._values[start : start + length].tolist()
-        self[name] = words
-        return words
-
-
-def open_link(robot: RobotLink | Variables | Plugin | str) -> tuple[RobotLink, bool]:
-    """A link to a robot, and whether it has to be closed by whoever asked for it.
+def open_link(robot: RobotLink | Variables | Plugin | str) -> RobotLink:
+    """A link to a robot; whoever asked for it closes it, unless it is `robot` itself.
 
     Args:
         robot: one that is connected; a plugin such as `Turtle()`, which is run here, in lockstep; an address, which is
@@ -226,11 +212,11 @@ def open_link(robot: RobotLink | Variables | Plugin | str) -> tuple[RobotLink, b
         BadAddress, ConnectFailed, ...: as `rhdlink.connect`.
     """
     if isinstance(robot, Variables):
-        return ClientLink(robot), False
+        return ClientLink(robot)
     if isinstance(robot, Plugin):
-        return PluginLink([robot]), True
+        return PluginLink([robot])
     if isinstance(robot, str):
-        return ClientLink(connect(robot, access="w"), owns=True), True
+        return ClientLink(connect(robot, access="w"), owns=True)
     if not hasattr(robot, "exchange"):
         raise BadValue(f"robot is {robot!r}; expected a connected robot, an address, or a plugin such as Turtle()")
-    return robot, False
+    return robot

@@ -59,7 +59,7 @@ class InfraredSensors:
         raw: the raw values of the last update; empty before the first.
     """
 
-    def __init__(self, k1: Sequence[float] = (16.0,) * 6, k2: Sequence[float] = (76.0,) * 6) -> None:
+    def __init__(self, k1: Sequence[float], k2: Sequence[float]) -> None:
         self._parameters = tuple(zip(k1, k2, strict=True))
         self.distances = [0.0] * len(self._parameters)
         self.raw: Sequence[int] = ()
@@ -87,7 +87,7 @@ class LineSensor:
     Args:
         size: how many sensors there are, 5 to 30.
         smoothing: part of the value before that is kept in each cycle, 0..1.
-        white, black: raw value of each sensor on white and on black; without them every sensor reads black.
+        white, black: raw value of each sensor on white and on black; with None every sensor reads black.
 
     Attributes:
         size: how many sensors there are.
@@ -98,11 +98,7 @@ class LineSensor:
     """
 
     def __init__(
-        self,
-        size: int = 8,
-        smoothing: float = 0.8,
-        white: Sequence[float] | None = None,
-        black: Sequence[float] | None = None,
+        self, size: int, smoothing: float, white: Sequence[float] | None, black: Sequence[float] | None
     ) -> None:
         self.size = size
         self._smoothing = smoothing

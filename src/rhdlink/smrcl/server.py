@@ -19,7 +19,7 @@ from ..errors import MissionFailed
 from ..host.plugin import Plugin
 from .controller import MissionController
 from .dialogue import ClientDialogue
-from .execution import MissionExecution, WithCallbacks, error_of, leaving_at_exit, log_saver
+from .execution import MissionExecution, WithCallbacks, leaving_at_exit, log_saver
 from .mission import Robot, suitable_conf
 from .plan import Failure
 from .profile import Profile, find_profile
@@ -89,11 +89,8 @@ class MissionServer(Runnable, WithCallbacks):
         self._save_log = self._saver(log_folder)
         self._loop: SelectorLoop | None = None
         self._dialogue: ClientDialogue | None = None
-        # Clients that came before the robot was connected.
-        self._early: list[_ClientHandler] = []
         self._handlers: list[_ClientHandler] = []
         self._link: RobotLink | None = None
-        self._owns = False
         self._port = 0
 
     @property
@@ -151,24 +148,25 @@ class MissionServer(Runnable, WithCallbacks):
         """It has not begun to serve, and does not."""
         if self._loop is not None:
             self._loop.close()
-        if self._link is not None and self._owns:
+        self._close_link()
+
+    def _close_link(self) -> None:
+        if self._link is not None and self._link is not self._robot:
             self._link.close()
 
     def _connect(self) -> MissionExecution:
-        """Connect to the robot, and hand over to its dialogue the clients that have come already."""
+        """Connect to the robot, and hand over to its dialogue the clients that came before it was connected."""
         if isinstance(self._robot, Plugin):
             link: RobotLink = PluginLink([self._robot], is_realtime=True)
-            self._owns = True
         else:
-            link, self._owns = open_link(self._robot)
+            link = open_link(self._robot)
         self._link = link
         controller = MissionController(
             suitable_conf(self._conf, link), link.read, link.write, profile=self._profile, hooks=self._callbacks.hooks
         )
         self._dialogue = controller.serve()
-        for handler in self._early:
+        for handler in self._handlers:
             handler.begin(self._dialogue.connect())
-        self._early.clear()
         self._execution = MissionExecution(link, controller, self._callbacks, self._save_log, self._listen)
         return self._execution
 
@@ -187,21 +185,20 @@ class MissionServer(Runnable, WithCallbacks):
         try:
             while execution is None and not self._is_stopping:
                 loop.serve_once()
-                if self._early:
+                if self._handlers:
                     execution = self._connect()
             while execution is not None and not self._is_stopping and execution.cycle():
                 self._answer()
-            failure = None if execution is None else execution.controller.failure
-            if failure is not None:
-                raise error_of(failure)
+            error = None if execution is None else execution.error
+            if error is not None:
+                raise error
         except Exception as error:
             _log.info("the mission server has ended: %s", error)
             self.failure = error
         finally:
             if execution is not None and not execution.controller.is_finished:
                 execution.stand()
-            if self._link is not None and self._owns:
-                self._link.close()
+            self._close_link()
             self._answer()
             loop.close(within=_FINISH)
 
@@ -210,9 +207,7 @@ class MissionServer(Runnable, WithCallbacks):
     def _accept(self, connection: Connection) -> Handler:
         handler = _ClientHandler(self, connection)
         self._handlers.append(handler)
-        if self._dialogue is None:
-            self._early.append(handler)
-        else:
+        if self._dialogue is not None:
             handler.begin(self._dialogue.connect())
         return handler
 
@@ -228,8 +223,6 @@ class MissionServer(Runnable, WithCallbacks):
 
     def _lost(self, handler: _ClientHandler) -> None:
         self._handlers.remove(handler)
-        if handler in self._early:
-            self._early.remove(handler)
         if self._dialogue is not None and handler.session is not None:
             self._dialogue.disconnect(handler.session)
 

@@ -68,7 +68,9 @@ def set_value(effects: MissionEffects, name: str, value: float) -> Outcome:
         if effects.profile.needs_are_checked:
             raise LineFault(f'set "{name}" is for hardware that this robot has not')
     elif name in _WRITTEN:
-        _set_raw(effects, name, _WRITTEN[name], value)
+        variable = _WRITTEN[name]
+        if not effects.vehicle.outputs.set_word(variable, value) and effects.profile.needs_are_checked:
+            raise LineFault(f'set "{name}" needs a write variable {variable}, which this robot has not')
     else:
         _set_variable(effects, name, value)
     return effects.at_once()
@@ -80,11 +82,6 @@ def _check(effects: MissionEffects, what: str, value: float, *, is_positive: boo
     if not abs(value) <= _LARGEST or (is_positive and value <= 0.0):
         expected = "a number above 0" if is_positive else "a number"
         raise LineFault(f"{what} takes {expected} of at most {_LARGEST:g}, not {format_number(value)}")
-
-
-def _set_raw(effects: MissionEffects, name: str, variable: str, value: float) -> None:
-    if not effects.vehicle.outputs.set_word(variable, value) and effects.profile.needs_are_checked:
-        raise LineFault(f'set "{name}" needs a write variable {variable}, which this robot has not')
 
 
 def _set_variable(effects: MissionEffects, text: str, value: float) -> None:
@@ -225,5 +222,5 @@ _SETTINGS: Mapping[str, Callable[[MissionEffects, float], None]] = {
     "odoc0": _set_odometry_mean,
     "conditioncounter": _set_counter,
     "usekalmanodo": _set_kalman,
-    "xmlon": lambda effects, value: effects.client.set_xml(truncate(value) != 0),
+    "xmlon": lambda effects, value: setattr(effects.client, "uses_xml", truncate(value) != 0),
 }

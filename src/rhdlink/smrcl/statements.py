@@ -15,8 +15,9 @@ from .syntax import (
     EndSwitch,
     Evaluate,
     If,
-    NumberLiteral,
     Operand,
+    Problem,
+    ScriptLine,
     SpeedSetting,
     Statement,
     Switch,
@@ -31,8 +32,22 @@ if TYPE_CHECKING:
 Step = Callable[[Run], Outcome | None]
 
 
-def compile_statement(statement: Statement, interpreter: ScriptInterpreter) -> Step:
-    """The step of a statement. What is wrong with it is raised by the step, a `LineFault`."""
+def compile_line(line: ScriptLine, interpreter: ScriptInterpreter) -> list[tuple[int, Step]]:
+    """The steps of a line, each with its column. What is wrong with one is raised by the step, a `LineFault`."""
+    steps = [(_column(statement), _compile(statement, interpreter)) for statement in line.statements]
+    if line.problem is not None:
+        steps.append((line.problem.column, _fail(line.problem)))
+    return steps
+
+
+def _fail(problem: Problem) -> Step:
+    def step(run: Run) -> Outcome:
+        raise LineFault(problem.message, problem.column)
+
+    return step
+
+
+def _compile(statement: Statement, interpreter: ScriptInterpreter) -> Step:
     if isinstance(statement, CommandStatement):
         return _command(statement, interpreter)
     if isinstance(statement, Assign):
@@ -49,7 +64,7 @@ def compile_statement(statement: Statement, interpreter: ScriptInterpreter) -> S
     return _skip(interpreter, not isinstance(statement, EndSwitch))
 
 
-def column_of(statement: Statement) -> int:
+def _column(statement: Statement) -> int:
     """Where a statement begins, or where the part of it is that can be wrong; 1 for what is wrong in its parts only."""
     if isinstance(statement, (CommandStatement, WaitFor, If)):
         return statement.column
@@ -60,11 +75,10 @@ def column_of(statement: Statement) -> int:
 
 
 def _operand(operand: Operand, interpreter: ScriptInterpreter) -> Callable[[], float | str]:
-    if isinstance(operand, (NumberLiteral, TextLiteral)):
-        value = operand.value
-        return lambda: value
-    pool, compiler = interpreter.symbols.pool, interpreter.compiler
-    return lambda: pool[compiler.find(operand).place]
+    if isinstance(operand, TextLiteral):
+        text = operand.value
+        return lambda: text
+    return interpreter.compiler.compile(operand)
 
 
 def _command(statement: CommandStatement, interpreter: ScriptInterpreter) -> Step:
@@ -80,19 +94,11 @@ def _command(statement: CommandStatement, interpreter: ScriptInterpreter) -> Ste
         if statement.is_broken:
             return None
         interpreter.set_conditions(conditions)
-        if not command.takes(len(values)):
-            if not profile.says_why:
-                most = 9 if command.repeats else command.most
-                interpreter.output.message(f"Expecting between {command.least}  and {most} parameters\n")
-            raise LineFault(f"{command.name} takes {command.count}, not {len(values)}")
-        for number, (operand, value) in enumerate(zip(statement.parameters, values, strict=True)):
-            mistake = command.mistake(number, operand)
-            if not mistake and profile.numbers_are_checked:
-                mistake = command.excess(number, value)
-            if mistake:
-                raise LineFault(mistake)
-        if command.needs_condition and not conditions:
-            raise LineFault(f"{command.name} needs a condition, as in {command.needs_condition}")
+        if not (command.takes(len(values)) or profile.says_why):
+            most = 9 if command.repeats else command.most
+            interpreter.output.message(f"Expecting between {command.least}  and {most} parameters\n")
+        for mistake in command.mistakes(statement, values, checks_numbers=profile.numbers_are_checked):
+            raise LineFault(mistake)
         assert interpreter.perform is not None
         return interpreter.perform(command, values, run, conditions)
 
@@ -100,12 +106,11 @@ def _command(statement: CommandStatement, interpreter: ScriptInterpreter) -> Ste
 
 
 def _speed(setting: SpeedSetting, interpreter: ScriptInterpreter) -> Callable[[], None]:
-    value = _operand(setting.value, interpreter)
+    value = interpreter.compiler.compile(setting.value)
     control, is_checked = interpreter.vehicle.control, interpreter.profile.numbers_are_checked
 
     def set_speed() -> None:
         found = value()
-        assert isinstance(found, float)
         if is_checked and not (abs(found) < 1e6 and (setting.letter == "v" or found > 0.0)):
             kind = "speed" if setting.letter == "v" else "acceleration; it has to be above 0"
             raise LineFault(f"@{setting.letter} {format_number(found)} is no {kind}")

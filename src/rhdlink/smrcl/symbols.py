@@ -20,8 +20,6 @@ from .arithmetic import format_number
 
 #: Doubles in the pool, as in MRC, which writes beyond it.
 POOL_SIZE = 10_000
-#: Variables that a script can make, as in MRC.
-MOST_SYMBOLS = 10_000
 
 #: Before the first cycle. A mapping that is filled when it is asked may be empty too.
 _NONE_YET: Mapping[str, Sequence[int]] = MappingProxyType({})
@@ -130,7 +128,7 @@ class Symbols:
         return self._make(name, size, 1)
 
     def _make(self, name: str, size: int, unused: int) -> Symbol | None:
-        if len(self.user) >= MOST_SYMBOLS or not 0 <= size <= self.free - unused:
+        if not 0 <= size <= self.free - unused:
             return None
         symbol = Symbol(name, self._reserve(unused + size) + unused, size)
         self.pool[symbol.place : symbol.place + size] = [0.0] * size
@@ -151,6 +149,7 @@ class DataLog:
     the numbers of the old ones, as in MRC. `reset` before that.
 
     Attributes:
+        places: of the values that are logged, in the pool: a column for each.
         is_on: whether rows are added.
     """
 
@@ -159,7 +158,7 @@ class DataLog:
 
     def __init__(self, pool: Sequence[float]) -> None:
         self._pool = pool
-        self._places: list[int] = []
+        self.places: list[int] = []
         self._rows: list[list[float]] = []
         self._count = 0
         self.is_on = True
@@ -167,32 +166,16 @@ class DataLog:
     def __len__(self) -> int:
         return self._count
 
-    @property
-    def columns(self) -> int:
-        """Variables that are logged."""
-        return len(self._places)
-
-    def add(self, place: int) -> bool:
-        """Log a value of the pool; False if there is no column left."""
-        if len(self._places) >= self.MOST_COLUMNS:
-            return False
-        self._places.append(place)
-        return True
-
-    def remove_all(self) -> None:
-        """Log nothing; the rows stay."""
-        self._places.clear()
-
     def reset(self) -> None:
         """Forget the rows."""
         self._count = 0
 
     def update(self) -> None:
         """Add a row for this cycle."""
-        if not (self.is_on and self._places) or self._count >= self.MOST_ROWS:
+        if not (self.is_on and self.places) or self._count >= self.MOST_ROWS:
             return
         pool = self._pool
-        values = [pool[place] for place in self._places]
+        values = [pool[place] for place in self.places]
         if self._count < len(self._rows):
             self._rows[self._count][: len(values)] = values
         else:
@@ -200,18 +183,11 @@ class DataLog:
         self._count += 1
 
     @property
-    def rows(self) -> list[list[float]]:
-        """The rows, each as long as there are variables now."""
-        columns = len(self._places)
-        return [
-            (row + [0.0] * (columns - len(row)))[:columns] if len(row) != columns else row
-            for row in self._rows[: self._count]
-        ]
-
-    @property
     def text(self) -> str:
-        """The rows as MRC writes them to a file: each number is followed by a blank."""
-        return "".join("".join(f"{format_number(value)} " for value in row) + "\n" for row in self.rows)
+        """The rows as MRC writes them to a file, each as long as there are columns now; a blank follows each number."""
+        columns = len(self.places)
+        rows = [(row + [0.0] * (columns - len(row)))[:columns] for row in self._rows[: self._count]]
+        return "".join("".join(f"{format_number(value)} " for value in row) + "\n" for row in rows)
 
 
 def split_index(text: str) -> tuple[str, int]:

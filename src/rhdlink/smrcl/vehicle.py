@@ -12,7 +12,7 @@ written goes out as one.
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from linkcore.errors import BadValue
 
@@ -20,7 +20,6 @@ from .control_functions import ControlFunctions
 from .motion.basic import FunctionGenerator, Stop
 from .motion.control import DriveKind, MotionControl
 from .odometry import Covariance, Odometry, PlanarPose
-from .outputs import VehicleOutputs
 from .profile import Profile
 from .robot_conf import RobotConf
 from .sensors import InfraredSensors, LineKind, LineSensor
@@ -31,6 +30,7 @@ from .system_variables import SYSTEM_NAMES, SystemVariables
 _FREE_AHEAD, _FREE_BEHIND = 50.0, 1.0
 #: Ticks that can have been missed; more are a host that was started again.
 _MOST_MISSED = 1000
+_INT_MIN, _INT_MAX = -(2**31), 2**31 - 1
 
 
 class Vehicle:
@@ -63,17 +63,8 @@ class Vehicle:
         self.profile = profile
         self.symbols = Symbols(SYSTEM_NAMES, read, {name: len(words) for name, words in write.items()})
         self.outputs = VehicleOutputs(conf, self.symbols, write, profile)
-        self.odometry = Odometry(
-            left_scale=conf.left_scale,
-            right_scale=conf.right_scale,
-            width=conf.width,
-            period=conf.period,
-            max_tick=conf.max_tick,
-            heading_source=conf.heading_source,
-            is_rate=conf.is_rate,
-            is_relative=conf.is_relative,
-        )
-        self.covariance = Covariance(conf.left_scale, conf.right_scale, conf.width)
+        self.odometry = Odometry(conf)
+        self.covariance = Covariance(conf)
         self.infrared = InfraredSensors(conf.ir_k1, conf.ir_k2)
         white, black = conf.line_white, conf.line_black
         if white is None and profile.reads_uncalibrated:
@@ -97,19 +88,18 @@ class Vehicle:
         self.heading_gain = conf.heading_gain if is_velomega else 0.0
         self.control.obstacle_front, self.control.obstacle_back = _FREE_AHEAD, _FREE_BEHIND
         self._counters = "transpos" if is_velomega else "encl", "encr"
-        self._read = frozenset(read)
+        self._read = read
         self._has_raw_ir = self._has_ir = read.get("irsensor", 0) >= 5
         self._has_raw_line = read.get("linesensor", 0) >= conf.line_size
         self._has_tick = "tick" in read
         self._tick, self.cycles = 0, 1
         self.generator_output: tuple[str, int] | None = None
-        self._generator: FunctionGenerator | None = None
+        self._generated = 0.0
         if is_velomega and (heading := self.symbols.system.get("rotpos")) is not None:
             self.symbols.find_system("rotpos")
             self.functions.route_input("mrc", "odoconnect", "dth", heading.place)
         for scale in conf.scales:
-            name, index = split_index(scale.variable)
-            self.symbols.set_scale(name, index, offset=scale.offset, gain=scale.gain)
+            self.symbols.set_scale(*split_index(scale.variable), offset=scale.offset, gain=scale.gain)
         for setting in conf.settings:
             self.functions.set_parameter(setting.module, setting.function, setting.parameter, setting.value)
         for route in conf.routes:
@@ -184,10 +174,9 @@ class Vehicle:
         self.functions.act(self.symbols.pool)
         control.update()
         if isinstance(control.motion, FunctionGenerator):
-            self._generator = control.motion
+            self._generated = control.motion.output
         if self.generator_output is not None:
-            name, index = self.generator_output
-            self.outputs.set(name, index, 0.0 if self._generator is None else self._generator.output)
+            self.outputs.set(*self.generator_output, self._generated)
         self.outputs.set_speeds(control.left, control.right, control.omega)
         return self.outputs.take_changed()
 
@@ -233,3 +222,94 @@ class Vehicle:
     def estimated_pose(self) -> PlanarPose:
         """The pose that motions go by: of the odometry, or of a filter."""
         return self.kalman_pose() if self.uses_kalman else self.odometry.pose.copy()
+
+
+class VehicleOutputs:
+    """The write variables of a robot: speeds and outputs, as their words.
+
+    Args:
+        conf: what the robot is.
+        symbols: the variables of the mission.
+        write: the values of the write variables, by name.
+        profile: as MRC does it, or sound.
+    """
+
+    def __init__(self, conf: RobotConf, symbols: Symbols, write: Mapping[str, Sequence[int]], profile: Profile) -> None:
+        self._symbols = symbols
+        self._is_velomega = conf.drive is DriveKind.VELOMEGA
+        self._scales = conf.left_speed_scale, conf.right_speed_scale
+        self._speeds = conf.writes
+        self._words = {name: list(map(int, words)) for name, words in write.items()}
+        self._changed: dict[str, list[int]] = {}
+        self._count: Callable[[float], int] = _nearest
+        self._count_speed: Callable[[float], int] = _nearest
+        if not profile.outputs_round_alike:
+            self._count = _half_up_to_zero
+            self._count_speed = _truncated if self._is_velomega else _half_up
+
+    @property
+    def has_speed(self) -> bool:
+        """Whether the speeds that are written are not all 0."""
+        return any(self._words[name][0] for name in self._speeds)
+
+    def set_speeds(self, left: float, right: float, omega: float) -> None:
+        """Write the speeds of the wheels, m/s, or of a velocity-omega robot `left` and the turn rate, rad/s."""
+        speeds = left, omega if self._is_velomega else right
+        for name, scale, speed in zip(self._speeds, self._scales, speeds, strict=True):
+            self._put(name, self._count_speed(speed * scale))
+
+    def set(self, name: str, index: int, value: float) -> bool:
+        """Write ``(value + offset) * gain`` to a variable, rounded. False if the robot has no such one."""
+        symbol = self._symbols.outputs.get(name)
+        if symbol is None or not 0 <= index < symbol.size:
+            return False
+        pool, place = self._symbols.pool, symbol.place + index
+        pool[place] = value
+        scaled = (value + pool[place + symbol.size]) * pool[place + 2 * symbol.size]
+        self._put(name, self._count(scaled), index)
+        return True
+
+    def set_word(self, name: str, value: float) -> bool:
+        """Write the first word of a variable, without offset and gain. False if the robot has no such one."""
+        if name not in self._words:
+            return False
+        self._put(name, _truncated(value))
+        return True
+
+    def reset_motors(self) -> None:
+        """Write the variables that reset the motors, where the robot has them."""
+        for name in ("resetmotorr", "resetmotorl"):
+            if name in self._words:
+                self._changed[name] = self._words[name]
+
+    def _put(self, name: str, word: int, index: int = 0) -> None:
+        words = self._words[name]
+        words[index] = word
+        self._changed[name] = words
+
+    def take_changed(self) -> dict[str, list[int]]:
+        """What was set since the last call, by name; whole variables."""
+        changed, self._changed = self._changed, {}
+        return {name: list(words) for name, words in changed.items()}
+
+
+# How numbers become words. nan is 0 and what does not fit the nearest word; MRC would send -2147483648 for both.
+
+
+def _truncated(value: float) -> int:
+    return 0 if value != value else int(max(_INT_MIN, min(_INT_MAX, value)))
+
+
+def _nearest(value: float) -> int:
+    whole = _truncated(abs(value) + 0.5)
+    return -whole if value < 0 else whole
+
+
+def _half_up_to_zero(value: float) -> int:
+    """C's conversion of ``value + 0.5``, as MRC's `setoutput` does it: -3 becomes -2."""
+    return _truncated(value + 0.5)
+
+
+def _half_up(value: float) -> int:
+    """``floor(value + 0.5)``, as MRC rounds the speeds of wheels."""
+    return 0 if value != value else int(max(_INT_MIN, min(_INT_MAX, value + 0.5)) // 1)

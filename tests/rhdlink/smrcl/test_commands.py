@@ -113,7 +113,7 @@ def test_what_settings_and_routes_set_is_there() -> None:
     assert attributes(effects.vehicle) == before
     for module, function, name in control_functions._INPUTS:
         assert vehicle.functions.route_input(module, function, name, 0)
-    for owner, attribute, _ in (*vehicle.functions._sensed, *vehicle.functions._acted):
+    for owner, attribute, _ in (*vehicle.functions._sensed.values(), *vehicle.functions._acted.values()):
         assert isinstance(getattr(owner, attribute), float), attribute
     for attribute in control_functions._PARAMETERS.values():
         assert isinstance(getattr(vehicle.control.parameters, attribute), float), attribute

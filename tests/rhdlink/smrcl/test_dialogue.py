@@ -151,7 +151,7 @@ def test_too_many_commands_are_refused(profile: str) -> None:
     answers += talk.go_on(3)
     assert answers.count(f"ID{MOST_COMMANDS + 1} queued") == 1
     assert answers[-1] == "ID481 refused"
-    assert talk.dialogue.waiting == MOST_COMMANDS
+    assert len(talk.dialogue.queue) == MOST_COMMANDS
 
 
 def test_flushing_stops_the_robot() -> None:
@@ -162,7 +162,7 @@ def test_flushing_stops_the_robot() -> None:
         assert talk.say("flushcmds") == ["ID1 flushed"]
         talk.go_on(20)
         assert (talk.bench.speeds[-1][0] == 0.0) == stands
-        assert talk.dialogue.waiting == 0
+        assert len(talk.dialogue.queue) == 0
 
 
 def test_a_client_that_is_lost_stops_what_it_began() -> None:

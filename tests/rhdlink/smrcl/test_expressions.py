@@ -38,7 +38,7 @@ from tests.rhdlink.smrcl.written import write_expression
 LIBRARY = ctypes.util.find_library("m")
 pytestmark = pytest.mark.skipif(LIBRARY is None, reason="there is no C library to compare with")
 
-PARSER = Parser(frozenset(COMMANDS))
+PARSER = Parser(COMMANDS)
 #: Variables of the script, and an array.
 VALUES = {"a": 0.0, "b": -2.5, "c": math.inf, "d": math.nan, "e": 1e-3}
 ARRAY = [4.0, -1.0, 0.5]

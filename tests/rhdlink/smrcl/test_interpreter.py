@@ -236,10 +236,10 @@ def test_labels_are_compared_up_to_the_first_other_character() -> None:
     plan = MissionPlan(
         [PlanLine('label "a b"', 1), PlanLine("label \\x\\", 2), PlanLine('labelled "c"', 3), PlanLine('label "a"', 4)]
     )
-    assert plan.find_label("a") == 0
-    assert plan.find_label("a b") is None
-    assert plan.find_label("c") == 2
-    assert plan.find_label("x") is None
+    assert plan.labels.get("a") == 0
+    assert plan.labels.get("a b") is None
+    assert plan.labels.get("c") == 2
+    assert plan.labels.get("x") is None
 
 
 def test_mrc_reaches_what_stands_behind_an_array() -> None:

@@ -35,7 +35,7 @@ from rhdlink.smrcl.syntax import (
 )
 from tests.rhdlink.smrcl.written import write_expression, write_line
 
-PARSER = Parser(frozenset(COMMANDS))
+PARSER = Parser(COMMANDS)
 
 names = st.from_regex(r"[A-Za-z][A-Za-z0-9]{0,6}", fullmatch=True).filter(lambda name: name not in RESERVED)
 numbers = st.builds(NumberLiteral, st.floats(min_value=0.0, allow_nan=False))

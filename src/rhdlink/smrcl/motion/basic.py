@@ -126,8 +126,7 @@ class Forward(ControlledMotion):
         velocity = ramped(abs(control.speed), control.reached, acceleration * parameters.period)
         remaining = (target.x - pose.x) * cosine(target.th) + (target.y - pose.y) * sine(target.th)
         is_ahead = control.distance > 0.0
-        free = (control.obstacle_front if is_ahead else control.obstacle_back) - parameters.stop_distance
-        free = control.clearance(free)
+        free = control.clearance(is_ahead)
         if abs(remaining) > free and not control.ignores_obstacles:
             way, direction = free, 1.0 if is_ahead else -1.0
         else:

@@ -122,10 +122,13 @@ class MotionControl:
         heading_error: of `turn`'s end, rad.
         remaining: `$targetdist`: m to the target, or 0 and 1 for arcs.
         is_blocked: an obstacle is near: `$motionstatus`.
+        ignores_obstacles: the present motion is not slowed down by them.
         cycles: since the motion began.
         left, right: m/s, the speeds of the wheels, or of a velocity-omega robot twice its speed.
         omega: rad/s, the turn rate of a velocity-omega robot.
         say: is given what MRC prints about a motion.
+        motion: the one that is under way.
+        reached: the speed that it has reached, m/s.
     """
 
     parameters: MotionParameters
@@ -153,24 +156,19 @@ class MotionControl:
     heading_error: float = 0.0
     remaining: float = 0.0
     is_blocked: bool = False
+    ignores_obstacles: bool = False
     cycles: int = 0
     left: float = 0.0
     right: float = 0.0
     omega: float = 0.0
     say: Callable[[str], object] = str
+    motion: ControlledMotion = field(default_factory=Standing)
+    reached: float = 0.0
 
     def __post_init__(self) -> None:
-        self._motion: ControlledMotion = Standing()
         self._next: ControlledMotion | None = None
-        self._ignores_next = self._ignores = False
+        self._ignores_next = False
         self._finishing: int | None = None
-        #: The speed that the present motion has reached, m/s.
-        self.reached = 0.0
-
-    @property
-    def motion(self) -> ControlledMotion:
-        """The motion that is under way."""
-        return self._motion
 
     def start(self, motion: ControlledMotion) -> None:
         """Begin `motion` in this cycle; of several the last counts."""
@@ -180,22 +178,17 @@ class MotionControl:
         """The next motion is not slowed down by obstacles."""
         self._ignores_next = True
 
-    @property
-    def ignores_obstacles(self) -> bool:
-        """Whether the present motion is not slowed down by obstacles."""
-        return self._ignores
-
     def update(self) -> None:
         """One cycle."""
         motion = self._next
         if motion is not None:
-            self._motion, self._next = motion, None
-            self._ignores, self._ignores_next = self._ignores_next, False
+            self.motion, self._next = motion, None
+            self.ignores_obstacles, self._ignores_next = self._ignores_next, False
             self._finishing = None
             self.cycles = 0
             motion.begin(self)
         self.is_blocked = False
-        self._motion.update(self)
+        self.motion.update(self)
         if self._finishing is not None:
             # The script sees the end of a motion one cycle late, and its next line begins in the one after that.
             self._finishing -= 1
@@ -210,9 +203,9 @@ class MotionControl:
 
     def rest(self) -> None:
         """Stand from this cycle on."""
-        self._motion = Standing()
+        self.motion = Standing()
         self._finishing = None
-        self._motion.update(self)
+        self.motion.update(self)
 
     # -- what motions are made of ------------------------------------------------------------------
 
@@ -240,16 +233,14 @@ class MotionControl:
     def ramp(self) -> None:
         """Bring `reached` nearer to the speed that is commanded, as obstacles allow."""
         velocity = ramped(self.speed, self.reached, self.acceleration * self.parameters.period)
-        free = (self.obstacle_front if velocity > 0.0 else self.obstacle_back) - self.parameters.stop_distance
-        free = self.clearance(free)
-        if not self._ignores:
-            most = root(2.0 * free * self.acceleration) * sign(velocity)
-            if abs(most) < abs(velocity):
-                velocity = most
+        most = root(2.0 * self.clearance(velocity > 0.0) * self.acceleration) * sign(velocity)
+        if abs(most) < abs(velocity) and not self.ignores_obstacles:
+            velocity = most
         self.reached = velocity
 
-    def clearance(self, free: float) -> float:
-        """`free` metres to where the robot has to stand before an obstacle, at least 0; notes whether that is near."""
+    def clearance(self, is_ahead: bool) -> float:
+        """m to where the robot has to stand before an obstacle, ahead or behind; notes whether that is near."""
+        free = (self.obstacle_front if is_ahead else self.obstacle_back) - self.parameters.stop_distance
         free = 0.0 if free < 0.0 else free
         if free < self.parameters.alarm_distance:
             self.is_blocked = True

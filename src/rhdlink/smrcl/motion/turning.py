@@ -59,10 +59,7 @@ class Turn(ControlledMotion):
             wheel = -wheel
         near = abs(remaining) * parameters.kp * parameters.width
         for bound in (most, near):
-            if wheel > bound:
-                wheel = bound
-            if wheel < -bound:
-                wheel = -bound
+            wheel = limited(wheel, -bound, bound)
         if control.drive is DriveKind.VELOMEGA:
             control.left = control.right = 0.0
             control.omega = 2.0 * wheel / parameters.width
