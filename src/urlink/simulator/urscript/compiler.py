@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import gc
+from collections import ChainMap
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Literal
 
@@ -57,6 +58,7 @@ from .syntax import (
     Definition,
     Evaluate,
     Expression,
+    FunctionParameter,
     Halt,
     If,
     Index,
@@ -94,7 +96,7 @@ def compile_script(text: str, firmware: Firmware) -> Script:
     statements are the program. Both are guesses.
 
     Raises:
-        ScriptError: it does not compile; has the place and the controller's text.
+        ProgramError: it does not compile; has the place and the controller's text.
     """
     with _collection_paused():
         source = SourceText(text)
@@ -127,7 +129,8 @@ class _Program:
         self.firmware = firmware
         last = statements[-1] if statements else None
         body = statements
-        name, self.kind = "unnamed", "def"
+        name = "unnamed"
+        self.kind: Literal["def", "sec"] = "def"
         if isinstance(last, Definition) and last.kind != "thread":
             name, self.kind = last.name, last.kind
             for parameter in last.parameters:
@@ -137,9 +140,8 @@ class _Program:
         self._builtins: dict[str, Builtin | None] = {}
         self._leaves: dict[int, tuple[Definition, Function | None, int]] = {}
         main = Code(name, source)
-        _Compiler(self, main, body, (), None).compile()
-        kind: Literal["def", "sec"] = "sec" if self.kind == "sec" else "def"
-        self.script = Script(source, name, kind, firmware, main, len(self.globals))
+        _Compiler(self, main, body, [], None).compile()
+        self.script = Script(source, name, self.kind, main, len(self.globals))
 
     def builtin(self, name: str) -> Builtin | None:
         """The built-in function of that name; None if the firmware lacks it."""
@@ -153,7 +155,7 @@ class _Program:
             return None, 0  # places of its faults would be looked up in the text of a later statement
         if id(definition) not in self._leaves:
             size = leaf_size(definition, self.globals)
-            compiler = _Compiler(self, Code(code.name, self.source), definition.body, (definition,), None)
+            compiler = _Compiler(self, Code(code.name, self.source), definition.body, definition.parameters, None)
             self._leaves[id(definition)] = definition, compiler.leaf() if size else None, size
         _, function, size = self._leaves[id(definition)]
         return function, size
@@ -171,17 +173,18 @@ class _Compiler:
     """Compiler of one function."""
 
     def __init__(
-        self, program: _Program, code: Code, body: Block, definition: Sequence[Definition], outer: Functions | None
+        self, program: _Program, code: Code, body: Block, parameters: list[FunctionParameter], outer: Functions | None
     ) -> None:
         self._program = program
         self._code = code
         self._body = body
         self._outer = outer
-        self._parameters = [parameter for one in definition for parameter in one.parameters]
+        self._parameters = parameters
         # Parameters that always have a value.
         self._given = {parameter.name for parameter in self._parameters if parameter.default is None}
         names = Names.of(body)
-        self.functions = Functions(names, program.source, outer)
+        defined = {each.name: (each, Code(each.name, program.source)) for each in names.definitions}
+        self.functions: Functions = ChainMap(defined) if outer is None else outer.new_child(defined)
         own = [
             *(parameter.name for parameter in self._parameters),
             *sorted(names.local),
@@ -232,7 +235,7 @@ class _Compiler:
         defines are known to later statements.
 
         Raises:
-            ScriptError: it does not compile.
+            ProgramError: it does not compile.
         """
         source = SourceText(text)
         body = parse(source)
@@ -247,11 +250,11 @@ class _Compiler:
         # The same program with another source text.
         program = copy.copy(self._program)
         program.source = source
-        compiler = _Compiler(program, Code("statement", source), body, (), self.functions)
+        compiler = _Compiler(program, Code("statement", source), body, [], self.functions)
         compiler._slots = self._slots
         compiler._used = compiler._top = self._code.size
         compiler.compile()
-        if compiler.functions.has_any:
+        if compiler.functions.maps[0]:
             self.functions = compiler.functions
         return StatementCode(compiler._code, len(known))
 
@@ -320,12 +323,10 @@ class _Compiler:
         self._emit(s, lambda after: join(handle, slot, after))
 
     def _define(self, s: Definition) -> None:
-        found = self.functions.find(s.name)
-        assert found is not None
-        definition, code = found
+        definition, code = self.functions[s.name]
         if definition is not s or s.kind == "sec":
             raise self._program.error(s, f"compile_error_name_already_used:{s.name}:")
-        _Compiler(self._program, code, s.body, (s,), self.functions).compile()
+        _Compiler(self._program, code, s.body, s.parameters, self.functions).compile()
 
     def _assign(self, s: Assign) -> None:
         is_known = s.name in self._slots or s.name in self._program.globals
@@ -351,7 +352,7 @@ class _Compiler:
         if isinstance(expression, Name) and expression.name in _BARE:
             expression = Call(expression.place, 1, True, expression.name, [], [], False)
         value = self._value(expression)
-        if not (isinstance(expression, (Call, MethodCall)) and self._takes(expression, alone=True)):
+        if not self._is_instruction(expression):
             self._emit(s, lambda after: evaluate(value, after))
 
     def _if(self, s: If) -> None:
@@ -386,25 +387,23 @@ class _Compiler:
 
     # -- expressions -------------------------------------------------------------------------------
 
-    def _takes(self, node: Expression, alone: bool = False) -> bool:
-        """Whether an expression contains calls that are instructions; with `alone`, whether it is one."""
+    def _takes(self, node: Expression) -> bool:
+        """Whether an expression contains calls that are instructions."""
         if not node.has_calls:
             return False
-        if not alone and id(node) in self._taking:
-            return self._taking[id(node)]
-        taking = isinstance(node, MethodCall)
-        if isinstance(node, Call) and not node.is_run:
-            found = self.functions.find(node.name)
-            if found is not None:
-                taking = self._program.leaf(*found)[0] is None
-            else:
-                builtin = self._program.builtin(node.name)
-                taking = builtin is None or builtin.takes_time
-        if alone:
-            return taking
-        taking = taking or any(self._takes(part) for part in parts_of(node))
-        self._taking[id(node)] = taking
-        return taking
+        if id(node) not in self._taking:
+            self._taking[id(node)] = self._is_instruction(node) or any(self._takes(part) for part in parts_of(node))
+        return self._taking[id(node)]
+
+    def _is_instruction(self, node: Expression) -> bool:
+        """Whether an expression is a call that is an instruction."""
+        if not isinstance(node, Call) or node.is_run:
+            return isinstance(node, MethodCall)
+        found = self.functions.get(node.name)
+        if found is not None:
+            return self._program.leaf(*found)[0] is None
+        builtin = self._program.builtin(node.name)
+        return builtin is None or builtin.takes_time
 
     def _sequence(self, nodes: Sequence[Expression]) -> list[Function]:
         """Python functions of expressions that are evaluated from left to right."""
@@ -502,7 +501,7 @@ class _Compiler:
     # -- calls -------------------------------------------------------------------------------------
 
     def _call(self, node: Call) -> Function:
-        found = self.functions.find(node.name)
+        found = self.functions.get(node.name)
         if found is None:
             if node.is_run:
                 raise self._program.not_found(node, node.name)
@@ -512,8 +511,7 @@ class _Compiler:
             wanted = "thread" if node.is_run else "function"
             raise self._program.error(node, f"compile_error_not_a_{wanted}:{node.name}:")
         arguments = self._arguments(
-            node,
-            [(p.name, REQUIRED if p.default is None else UNSET) for p in definition.parameters],
+            node, [(p.name, REQUIRED if p.default is None else UNSET) for p in definition.parameters]
         )
         if node.is_run:
             self._takes_time(node, "run")

@@ -25,7 +25,6 @@ from operator import is_
 from typing import Any, Literal, NamedTuple
 
 from linkcore.errors import BadValue
-from urlink.firmware import Firmware
 
 from ..robot.generator import OutOfReach
 from .errors import (
@@ -93,7 +92,6 @@ class Script:
         source: its text.
         name: as after `def` or `sec`; "unnamed" (a guess) for statements alone.
         kind: `sec` runs beside the program that moves the arm.
-        firmware: for which it was compiled.
         main: where it begins.
         n_globals: how many global variables it has.
     """
@@ -101,7 +99,6 @@ class Script:
     source: SourceText
     name: str
     kind: Literal["def", "sec"]
-    firmware: Firmware
     main: Code
     n_globals: int
 
@@ -200,7 +197,7 @@ class ScriptThread:
         """Run until it waits or ends.
 
         Raises:
-            ScriptError: a run-time error.
+            ProgramError: a run-time error.
         """
         at = self._next - 1
         machine = self.machine
@@ -249,7 +246,7 @@ class ScriptThread:
 
     def endless(self) -> ProgramError:
         """The error of a program of which no thread waits for anything."""
-        return self._error(self._next, str(endless(self.machine.world.firmware)), None)
+        return self._error(self._next, str(endless(self.world.firmware)), None)
 
     def _error(self, at: int, text: str, place: int | None) -> ProgramError:
         places = self._code.places
@@ -292,8 +289,7 @@ class Machine:
         self._owner: ScriptThread | None = None
         self._move: BegunMove | None = None
         self._is_aborted = False
-        self._firmware = script.firmware
-        self.has_matrices = script.firmware in HAS_MATRICES
+        self.has_matrices = world.firmware in HAS_MATRICES
         self._globals: list[Any] = [UNSET] * script.n_globals
         self._work = 0
         self._made = 0
@@ -312,7 +308,7 @@ class Machine:
         """Run one cycle.
 
         Raises:
-            ScriptError: a run-time error.
+            ProgramError: a run-time error.
         """
         threads = self._threads
         self.left = MAX_INSTRUCTIONS
@@ -379,7 +375,7 @@ class Machine:
         """Count work that costs as much as making this many elements."""
         self._work += work
         if self._work > MAX_WORK:
-            raise endless(self._firmware)
+            raise endless(self.world.firmware)
 
     def charge(self, elements: int) -> None:
         """Count the making of this many elements."""

@@ -19,23 +19,9 @@ from .errors import MAX_TEXT, MAX_TOKENS, ProgramError
 NUMBER, NAME, STRING, END = "number", "name", "string", "end of text"
 
 _STATEMENTS = {"def", "sec", "thread", "end", "if", "elif", "else", "while", "return", "break", "continue", "pass"}
-_OTHERS = {
-    "halt",
-    "global",
-    "local",
-    "run",
-    "kill",
-    "join",
-    "and",
-    "or",
-    "xor",
-    "not",
-    "True",
-    "False",
-    "true",
-    "false",
-}
-KEYWORDS = frozenset(_STATEMENTS | _OTHERS)
+_SIMPLE = {"halt", "global", "local", "run", "kill", "join"}
+_IN_EXPRESSIONS = {"and", "or", "xor", "not", "True", "False", "true", "false"}
+KEYWORDS = frozenset(_STATEMENTS | _SIMPLE | _IN_EXPRESSIONS)
 
 # That numbers may be hexadecimal is a guess.
 _TOKEN = re.compile(
@@ -62,7 +48,7 @@ class SourceText:
         text: the program.
 
     Raises:
-        ScriptError: the text is too long.
+        ProgramError: the text is too long.
     """
 
     def __init__(self, text: str) -> None:
@@ -109,7 +95,7 @@ def tokens_of(source: SourceText) -> Tokens:
     """The tokens of a text.
 
     Raises:
-        ScriptError: an unknown character, or too many tokens.
+        ProgramError: an unknown character, or too many tokens.
     """
     found = Tokens([], [], [])
     kinds, texts, places = found
