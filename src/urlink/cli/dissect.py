@@ -14,7 +14,7 @@ import numpy as np
 
 from linkcore.cli.terminal import ProgressBar
 from linkcore.errors import BadRecording, PacketError, WrongPeer
-from linkcore.recording.file import Kind, Progress, RecordingFile
+from linkcore.recording.file import MAGIC, Kind, Progress, RecordingFile
 from linkcore.text import printable, strict_json
 from linkcore.wire.fields import version_text
 from linkcore.wire.framing import Framer
@@ -160,7 +160,7 @@ def _sources(path: Path, wanted: Interface | None) -> Iterator[tuple[Interface, 
         data = path.read_bytes()
     except OSError as error:
         raise BadRecording(f"cannot read {path}: {error.strerror}") from error
-    if data.startswith(b"LINKREC1"):
+    if data.startswith(MAGIC):
         yield from _recorded(RecordingFile(path), wanted)
         return
     interface = wanted or guess_interface(data)

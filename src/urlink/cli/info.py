@@ -95,4 +95,4 @@ def _ports(robot: Robot) -> dict[str, int]:
     place = parse_address(robot.address)
     if isinstance(place, SimulatorAddress) and robot.controller is not None:
         return dict(robot.controller.ports)
-    return {} if isinstance(place, RecordingAddress) or not isinstance(place, RobotAddress) else dict(place.ports)
+    return dict(place.ports) if isinstance(place, RobotAddress) else {}

@@ -17,9 +17,8 @@ from linkcore.streaming.stream import Stream
 from ..address import RecordingAddress, SimulatorAddress, parse_address
 from ..interfaces.primary.robot_message import RobotMessage, UnnamedMessage12, VersionMessage
 from ..robot import Robot, connect
-from .glance import Glance, StreamStatus, line, status_of
+from .glance import Glance, Reading, StreamStatus, line, read, status_of
 from .options import ADDRESS, DURATION, argument, command, interface_of, tell
-from .reading import Reading, read
 from .values import as_text
 
 if TYPE_CHECKING:

@@ -6,8 +6,7 @@ import argparse
 import csv
 import io
 import itertools
-import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from typing import Any
 
@@ -87,10 +86,8 @@ def _print(stream: OutputStream[Any], args: argparse.Namespace) -> None:
         if stream.left_out:
             tell(f"this controller does not have {', '.join(stream.left_out)}")
         show = _as_json if args.json else _csv_of(stream, names) if args.csv else _as_line(names)
-        packets: Iterable[State] = tap.packets(args.timeout, args.duration)
-        for packet in itertools.islice(packets, args.count):
-            print(show(packet))
-            sys.stdout.flush()
+        for packet in itertools.islice(tap.packets(args.timeout, args.duration), args.count):
+            print(show(packet), flush=True)
 
 
 def _as_json(packet: State) -> str:
