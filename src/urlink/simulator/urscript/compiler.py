@@ -17,31 +17,12 @@ from typing import Any, Literal
 
 from urlink.firmware import Firmware
 
-from . import operations
+from . import instructions, operations
 from .builtins import find
 from .builtins.declaration import REQUIRED, Builtin
 from .builtins.remote_procedures import call_method
 from .errors import ProgramError
-from .instructions import (
-    Label,
-    await_builtin,
-    branch,
-    call,
-    enter_interpreter,
-    evaluate,
-    halt,
-    interpret,
-    join,
-    jump,
-    jump_to_label,
-    kill,
-    leave,
-    skip_if_set,
-    spend,
-    start,
-    store,
-    store_element,
-)
+from .instructions import Label
 from .machine import FIRST, Code, Instruction, Script, ScriptThread, StatementCode, Waiting
 from .operations import Function
 from .parser import parse
@@ -206,7 +187,7 @@ class _Compiler:
                 self._default(parameter, parameter.default, self._slots[parameter.name])
         self._block(self._body)
         last = self._body[-1] if self._body else None
-        self._makers.append((lambda after: leave(None), last.place if last else 0))
+        self._makers.append((lambda after: instructions.leave(None), last.place if last else 0))
         self._code.size = self._top
         self._code.instructions.extend(maker(at) for at, (maker, _) in enumerate(self._makers, 1))
         self._code.places.extend(place for _, place in self._makers)
@@ -261,9 +242,9 @@ class _Compiler:
     def _default(self, parameter: Node, default: Expression, slot: int) -> None:
         """Evaluate a default value in the called function, at each call (a guess)."""
         given = Label()
-        self._emit(parameter, lambda after: skip_if_set(slot, given, after))
+        self._emit(parameter, lambda after: instructions.skip_if_set(slot, given, after))
         value = self._value(default)
-        self._emit(parameter, lambda after: store(False, slot, value, after))
+        self._emit(parameter, lambda after: instructions.store(False, slot, value, after))
         self._mark(given)
 
     # -- instructions ------------------------------------------------------------------------------
@@ -271,7 +252,7 @@ class _Compiler:
     def _emit(self, node: Node, maker: Callable[[int], Instruction]) -> None:
         parts, self._parts = self._parts, 0
         if parts > _SHORT:
-            self._makers.append((lambda after: spend(parts, after), node.place))
+            self._makers.append((lambda after: instructions.spend(parts, after), node.place))
         self._makers.append((maker, node.place))
 
     def _mark(self, label: Label) -> None:
@@ -294,14 +275,14 @@ class _Compiler:
 
     def _return(self, s: Return) -> None:
         value = None if s.value is None else self._value(s.value)
-        self._emit(s, lambda after: leave(value))
+        self._emit(s, lambda after: instructions.leave(value))
 
     def _leave_loop(self, s: Break | Continue) -> None:
         if not self._loops:
             line, _ = self._program.source.line_and_column(s.place)
             raise self._program.error(s, f"not_in_a_loop_on_line:{line}:")
         label = self._loops[-1][isinstance(s, Break)]
-        self._emit(s, lambda after: jump(label))
+        self._emit(s, lambda after: instructions.jump(label))
 
     def _node_label(self, s: NodeLabel) -> None:
         """A target of `jump_to_label`, by its name and its number; of several with one name the first."""
@@ -311,16 +292,16 @@ class _Compiler:
         self._labels.setdefault(s.number, label)
 
     def _halt(self, s: Halt) -> None:
-        self._emit(s, lambda after: halt())
+        self._emit(s, lambda after: instructions.halt())
 
     def _kill(self, s: Kill) -> None:
         handle = self._value(s.handle)
-        self._emit(s, lambda after: kill(handle, after))
+        self._emit(s, lambda after: instructions.kill(handle, after))
 
     def _join(self, s: Join) -> None:
         self._takes_time(s, "join")
         handle, slot = self._value(s.handle), self._slot()
-        self._emit(s, lambda after: join(handle, slot, after))
+        self._emit(s, lambda after: instructions.join(handle, slot, after))
 
     def _define(self, s: Definition) -> None:
         definition, code = self.functions[s.name]
@@ -333,7 +314,7 @@ class _Compiler:
         if not is_known and s.name in _SETTERS and len(s.indices) == 1 and not _is_member(s.indices[0]):
             setting = Call(s.place, 1, True, _SETTERS[s.name], [s.indices[0], s.value], [], False)
             value = self._call_builtin(setting)
-            self._emit(s, lambda after: evaluate(value, after))
+            self._emit(s, lambda after: instructions.evaluate(value, after))
             return
         if s.scope == "global" or s.name not in self._slots:
             if s.name not in self._program.globals:
@@ -343,9 +324,9 @@ class _Compiler:
             is_global, slot = False, self._slots[s.name]
         *indices, value = self._sequence([*s.indices, s.value])
         if s.indices:
-            self._emit(s, lambda after: store_element(is_global, slot, s.name, indices, value, after))
+            self._emit(s, lambda after: instructions.store_element(is_global, slot, s.name, indices, value, after))
         else:
-            self._emit(s, lambda after: store(is_global, slot, value, after))
+            self._emit(s, lambda after: instructions.store(is_global, slot, value, after))
 
     def _evaluate(self, s: Evaluate) -> None:
         expression = s.value
@@ -353,7 +334,7 @@ class _Compiler:
             expression = Call(expression.place, 1, True, expression.name, [], [], False)
         value = self._value(expression)
         if not self._is_instruction(expression):
-            self._emit(s, lambda after: evaluate(value, after))
+            self._emit(s, lambda after: instructions.evaluate(value, after))
 
     def _if(self, s: If) -> None:
         end = Label()
@@ -362,7 +343,7 @@ class _Compiler:
             self._condition(condition, otherwise)
             self._block(body)
             if s.otherwise or condition is not s.branches[-1][0]:
-                self._emit(s, lambda after: jump(end))
+                self._emit(s, lambda after: instructions.jump(end))
             self._mark(otherwise)
         self._block(s.otherwise)
         self._mark(end)
@@ -374,7 +355,7 @@ class _Compiler:
         self._loops.append((begin, end))
         self._block(s.body)
         self._loops.pop()
-        self._emit(s, lambda after: jump(begin))
+        self._emit(s, lambda after: instructions.jump(begin))
         self._mark(end)
 
     def _condition(self, condition: Expression, otherwise: Label) -> None:
@@ -383,7 +364,7 @@ class _Compiler:
         used = self._used
         value = self._value(condition)
         self._used = used
-        self._emit(condition, lambda after: branch(value, otherwise, after))
+        self._emit(condition, lambda after: instructions.branch(value, otherwise, after))
 
     # -- expressions -------------------------------------------------------------------------------
 
@@ -423,7 +404,7 @@ class _Compiler:
 
     def _kept(self, node: Node, function: Function) -> Function:
         slot = self._slot()
-        self._emit(node, lambda after: store(False, slot, function, after))
+        self._emit(node, lambda after: instructions.store(False, slot, function, after))
         return operations.temporary(slot)
 
     def _value(self, node: Expression) -> Function:
@@ -489,12 +470,12 @@ class _Compiler:
         # If the left operand decides the result, jump over the instructions of the right one.
         settled, slot = Label(), self._slot()
         left = operations.checked_truth(self._value(node.left), place)
-        self._emit(node, lambda after: store(False, slot, left, after))
+        self._emit(node, lambda after: instructions.store(False, slot, left, after))
         known = operations.temporary(slot)
         goes_on = known if node.operator == "and" else operations.inverted(known, place)
-        self._emit(node, lambda after: branch(goes_on, settled, after))
+        self._emit(node, lambda after: instructions.branch(goes_on, settled, after))
         right = operations.checked_truth(self._value(node.right), place)
-        self._emit(node, lambda after: store(False, slot, right, after))
+        self._emit(node, lambda after: instructions.store(False, slot, right, after))
         self._mark(settled)
         return known
 
@@ -515,13 +496,13 @@ class _Compiler:
         )
         if node.is_run:
             self._takes_time(node, "run")
-            return operations.placed(start(code, arguments), node.place)
+            return operations.placed(instructions.start(code, arguments), node.place)
         leaf, size = self._program.leaf(definition, code)
         if leaf is not None:
             self._parts += size
             return operations.leaf_call(leaf, arguments)
         slot = self._slot()
-        self._emit(node, lambda after: call(code, arguments, slot, after))
+        self._emit(node, lambda after: instructions.call(code, arguments, slot, after))
         return operations.temporary(slot)
 
     def _method_call(self, node: MethodCall) -> Function:
@@ -531,7 +512,7 @@ class _Compiler:
         def call_it(thread: ScriptThread, base: Any, *arguments: Any) -> Waiting:
             return call_method(thread, base, node.name, arguments)
 
-        self._emit(node, lambda after: await_builtin(call_it, operands, slot, after))
+        self._emit(node, lambda after: instructions.await_builtin(call_it, operands, slot, after))
         return operations.temporary(slot)
 
     def _struct(self, node: Call) -> Function:
@@ -556,19 +537,20 @@ class _Compiler:
         if node.name == "interpreter_mode":
             return self._interpreter_mode(node, arguments)
         if node.name == "jump_to_label":
-            self._emit(node, lambda after: jump_to_label(self._labels, arguments[0]))
+            self._emit(node, lambda after: instructions.jump_to_label(self._labels, arguments[0]))
             return operations.constant(None)
         if not builtin.takes_time:
             return operations.call(builtin.function, arguments, node.place)
         slot = self._slot()
-        self._emit(node, lambda after: await_builtin(builtin.function, arguments, slot, after))
+        self._emit(node, lambda after: instructions.await_builtin(builtin.function, arguments, slot, after))
         return operations.temporary(slot)
 
     def _interpreter_mode(self, node: Call, arguments: Sequence[Function]) -> Function:
         """Two instructions rather than a function, since it runs statements that arrive meanwhile."""
         slot = self._slot()
-        self._emit(node, lambda after: enter_interpreter(self.statement, arguments[0], arguments[1], after))
-        self._emit(node, lambda after: interpret(slot, after))
+        on_enter, on_end = arguments
+        self._emit(node, lambda after: instructions.enter_interpreter(self.statement, on_enter, on_end, after))
+        self._emit(node, lambda after: instructions.interpret(slot, after))
         return operations.constant(None)
 
     def _takes_time(self, node: Node, what: str) -> None:

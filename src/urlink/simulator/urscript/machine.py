@@ -24,8 +24,6 @@ from dataclasses import dataclass, field
 from operator import is_
 from typing import Any, Literal, NamedTuple
 
-from linkcore.errors import BadValue
-
 from ..robot.generator import OutOfReach
 from .errors import (
     ANOTHER_THREAD,
@@ -229,7 +227,7 @@ class ScriptThread:
                 machine.spinning += 1
         except Fault as fault:
             raise self._error(at, str(fault), fault.place) from None
-        except (BadValue, ArithmeticError, ValueError) as error:
+        except (ArithmeticError, ValueError) as error:
             raise self._error(at, str(error), None) from None
 
     def _waited(self, variables: list[Any]) -> int:

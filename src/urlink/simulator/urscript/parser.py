@@ -78,15 +78,8 @@ from .syntax import (
 from .tokens import END, NAME, NUMBER, STRING, SourceText, tokens_of
 from .values import MemberName
 
-# Highest precedence last.
-_LEVELS: list[frozenset[str]] = [
-    frozenset({"or"}),
-    frozenset({"xor"}),
-    frozenset({"and"}),
-    frozenset({"==", "!=", "<", "<=", ">", ">="}),
-    frozenset({"+", "-"}),
-    frozenset({"*", "/", "%"}),
-]
+#: Binary operators, those of the highest precedence last.
+_LEVELS = (("or",), ("xor",), ("and",), ("==", "!=", "<", "<=", ">", ">="), ("+", "-"), ("*", "/", "%"))
 _BINDING = {operator: level for level, operators in enumerate(_LEVELS, 1) for operator in operators}
 _COMPARISON = 4
 #: Tokens that continue a primary expression.

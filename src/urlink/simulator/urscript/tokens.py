@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from .errors import MAX_TEXT, MAX_TOKENS, ProgramError
 
-#: Kinds of tokens; a keyword or mark is its own kind.
+#: Kinds of tokens, which are groups of `_TOKEN`; a keyword or mark is its own kind.
 NUMBER, NAME, STRING, END = "number", "name", "string", "end of text"
 
 _STATEMENTS = {"def", "sec", "thread", "end", "if", "elif", "else", "while", "return", "break", "continue", "pass"}
@@ -38,7 +38,6 @@ _TOKEN = re.compile(
     """,
     re.VERBOSE,
 )
-_NUMBER, _STRING, _NAME, _MARK, _END, _UNKNOWN = range(1, 7)
 
 
 class SourceText:
@@ -100,24 +99,17 @@ def tokens_of(source: SourceText) -> Tokens:
     found = Tokens([], [], [])
     kinds, texts, places = found
     for match in _TOKEN.finditer(source.text):
-        group = match.lastindex or _UNKNOWN
-        word = match[group]
-        if group == _NAME:
-            kinds.append(word if word in KEYWORDS else NAME)
-        elif group == _MARK:
-            kinds.append(word)
-        elif group == _NUMBER:
-            kinds.append(NUMBER)
-        elif group == _STRING:
-            kinds.append(STRING)
-        elif group == _END:
+        kind = match.lastgroup or ""
+        if kind == "end":
             break
-        else:
-            raise source.syntax_error(match.start(group))
+        word, place = match[kind], match.start(kind)
+        if kind == "unknown":
+            raise source.syntax_error(place)
+        kinds.append(word if kind == "mark" or word in KEYWORDS else kind)
         texts.append(word)
-        places.append(match.start(group))
+        places.append(place)
         if len(kinds) > MAX_TOKENS:
-            raise source.failure(places[-1], f"program_too_long:{len(kinds)}:")
+            raise source.failure(place, f"program_too_long:{len(kinds)}:")
     kinds.append(END)
     texts.append("")
     places.append(len(source.text))

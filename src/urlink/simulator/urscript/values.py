@@ -103,15 +103,12 @@ def type_name(value: object) -> str:
 
 def to_str(value: object) -> str:
     """The text of a value in `textmsg` and `to_str`."""
-    if value.__class__ is str:
+    if isinstance(value, (str, int)):
         return str(value)
-    if value.__class__ is float:
+    if isinstance(value, float):
         return f"{value:g}"
-    if value.__class__ is PoseValue or value.__class__ is tuple:
-        assert isinstance(value, tuple)
+    if isinstance(value, tuple):
         return f"{'p' if isinstance(value, PoseValue) else ''}[{','.join(map(to_str, value))}]"
-    if value.__class__ is int or value.__class__ is bool:
-        return str(value)
     if isinstance(value, Struct):
         return f"struct({','.join(f'{name}={to_str(member)}' for name, member in value.members.items())})"
     return type_name(value)
