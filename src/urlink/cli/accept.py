@@ -7,6 +7,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+from linkcore.cli.options import argument, command, seconds
 from linkcore.errors import BadValue
 
 from ..acceptance import report, stages
@@ -14,7 +15,7 @@ from ..acceptance.bundle import opened, pack
 from ..acceptance.person import AtTheTerminal
 from ..acceptance.report import judge
 from ..acceptance.requirements import from_file, requirements
-from .options import address, argument, command, seconds, tell
+from .options import address, tell
 
 
 @command(

@@ -10,13 +10,14 @@ import sys
 from collections.abc import Iterable, Iterator
 from typing import get_args
 
+from linkcore.cli.options import argument, command, seconds
 from linkcore.cli.terminal import Interruption
 from linkcore.errors import BadValue, LocalError
 
 from ..motion.jog import FULL_SPEED, FrameName, Jog
 from ..motion.taught import Taught
 from ..robot import Robot, connect
-from .options import ADDRESS, argument, command, seconds
+from .options import ADDRESS
 
 #: Keys that move each of the six one way, and the other way.
 _FORWARD, _BACKWARD = b"123456", b"qwerty"

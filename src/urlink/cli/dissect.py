@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from linkcore.cli.options import argument, command, positive_int
 from linkcore.cli.terminal import ProgressBar
 from linkcore.errors import BadRecording, PacketError, WrongPeer
 from linkcore.recording.file import MAGIC, Kind, Progress, RecordingFile
@@ -29,7 +30,6 @@ from ..interfaces.primary.protocol import PackageBoundary
 from ..interfaces.primary.robot_message import VersionMessage
 from ..interfaces.primary.robot_state import RobotState
 from ..interfaces.realtime.protocol import RealtimeBoundary
-from .options import argument, command, positive_int
 from .values import as_text, plain
 
 _BOUNDARIES: dict[Interface, Callable[[], PackageBoundary | RealtimeBoundary]] = {

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NamedTuple
 
+from linkcore.cli.options import argument, command, seconds
 from linkcore.errors import BadValue, ConnectFailed, LinkError, LinkTimeout, RemoteError
 from linkcore.net.transport import TcpTransport
 from linkcore.streaming.stream import Stream
@@ -23,7 +24,7 @@ from ..interfaces.primary.robot_state import RobotModeData, RobotState
 from ..interfaces.realtime.packets import RealtimeState
 from ..robot import Robot, connect
 from ..rtde import OUTPUTS
-from .options import ADDRESS, Tap, argument, command, seconds
+from .options import ADDRESS, Tap
 
 #: What each port is for, if it should be open.
 _PORTS = {

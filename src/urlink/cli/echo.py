@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, TypeGuard
 
+from linkcore.cli.options import DURATION, argument, command, positive_int, seconds
 from linkcore.errors import LinkTimeout
 from linkcore.streaming.statistics import StreamStatistics
 from linkcore.streaming.stream import Stream
@@ -22,7 +23,7 @@ from ..interfaces.primary.robot_state import RobotState
 from ..interfaces.realtime.packets import RealtimeState
 from ..robot import Robot, connect
 from .glance import counted
-from .options import ADDRESS, DURATION, Tap, argument, command, interface_of, positive_int, seconds
+from .options import ADDRESS, Tap, interface_of
 from .values import NoSuchField, as_json, as_line, as_text, getter
 
 

@@ -11,8 +11,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from linkcore.cli.options import argument, command, seconds
+
 from ..robot import connect
-from .options import ADDRESS, argument, command, seconds, tell
+from .options import ADDRESS, tell
 
 if TYPE_CHECKING:
     from ..arm_file import ArmFile, Estimate

@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
+from linkcore.cli.options import DURATION, argument, command
 from linkcore.cli.terminal import Interruption, drawing
 from linkcore.errors import LinkError, LinkTimeout
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
@@ -18,7 +19,7 @@ from ..address import RecordingAddress, SimulatorAddress, parse_address
 from ..interfaces.primary.robot_message import RobotMessage, UnnamedMessage12, VersionMessage
 from ..robot import Robot, connect
 from .glance import Glance, Reading, StreamStatus, line, read, status_of
-from .options import ADDRESS, DURATION, argument, command, interface_of, tell
+from .options import ADDRESS, interface_of, tell
 from .values import as_text
 
 if TYPE_CHECKING:

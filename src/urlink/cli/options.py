@@ -8,40 +8,13 @@ import time
 from collections.abc import Iterator, Sequence
 from typing import Any, Literal
 
-from linkcore.cli.options import (
-    DURATION,
-    RECORDING,
-    Row,
-    argument,
-    command,
-    one_of,
-    positive_int,
-    positive_number,
-    seconds,
-)
+from linkcore.cli.options import Row, argument, seconds
 from linkcore.errors import LinkTimeout
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from linkcore.streaming.packet_queue import drop_oldest
 from linkcore.streaming.stream import Stream
 from linkcore.text import printable
 from linkcore.wire.cycles import Missing
-
-__all__ = [
-    "ADDRESS",
-    "CONNECT_TIMEOUT",
-    "DURATION",
-    "RECORDING",
-    "Tap",
-    "address",
-    "argument",
-    "command",
-    "interface_of",
-    "one_of",
-    "positive_int",
-    "positive_number",
-    "seconds",
-    "tell",
-]
 
 _ADDRESS = "a host (192.168.56.101, ur://host?primary=40001), sim://, sim://ur10?firmware=3.4, or replay:///file"
 

@@ -10,7 +10,16 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from linkcore.cli.options import export, exporting
+from linkcore.cli.options import (
+    DURATION,
+    RECORDING,
+    argument,
+    command,
+    export,
+    exporting,
+    positive_int,
+    positive_number,
+)
 from linkcore.cli.terminal import Interruption, ProgressBar
 from linkcore.recording.file import Kind, RecordingFile
 from linkcore.streaming.connection_life import ConnectionState
@@ -21,7 +30,7 @@ from linkcore.wire.packet import State
 from ..decoding import INTERFACES
 from ..robot import connect
 from .echo import PRINTED, echo, kind_of, shower
-from .options import ADDRESS, DURATION, RECORDING, argument, command, positive_int, positive_number, tell
+from .options import ADDRESS, tell
 from .summary import RecordingSummary, summarise
 
 

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from typing import Any
 
+from linkcore.cli.options import DURATION, argument, command, one_of, positive_int, seconds
 from linkcore.errors import BadValue
 from linkcore.text import strict_json
 from linkcore.wire.packet import State
@@ -18,7 +19,7 @@ from ..interfaces.rtde.recipes import Outputs
 from ..robot import Robot, connect
 from ..rtde import INPUTS, OUTPUTS, OutputStream, Variable
 from .echo import measure
-from .options import ADDRESS, DURATION, Tap, argument, command, one_of, positive_int, seconds, tell
+from .options import ADDRESS, Tap, tell
 from .values import as_json, as_text, plain
 
 

@@ -120,9 +120,9 @@ class _Program:
         self.globals = {variable: slot for slot, variable in enumerate(global_names(body))}
         self._builtins: dict[str, Builtin | None] = {}
         self._leaves: dict[int, tuple[Definition, Function | None, int]] = {}
-        main = Code(name, source)
+        main = Code(source)
         _Compiler(self, main, body, [], None).compile()
-        self.script = Script(source, name, self.kind, main, len(self.globals))
+        self.script = Script(name, self.kind, main, len(self.globals))
 
     def builtin(self, name: str) -> Builtin | None:
         """The built-in function of that name; None if the firmware lacks it."""
@@ -136,7 +136,7 @@ class _Program:
             return None, 0  # places of its faults would be looked up in the text of a later statement
         if id(definition) not in self._leaves:
             size = leaf_size(definition, self.globals)
-            compiler = _Compiler(self, Code(code.name, self.source), definition.body, definition.parameters, None)
+            compiler = _Compiler(self, Code(self.source), definition.body, definition.parameters, None)
             self._leaves[id(definition)] = definition, compiler.leaf() if size else None, size
         _, function, size = self._leaves[id(definition)]
         return function, size
@@ -164,7 +164,7 @@ class _Compiler:
         # Parameters that always have a value.
         self._given = {parameter.name for parameter in self._parameters if parameter.default is None}
         names = Names.of(body)
-        defined = {each.name: (each, Code(each.name, program.source)) for each in names.definitions}
+        defined = {each.name: (each, Code(program.source)) for each in names.definitions}
         self.functions: Functions = ChainMap(defined) if outer is None else outer.new_child(defined)
         own = [
             *(parameter.name for parameter in self._parameters),
@@ -231,7 +231,7 @@ class _Compiler:
         # The same program with another source text.
         program = copy.copy(self._program)
         program.source = source
-        compiler = _Compiler(program, Code("statement", source), body, [], self.functions)
+        compiler = _Compiler(program, Code(source), body, [], self.functions)
         compiler._slots = self._slots
         compiler._used = compiler._top = self._code.size
         compiler.compile()

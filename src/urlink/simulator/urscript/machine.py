@@ -56,14 +56,12 @@ class Code:
     """A function.
 
     Attributes:
-        name: for messages.
+        source: the text.
         size: of its frame.
         instructions: one after the other.
         places: where in the text each stands.
-        source: the text.
     """
 
-    name: str
     source: SourceText
     size: int = FIRST
     instructions: list[Instruction] = field(default_factory=list)
@@ -87,14 +85,12 @@ class Script:
     """A program that compiles.
 
     Attributes:
-        source: its text.
         name: as after `def` or `sec`; "unnamed" (a guess) for statements alone.
         kind: `sec` runs beside the program that moves the arm.
         main: where it begins.
         n_globals: how many global variables it has.
     """
 
-    source: SourceText
     name: str
     kind: Literal["def", "sec"]
     main: Code

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_right
-from typing import NamedTuple
 
 from .errors import MAX_TEXT, MAX_TOKENS, ProgramError
 
@@ -76,28 +75,15 @@ class SourceText:
         return self.failure(place, f"syntax_error_on_line:{line}:{quoted}:")
 
 
-class Tokens(NamedTuple):
-    """The tokens of a text.
-
-    Attributes:
-        kinds: of the tokens; the last is `END`.
-        texts: as written.
-        places: character offset of each.
-    """
-
-    kinds: list[str]
-    texts: list[str]
-    places: list[int]
-
-
-def tokens_of(source: SourceText) -> Tokens:
-    """The tokens of a text.
+def tokens_of(source: SourceText) -> tuple[list[str], list[str], list[int]]:
+    """The tokens of a text: the kind of each, of which the last is `END`, how it is written, and where it begins.
 
     Raises:
         ProgramError: an unknown character, or too many tokens.
     """
-    found = Tokens([], [], [])
-    kinds, texts, places = found
+    kinds: list[str] = []
+    texts: list[str] = []
+    places: list[int] = []
     for match in _TOKEN.finditer(source.text):
         kind = match.lastgroup or ""
         if kind == "end":
@@ -113,4 +99,4 @@ def tokens_of(source: SourceText) -> Tokens:
     kinds.append(END)
     texts.append("")
     places.append(len(source.text))
-    return found
+    return kinds, texts, places
