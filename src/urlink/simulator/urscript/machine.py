@@ -349,11 +349,9 @@ class Machine:
             move = self._move = begin()
         except OutOfReach as unreachable:
             raise Fault(str(unreachable)) from None
-        while True:
-            # Even a motion without a distance takes a cycle.
+        yield  # even a motion without a distance takes a cycle
+        while not (move.is_over or self._is_aborted):
             yield
-            if move.is_over or self._is_aborted:
-                break
         if self._owner is thread:
             self._owner = None
 

@@ -2,89 +2,64 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from ..errors import MAX_INTEGER, MIN_INTEGER, Fault
 from ..machine import ScriptThread
 from ..values import PoseValue, list_of
+from ..world import ScriptWorld
 from .declaration import declare, integer, number, pose, string, vector
 
 # Work of recomputing the arm's state, as with another tool, in elements of a list.
 _LOOK = 400
 
-_List = tuple[float, ...]
+#: Name -> list or pose, what it has of the controller, and the first firmware with the function.
+_STATE: dict[str, tuple[type[tuple[float, ...]], Callable[[ScriptWorld], Sequence[float]], str]] = {
+    "get_actual_joint_positions": (tuple, lambda world: world.q_actual, "1.0"),
+    # The name occurs in a driver's program; that it means the actual positions is a guess.
+    "get_joint_positions": (tuple, lambda world: world.q_actual, "1.0"),
+    "get_actual_joint_speeds": (tuple, lambda world: world.qd_actual, "1.0"),
+    "get_target_joint_positions": (tuple, lambda world: world.q_target, "1.0"),
+    "get_target_joint_speeds": (tuple, lambda world: world.qd_target, "1.0"),
+    "get_target_joint_accelerations": (tuple, lambda world: world.qdd_target, "5.23/10.11"),
+    "get_joint_torques": (tuple, lambda world: world.torques, "1.0"),
+    # Of the target movement, gravity included. The name is a guess.
+    "get_target_joint_torques": (tuple, lambda world: world.torques, "5.23/10.11"),
+    "get_actual_tcp_pose": (PoseValue, lambda world: world.pose_actual, "1.0"),
+    "get_target_tcp_pose": (PoseValue, lambda world: world.pose_target, "1.0"),
+    "get_actual_tcp_speed": (tuple, lambda world: world.speed_actual, "1.0"),
+    "get_target_tcp_speed": (tuple, lambda world: world.speed_target, "3.0"),
+    "get_tcp_force": (tuple, lambda world: world.force, "1.0"),
+    "get_tcp_offset": (PoseValue, lambda world: world.tcp, "1.0"),
+    "get_target_payload_cog": (tuple, lambda world: world.payload_cog, "1.0"),
+    "get_payload_cog": (tuple, lambda world: world.payload_cog, "1.0"),
+    "get_target_payload_inertia": (tuple, lambda world: world.payload_inertia, "3.15/5.10"),
+}
 
 
-def _floats(values: Sequence[float]) -> _List:
-    return tuple([float(value) for value in values])
+def _reader(
+    kind: type[tuple[float, ...]], read: Callable[[ScriptWorld], Sequence[float]]
+) -> Callable[[ScriptThread], tuple[float, ...]]:
+    return lambda thread: kind([float(value) for value in read(thread.world)])
 
 
-# The name without "actual" occurs in a driver's program; that it means the actual positions is a guess.
-@declare("get_joint_positions")
-def get_actual_joint_positions(thread: ScriptThread) -> _List:
-    return _floats(thread.world.q_actual)
-
-
-@declare()
-def get_actual_joint_speeds(thread: ScriptThread) -> _List:
-    return _floats(thread.world.qd_actual)
-
-
-@declare()
-def get_target_joint_positions(thread: ScriptThread) -> _List:
-    return _floats(thread.world.q_target)
-
-
-@declare()
-def get_target_joint_speeds(thread: ScriptThread) -> _List:
-    return _floats(thread.world.qd_target)
-
-
-@declare(since="5.23/10.11")
-def get_target_joint_accelerations(thread: ScriptThread) -> _List:
-    return _floats(thread.world.qdd_target)
+for _name, (_kind, _read, _since) in _STATE.items():
+    declare(name=_name, since=_since)(_reader(_kind, _read))
 
 
 @declare(since="3.0")
-def get_actual_joint_positions_history(thread: ScriptThread, steps: Any = 0) -> _List:
+def get_actual_joint_positions_history(thread: ScriptThread, steps: Any = 0) -> tuple[float, ...]:
     """The joint positions of `steps` cycles ago; at most back to the program's start, and 500 cycles (a guess)."""
     past = thread.machine.history
     return past[-1 - min(integer(steps, "get_actual_joint_positions_history: steps", 0), len(past) - 1)]
-
-
-# The second name, of the torques of the target movement with gravity, is a guess.
-@declare(name="get_target_joint_torques", since="5.23/10.11")
-@declare()
-def get_joint_torques(thread: ScriptThread) -> _List:
-    return _floats(thread.world.torques)
-
-
-@declare()
-def get_actual_tcp_pose(thread: ScriptThread) -> PoseValue:
-    return PoseValue(_floats(thread.world.pose_actual))
-
-
-@declare()
-def get_target_tcp_pose(thread: ScriptThread) -> PoseValue:
-    return PoseValue(_floats(thread.world.pose_target))
-
-
-@declare()
-def get_actual_tcp_speed(thread: ScriptThread) -> _List:
-    return _floats(thread.world.speed_actual)
-
-
-@declare(since="3.0")
-def get_target_tcp_speed(thread: ScriptThread) -> _List:
-    return _floats(thread.world.speed_target)
 
 
 @declare(since="3.0")
 def get_target_waypoint(thread: ScriptThread) -> PoseValue:
     """The end of the present path move; without one, the target pose of the TCP (a guess)."""
     waypoint = thread.world.motion.waypoint
-    return PoseValue(_floats(thread.world.pose_target if waypoint is None else waypoint))
+    return PoseValue(map(float, thread.world.pose_target if waypoint is None else waypoint))
 
 
 @declare()
@@ -93,20 +68,10 @@ def get_actual_tool_flange_pose(thread: ScriptThread) -> PoseValue:
 
 
 @declare()
-def get_tcp_force(thread: ScriptThread) -> _List:
-    return _floats(thread.world.force)
-
-
-@declare()
 def force(thread: ScriptThread) -> float:
     """The magnitude of the force at the TCP, N."""
-    x, y, z = _floats(thread.world.force)[:3]
+    x, y, z = map(float, thread.world.force[:3])
     return float((x * x + y * y + z * z) ** 0.5)
-
-
-@declare()
-def get_tcp_offset(thread: ScriptThread) -> PoseValue:
-    return PoseValue(_floats(thread.world.tcp))
 
 
 @declare()
@@ -145,16 +110,6 @@ def set_payload_cog(thread: ScriptThread, CoG: Any) -> None:
 @declare("get_payload")
 def get_target_payload(thread: ScriptThread) -> float:
     return float(thread.world.payload)
-
-
-@declare("get_payload_cog")
-def get_target_payload_cog(thread: ScriptThread) -> _List:
-    return _floats(thread.world.payload_cog)
-
-
-@declare(since="3.15/5.10")
-def get_target_payload_inertia(thread: ScriptThread) -> _List:
-    return _floats(thread.world.payload_inertia)
 
 
 @declare()
