@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from linkcore.cli.options import argument, command, seconds
 
 from ..robot import connect
-from .options import ADDRESS, tell
+from .options import ADDRESS, agrees, tell
 
 if TYPE_CHECKING:
     from ..arm_file import ArmFile, Estimate
@@ -61,8 +61,7 @@ def _exercise(args: argparse.Namespace) -> int:
             if not sys.stdin.isatty():
                 tell("nobody could be asked whether this box is free; --yes says so")
                 return 1
-            print("Is this box free, and somebody at the emergency stop? [y/N] ", end="", file=sys.stderr, flush=True)
-            if sys.stdin.readline().strip().lower() not in ("y", "yes"):
+            if not agrees("Is this box free, and somebody at the emergency stop?"):
                 return 1
         guard = Guard(robot, planned.swing + BESIDE, *(() if args.dead_man is None else (input_is_on(args.dead_man),)))
         with contextlib.nullcontext() if args.out is None else robot.record(args.out, ["realtime"]):

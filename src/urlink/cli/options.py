@@ -1,4 +1,4 @@
-"""The common part of several commands: the address of a robot, a line on stderr, and every packet of a stream."""
+"""The common part of several commands: a robot's address, lines and questions on stderr, and every packet of a stream."""
 
 from __future__ import annotations
 
@@ -45,6 +45,12 @@ _ROOM = 16384
 def tell(text: str) -> None:
     """One line on stderr."""
     print(f"urlink: {printable(text)}", file=sys.stderr)
+
+
+def agrees(question: str) -> bool:
+    """Whether the person at the terminal says yes."""
+    print(f"{question} [y/N] ", end="", file=sys.stderr, flush=True)
+    return sys.stdin.readline().strip().lower() in ("y", "yes")
 
 
 class Tap:

@@ -120,13 +120,6 @@ def get_forward_kin(thread: ScriptThread, q: Any = "current_joint_positions", tc
     return PoseValue(world.kinematics.forward(list(where), tcp_of(thread, tcp, "tcp")).tolist())
 
 
-@declare(since="1.0", until="3.0")
-def get_inverse_kin(
-    thread: ScriptThread, x: Any, qnear: Any = None, maxPositionError: Any = 1e-10, maxOrientationError: Any = 1e-10
-) -> tuple[float, ...]:
-    return _inverse_kin(thread, x, qnear, "active_tcp")
-
-
 @declare(name="get_inverse_kin", since="3.0")
 def get_inverse_kin_tcp(
     thread: ScriptThread,
@@ -136,14 +129,17 @@ def get_inverse_kin_tcp(
     maxOrientationError: Any = 1e-10,
     tcp: Any = "active_tcp",
 ) -> tuple[float, ...]:
-    return _inverse_kin(thread, x, qnear, tcp)
-
-
-def _inverse_kin(thread: ScriptThread, x: Any, qnear: Any, tcp: Any) -> tuple[float, ...]:
     found = solution(thread, pose(x, "get_inverse_kin: x"), _near(thread, qnear), tcp)
     if found is None:
         raise Fault("get_inverse_kin: unable to find an inverse kinematics solution")
     return tuple(found)
+
+
+@declare(until="3.0")
+def get_inverse_kin(
+    thread: ScriptThread, x: Any, qnear: Any = None, maxPositionError: Any = 1e-10, maxOrientationError: Any = 1e-10
+) -> tuple[float, ...]:
+    return get_inverse_kin_tcp(thread, x, qnear)
 
 
 # By one project's test matrix, 5.9.4 has it and 5.8.2 does not; that CB3 has it from 3.14 on is a guess.

@@ -16,7 +16,7 @@ from typing import Any, Literal, get_args
 
 from linkcore.wire.fields import Since
 
-from ...registers import BITS, NUMBERS, Action, Bank
+from ...registers import BITS, NUMBERS, Action
 from ...robot.signals import KINDS, READ_AND_WRITE, ModbusSignal
 from ..errors import Fault, type_error
 from ..machine import ScriptThread
@@ -36,18 +36,15 @@ def _address(thread: ScriptThread, address: Any, kind: _Kind, what: str) -> int:
     return integer(address, f"{what}: address", 0, count - 1)
 
 
-def _read(bank: Bank, kind: _Kind, at: int) -> bool | int | float:
-    if kind == "boolean":
-        return bool(bank.bits >> at & 1)
-    # Tests write numpy numbers too, which the machine does not accept as numbers.
-    return int(bank.integers[at]) if kind == "integer" else float(bank.floats[at])
-
-
 def _reader(name: str, kind: _Kind, *, is_input: bool) -> Callable[..., bool | int | float]:
     def read(thread: ScriptThread, address: Any) -> bool | int | float:
         registers = thread.world.registers
         bank = registers.inputs if is_input else registers.outputs
-        return _read(bank, kind, _address(thread, address, kind, name))
+        at = _address(thread, address, kind, name)
+        if kind == "boolean":
+            return bool(bank.bits >> at & 1)
+        # Tests write numpy numbers too, which the machine does not accept as numbers.
+        return int(bank.integers[at]) if kind == "integer" else float(bank.floats[at])
 
     return read
 
