@@ -9,8 +9,7 @@ from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from urlink.simulator.urscript.builtins import FAMILIES
-from urlink.simulator.urscript.builtins.declaration import Family
+from urlink.simulator.urscript.builtins import BUILTINS
 
 _ALWAYS = "1.0"
 
@@ -19,21 +18,14 @@ class FunctionsDirective(SphinxDirective):
     """One row for each family, named as its module."""
 
     def run(self) -> list[nodes.Node]:
-        """The table; those that are known and not acted on stand in the last row."""
-        return [table(("family", "functions"), [(_name(family), _functions(family)) for family in FAMILIES])]
-
-
-def _name(family: Family) -> str:
-    first = next(iter(family.functions.values()))[0]
-    return first.function.__module__.rpartition(".")[2].replace("_", " ")
-
-
-def _functions(family: Family) -> str:
-    texts = []
-    for name, found in sorted(family.functions.items()):
-        since = sorted(builtin.since.text for builtin in found)
-        texts.append(name if _ALWAYS in since else f"{name} ({since[0].replace('/', ' / ')})")
-    return ", ".join(texts)
+        """The table."""
+        families: dict[str, list[str]] = {}
+        for name, found in sorted(BUILTINS.items()):
+            family = found[0].function.__module__.rpartition(".")[2].replace("_", " ")
+            since = min(builtin.since.text for builtin in found)
+            text = name if since == _ALWAYS else f"{name} ({since.replace('/', ' / ')})"
+            families.setdefault(family, []).append(text)
+        return [table(("family", "functions"), [(name, ", ".join(families[name])) for name in sorted(families)])]
 
 
 def setup(app: Sphinx) -> dict[str, Any]:

@@ -261,7 +261,7 @@ def run(text: str, world: NotedWorld | None = None, cycles: int = 200) -> NotedW
     """Let a program run to its end, or for so many cycles; how it ended is the last note.
 
     Raises:
-        ScriptError: it does not compile.
+        ProgramError: it does not compile.
     """
     world = world or NotedWorld()
     execution = Execution(compile_script(text, world.firmware), world)

@@ -7,6 +7,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+from linkcore.cli.options import argument, command, seconds
 from linkcore.errors import BadValue
 
 from ..acceptance import report, stages
@@ -14,7 +15,7 @@ from ..acceptance.bundle import opened, pack
 from ..acceptance.person import AtTheTerminal
 from ..acceptance.report import judge
 from ..acceptance.requirements import from_file, requirements
-from .options import address, argument, command, seconds, tell
+from .options import address, agrees, tell
 
 
 @command(
@@ -67,8 +68,7 @@ def _test(args: argparse.Namespace, logbook: Path, bundle: Path) -> None:
             return ""
         if not sys.stdin.isatty():
             return "nobody could be asked for consent"
-        print(f"Stage {number} {does}.\nRun it? [y/N] ", end="", file=sys.stderr, flush=True)
-        return "" if sys.stdin.readline().strip().lower() in ("y", "yes") else "no consent"
+        return "" if agrees(f"Stage {number} {does}.\nRun it?") else "no consent"
 
     numbers = args.stage or list(stages.STAGES)
     tell(f"testing {args.address}: stage {', '.join(map(str, numbers))}; Ctrl-C ends it")

@@ -12,9 +12,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from linkcore.cli.options import argument, command, positive_int
 from linkcore.cli.terminal import ProgressBar
 from linkcore.errors import BadRecording, PacketError, WrongPeer
-from linkcore.recording.file import Kind, Progress, RecordingFile
+from linkcore.recording.file import MAGIC, Kind, Progress, RecordingFile
 from linkcore.text import printable, strict_json
 from linkcore.wire.fields import version_text
 from linkcore.wire.framing import Framer
@@ -30,7 +31,6 @@ from ..interfaces.primary.robot_message import VersionMessage
 from ..interfaces.primary.robot_state import RobotState
 from ..interfaces.realtime.protocol import RealtimeBoundary
 from ..ports import INTERFACES, Interface
-from .options import argument, command, positive_int
 from .values import as_text, plain
 
 _BOUNDARIES: dict[Interface, Callable[[], PackageBoundary | RealtimeBoundary]] = {
@@ -161,7 +161,7 @@ def _sources(path: Path, wanted: Interface | None) -> Iterator[tuple[Interface, 
         data = path.read_bytes()
     except OSError as error:
         raise BadRecording(f"cannot read {path}: {error.strerror}") from error
-    if data.startswith(b"LINKREC1"):
+    if data.startswith(MAGIC):
         yield from _recorded(RecordingFile(path), wanted)
         return
     interface = wanted or guess_interface(data)

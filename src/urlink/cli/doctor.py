@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NamedTuple
 
+from linkcore.cli.options import argument, command, seconds
 from linkcore.errors import BadValue, ConnectFailed, LinkError, LinkTimeout, RemoteError
 from linkcore.net.transport import TcpTransport
 from linkcore.streaming.stream import Stream
@@ -23,7 +24,7 @@ from ..interfaces.primary.robot_state import RobotModeData, RobotState
 from ..interfaces.realtime.packets import RealtimeState
 from ..robot import Robot, connect
 from ..rtde import OUTPUTS
-from .options import ADDRESS, Tap, argument, command, seconds
+from .options import ADDRESS, Tap
 
 #: What each port is for, if it should be open.
 _PORTS = {
@@ -69,15 +70,15 @@ def run(args: argparse.Namespace) -> int:
       urlink doctor sim:// --duration 1
       urlink doctor 192.168.56.101 --json
     """
-    worst = "ok"
+    is_bad = False
     for finding in _findings(args.address, args.connect_timeout, args.duration):
         if args.json:
             print(strict_json(finding._asdict()), flush=True)
         else:
             remedy = f"; {finding.remedy}" if finding.remedy else ""
             print(f"{finding.state:4}  {finding.topic:13}  {printable(finding.seen + remedy)}", flush=True)
-        worst = "BAD" if finding.state == "BAD" else worst
-    return 1 if worst == "BAD" else 0
+        is_bad |= finding.state == "BAD"
+    return int(is_bad)
 
 
 def _findings(address: str, timeout: float, duration: float) -> Iterator[Finding]:
@@ -145,10 +146,7 @@ def _scheduling() -> Finding:
         return Finding("BAD", "computer", "its clock is coarser than 1 ms", "timing cannot be trusted here")
     if worst > _LATE_BAD:
         return Finding(
-            "look",
-            "computer",
-            seen,
-            "set-points may come late: stop other programs, or use a servo rate of 125 Hz",
+            "look", "computer", seen, "set-points may come late: stop other programs, or use a servo rate of 125 Hz"
         )
     return Finding("ok", "computer", seen)
 
@@ -248,7 +246,8 @@ def _packets(robot: Robot, duration: float) -> Iterator[Finding]:
     for name, rate, stream, kind in looks:
         before = stream.stats
         try:
-            arrivals = _arrivals(stream, kind, duration)
+            with Tap(stream, kind) as tap:
+                arrivals = [packet.received.monotonic for packet in tap.packets(duration=duration)]
         except LinkError as error:
             yield Finding("BAD", f"{name} data", str(error))
             continue
@@ -277,16 +276,3 @@ def _packets(robot: Robot, duration: float) -> Iterator[Finding]:
             yield Finding("look", f"{name} data", seen, "gaps like that make streamed set-points late")
         else:
             yield Finding("ok", f"{name} data", seen)
-
-
-def _arrivals(stream: Stream[Any], kind: type, duration: float) -> list[float]:
-    """Monotonic times of arrival of packets, s, for `duration` seconds."""
-    arrivals: list[float] = []
-    with Tap(stream, kind) as tap:
-        until = time.monotonic() + duration
-        while (left := until - time.monotonic()) > 0:
-            packets = tap.take(left)
-            if packets is None:
-                break
-            arrivals += [packet.received.monotonic for packet in packets]
-    return arrivals

@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 import itertools
 import math
-import sys
 import time
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Any, TypeGuard
 
+from linkcore.cli.options import DURATION, argument, command, positive_int, seconds
 from linkcore.errors import LinkTimeout
 from linkcore.streaming.statistics import StreamStatistics
 from linkcore.streaming.stream import Stream
@@ -23,8 +23,8 @@ from ..interfaces.realtime.packets import RealtimeState
 from ..ports import INTERFACES
 from ..robot import Robot, connect
 from .glance import counted
-from .options import ADDRESS, DURATION, Tap, argument, command, interface_of, positive_int, seconds
-from .values import NoSuchField, as_json, as_line, as_text, getter, plain
+from .options import ADDRESS, Tap, interface_of
+from .values import NoSuchField, as_json, as_line, as_text, getter
 
 
 def _packet_class(name: str) -> type[State]:
@@ -104,19 +104,11 @@ def shower(args: argparse.Namespace, kind: type[State]) -> Callable[[State], str
         getters = {path: getter(kind, path) for path in args.fields}
     except NoSuchField as error:
         args.usage_error(str(error))
-    if args.json and getters:
-        return lambda packet: strict_json(_picked(packet, getters))
     if args.json:
-        return lambda packet: strict_json(as_json(packet))
+        return lambda packet: strict_json(as_json(packet, getters))
     if getters:
         return lambda packet: " ".join(f"{path}={as_text(get(packet))}" for path, get in getters.items())
     return as_line
-
-
-def _picked(packet: State, getters: dict[str, Callable[[Any], Any]]) -> dict[str, Any]:
-    received = packet.received
-    head = {"type": type(packet).__name__, "received": None if received is None else received.wall}
-    return head | {path: plain(get(packet)) for path, get in getters.items()}
 
 
 def echo(
@@ -128,11 +120,8 @@ def echo(
         RemoteError: the stream could not be opened, gave up, or was silent for longer than `--timeout`.
     """
     with Tap(getattr(robot, interface), kind) as tap:
-        packets: Iterable[State] = tap.packets(args.timeout)
-        for packet in itertools.islice(packets, args.count):
-            print(show(packet))
-            # Flushed line by line: the reader of a pipe gets each line at once.
-            sys.stdout.flush()
+        for packet in itertools.islice(tap.packets(args.timeout), args.count):
+            print(show(packet), flush=True)  # line by line: the reader of a pipe gets each line at once
 
 
 @command(

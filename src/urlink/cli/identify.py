@@ -11,8 +11,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from linkcore.cli.options import argument, command, seconds
+
 from ..robot import connect
-from .options import ADDRESS, argument, command, seconds, tell
+from .options import ADDRESS, agrees, tell
 
 if TYPE_CHECKING:
     from ..arm_file import ArmFile, Estimate
@@ -35,7 +37,7 @@ def _degrees(text: str) -> float:
     argument("--dead-man", type=int, choices=range(8), metavar="N", help="digital input, on while it may move"),
     argument("--yes", action="store_true", help="the box is free; a simulated arm is not asked for"),
 )
-def exercise(args: argparse.Namespace) -> int:
+def _exercise(args: argparse.Namespace) -> int:
     """Move each joint about where it stands, slowly, and then all of them together: what `urlink identify` needs.
     THE ARM MOVES, for a minute or two. Where to is printed first, and nothing moves before you have said that this
     box is free. No part of the arm is faster than 0.25 m/s, and the speed slider slows it down further: try it at
@@ -49,8 +51,7 @@ def exercise(args: argparse.Namespace) -> int:
       urlink exercise 192.168.56.101 --out run.urlog --dead-man 0
       urlink exercise 'sim://ur5e?like=arm.json' --out run.urlog --swing 20
     """
-    from ..identification.exercise import BESIDE, Guard, input_is_on, plan_from_here, slider_of
-    from ..identification.exercise import exercise as moved
+    from ..identification.exercise import BESIDE, Guard, exercise, input_is_on, plan_from_here, slider_of
 
     with connect(args.address, timeout=args.connect_timeout) as robot:
         planned = plan_from_here(robot, math.radians(args.swing))
@@ -60,12 +61,11 @@ def exercise(args: argparse.Namespace) -> int:
             if not sys.stdin.isatty():
                 tell("nobody could be asked whether this box is free; --yes says so")
                 return 1
-            print("Is this box free, and somebody at the emergency stop? [y/N] ", end="", file=sys.stderr, flush=True)
-            if sys.stdin.readline().strip().lower() not in ("y", "yes"):
+            if not agrees("Is this box free, and somebody at the emergency stop?"):
                 return 1
         guard = Guard(robot, planned.swing + BESIDE, *(() if args.dead_man is None else (input_is_on(args.dead_man),)))
         with contextlib.nullcontext() if args.out is None else robot.record(args.out, ["realtime"]):
-            moved(robot, planned, guard, lambda number: tell(f"movement {number + 1} of {len(planned.legs)}"))
+            exercise(robot, planned, guard, lambda number: tell(f"movement {number + 1} of {len(planned.legs)}"))
     if args.out is not None:
         tell(f"urlink identify {args.out} --out arm.json says what it tells")
     return 0
@@ -94,7 +94,7 @@ def _box_text(model: str, planned: Exercise, slider: float) -> str:
     argument("--model", metavar="NAME", help="arm, if neither --like nor the recording says it"),
     argument("--tolerance", type=seconds, default=0.01, metavar="S", help="by which a movement may take longer (0.01)"),
 )
-def compare(args: argparse.Namespace) -> int:
+def _compare(args: argparse.Namespace) -> int:
     """Run what an arm was commanded in a recording on the simulator, and print by how much the two differ: for each
     movement between two rests how much longer the simulator takes, and for each quantity the root mean square by
     joint. The exit status is 1 if a movement differs by more than --tolerance: a regression test of a cell.
@@ -108,8 +108,7 @@ def compare(args: argparse.Namespace) -> int:
     """
     from ..arm_file import ArmFile, read_arm_file
     from ..identification import identify
-    from ..identification.comparison import QUANTITIES
-    from ..identification.comparison import compare as compared
+    from ..identification.comparison import QUANTITIES, compare
 
     samples = _samples(args.recording)
     if args.like is not None:
@@ -118,7 +117,7 @@ def compare(args: argparse.Namespace) -> int:
         # The geometry alone: the rest is that of the model.
         found = identify(samples, args.model)
         like = ArmFile(found.model, {}, found.calibration, found.tcp)
-    difference = compared(samples, like)
+    difference = compare(samples, like)
     begin, worst = float(samples["timestamp"][0]), 0.0
     for each in difference.movements:
         at = f"{float(samples['timestamp'][each.begin]) - begin:8.2f} s"
@@ -140,7 +139,7 @@ def compare(args: argparse.Namespace) -> int:
     argument("--out", metavar="FILE", help="write what was found, for sim://...?like=FILE"),
     argument("--json", action="store_true", help="one object a line: name, joint, value, low, high, needs"),
 )
-def run(args: argparse.Namespace) -> int:
+def _identify(args: argparse.Namespace) -> int:
     """Identify an arm from a recording of it in motion: calibration, payload, rotor inertias, torque constants,
     friction, lag, the ramp of programs, noise. Each number has the interval that holds it with 99 %; what the
     recording does not tell says which motion would. The file that --out writes makes the simulator that arm:

@@ -6,6 +6,7 @@ import argparse
 import textwrap
 from typing import Any
 
+from linkcore.cli.options import argument, command
 from linkcore.text import printable, strict_json
 
 from ..address import RecordingAddress, RobotAddress, SimulatorAddress, parse_address
@@ -13,7 +14,7 @@ from ..data.recording import load
 from ..firmware import release_of
 from ..interfaces.primary.robot_state import SUB_PACKAGES
 from ..robot import Robot, connect
-from .options import ADDRESS, argument, command
+from .options import ADDRESS
 
 
 @command(
@@ -95,4 +96,4 @@ def _ports(robot: Robot) -> dict[str, int]:
     place = parse_address(robot.address)
     if isinstance(place, SimulatorAddress) and robot.controller is not None:
         return dict(robot.controller.ports)
-    return {} if isinstance(place, RecordingAddress) or not isinstance(place, RobotAddress) else dict(place.ports)
+    return dict(place.ports) if isinstance(place, RobotAddress) else {}

@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
+from linkcore.cli.options import DURATION, argument, command
 from linkcore.cli.terminal import Interruption, drawing
 from linkcore.errors import LinkError, LinkTimeout
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
@@ -17,9 +18,8 @@ from linkcore.streaming.stream import Stream
 from ..address import RecordingAddress, SimulatorAddress, parse_address
 from ..interfaces.primary.robot_message import RobotMessage, UnnamedMessage12, VersionMessage
 from ..robot import Robot, connect
-from .glance import Glance, StreamStatus, line, status_of
-from .options import ADDRESS, DURATION, argument, command, interface_of, tell
-from .reading import Reading, read
+from .glance import Glance, Reading, StreamStatus, line, read, status_of
+from .options import ADDRESS, interface_of, tell
 from .values import as_text
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""The common part of several commands: the address of a robot, a line on stderr, and every packet of a stream."""
+"""The common part of several commands: a robot's address, lines and questions on stderr, and every packet of a stream."""
 
 from __future__ import annotations
 
@@ -8,40 +8,13 @@ import time
 from collections.abc import Iterator, Sequence
 from typing import Any, Literal
 
-from linkcore.cli.options import (
-    DURATION,
-    RECORDING,
-    Row,
-    argument,
-    command,
-    one_of,
-    positive_int,
-    positive_number,
-    seconds,
-)
+from linkcore.cli.options import Row, argument, seconds
 from linkcore.errors import LinkTimeout
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from linkcore.streaming.packet_queue import drop_oldest
 from linkcore.streaming.stream import Stream
 from linkcore.text import printable
 from linkcore.wire.cycles import Missing
-
-__all__ = [
-    "ADDRESS",
-    "CONNECT_TIMEOUT",
-    "DURATION",
-    "RECORDING",
-    "Tap",
-    "address",
-    "argument",
-    "command",
-    "interface_of",
-    "one_of",
-    "positive_int",
-    "positive_number",
-    "seconds",
-    "tell",
-]
 
 _ADDRESS = "a host (192.168.56.101, ur://host?primary=40001), sim://, sim://ur10?firmware=3.4, or replay:///file"
 
@@ -72,6 +45,12 @@ _ROOM = 16384
 def tell(text: str) -> None:
     """One line on stderr."""
     print(f"urlink: {printable(text)}", file=sys.stderr)
+
+
+def agrees(question: str) -> bool:
+    """Whether the person at the terminal says yes."""
+    print(f"{question} [y/N] ", end="", file=sys.stderr, flush=True)
+    return sys.stdin.readline().strip().lower() in ("y", "yes")
 
 
 class Tap:

@@ -15,8 +15,7 @@ from rich.text import Text
 
 from linkcore.text import printable
 
-from .glance import Glance, StreamStatus, age_text, rate_text
-from .reading import Reading
+from .glance import Glance, Reading, StreamStatus, age_text, rate_text
 
 #: Columns of the picture, if the terminal has as many.
 WIDTH = 100
@@ -159,24 +158,20 @@ def _joints(reading: Reading, has_room: bool, shade: Callable[[str], str]) -> Ta
 def _bar(q: float, shade: Callable[[str], str]) -> Text:
     """A bar that shows the joint position between minus and plus one turn."""
     middle = _BAR // 2
-    bar = list("─" * _BAR)
-    bar[middle] = "┼"
-    text = Text("".join(bar), "bright_black")
-    if math.isfinite(q):
-        at = round(min(max(q / _TURN, -1.0), 1.0) * middle) + middle
-        text = Text.assemble((text.plain[:at], _LABEL), ("●", shade("bold cyan")), (text.plain[at + 1 :], _LABEL))
-    return text
+    bar = "─" * middle + "┼" + "─" * middle
+    if not math.isfinite(q):
+        return Text(bar, _LABEL)
+    at = round(min(max(q / _TURN, -1.0), 1.0) * middle) + middle
+    return Text.assemble((bar[:at], _LABEL), ("●", shade("bold cyan")), (bar[at + 1 :], _LABEL))
 
 
 def _tool(reading: Reading, shade: Callable[[str], str]) -> Table:
     table = Table(box=None, expand=True, padding=(0, 1, 0, 0), header_style=_LABEL)
     table.add_column("tool", width=9, style=_LABEL)
-    for name in ("x", "y", "z"):
-        table.add_column(name, justify="right", style=shade(_VALUE), no_wrap=True, min_width=9)
-    table.add_column("", width=5, style=_LABEL)
-    for name in ("rx", "ry", "rz"):
-        table.add_column(name, justify="right", style=shade(_VALUE), no_wrap=True, min_width=9)
-    table.add_column("", width=6, style=_LABEL)
+    for names, unit_width in ((("x", "y", "z"), 5), (("rx", "ry", "rz"), 6)):
+        for name in names:
+            table.add_column(name, justify="right", style=shade(_VALUE), no_wrap=True, min_width=9)
+        table.add_column("", width=unit_width, style=_LABEL)
     lines = (
         ("pose", reading.pose, ("m", "rad"), 4),
         ("speed", reading.speed, ("m/s", "rad/s"), 3),

@@ -7,12 +7,21 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import quote
 
-from linkcore.cli.options import export, exporting
+from linkcore.cli.options import (
+    DURATION,
+    RECORDING,
+    argument,
+    command,
+    export,
+    exporting,
+    positive_int,
+    positive_number,
+)
 from linkcore.cli.terminal import Interruption, ProgressBar
-from linkcore.recording.file import Kind, Progress, RecordingFile
+from linkcore.recording.file import Kind, RecordingFile
 from linkcore.streaming.connection_life import ConnectionState
 from linkcore.streaming.stream import Stream
 from linkcore.text import strict_json
@@ -21,11 +30,8 @@ from linkcore.wire.packet import State
 from ..ports import INTERFACES
 from ..robot import connect
 from .echo import PRINTED, echo, kind_of, shower
-from .options import ADDRESS, DURATION, RECORDING, argument, command, positive_int, tell
-from .summary import summarise
-
-if TYPE_CHECKING:
-    from ..data.recording import Recording as Columns
+from .options import ADDRESS, tell
+from .summary import RecordingSummary, summarise
 
 
 @command(
@@ -81,21 +87,21 @@ def _record(args: argparse.Namespace) -> int:
     if Path(args.file).suffix.lower() == ".mcap":
         print(f"{args.file}: {Path(args.file).stat().st_size} bytes")
     else:
-        with ProgressBar(f"reading {args.file}", args.quiet) as progress:
-            summary = summarise(RecordingFile(args.file, progress), progress)
-        print(summary.as_text())
+        print(_summary(args).as_text())
     return interruption.status
 
 
+def _summary(args: argparse.Namespace) -> RecordingSummary:
+    with ProgressBar(f"reading {args.file}", args.quiet) as progress:
+        return summarise(RecordingFile(args.file, progress), progress)
+
+
 def _rate(text: str) -> str:
-    if text == "max":
-        return text
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text!r} is neither a positive number nor max")
+    if text != "max":
+        try:
+            positive_number(text)
+        except argparse.ArgumentTypeError:
+            raise argparse.ArgumentTypeError(f"{text!r} is neither a positive number nor max") from None
     return text
 
 
@@ -125,8 +131,7 @@ def _replay(args: argparse.Namespace) -> int:
         for name in ("fields", "interface", "type", "count", "timeout"):
             if getattr(args, name):
                 args.usage_error("what to print can be chosen only when the recording is played, with --rate")
-        with ProgressBar(f"reading {args.file}", args.quiet) as progress:
-            summary = summarise(RecordingFile(args.file, progress), progress)
+        summary = _summary(args)
         print(strict_json(summary.as_json()) if args.json else summary.as_text())
         return 0
     interface, kind = kind_of(args)
@@ -160,13 +165,6 @@ def _drawing(
     return show_and_draw
 
 
-def _load(path: str, *, progress: Progress | None = None) -> Columns:
-    """A recording as columns, which `record` and `replay` do without."""
-    from ..data.recording import load
-
-    return load(path, progress=progress)
-
-
 @exporting
 def _export(args: argparse.Namespace) -> int:
     """Write a recording to a file of another program: .csv, .parquet, .mat (MATLAB), .h5 (HDF5) or .mcap (Foxglove,
@@ -182,7 +180,9 @@ def _export(args: argparse.Namespace) -> int:
       urlink export run.urlog run.parquet --rate 100
       urlink export run.urlog run.mcap
     """
-    return export(args, _load, lambda recording: f"{recording.duration:.1f} s of {', '.join(recording.tables)}", tell)
+    from ..data.recording import load  # which `record` and `replay` do without
+
+    return export(args, load, lambda recording: f"{recording.duration:.1f} s of {', '.join(recording.tables)}", tell)
 
 
 @command(
@@ -205,8 +205,10 @@ def _plot(args: argparse.Namespace) -> int:
       urlink plot run.urlog q_actual --output q.svg
       urlink plot run.urlog tcp_force --start 2 --end 4.5 --output contact.png
     """
+    from ..data.recording import load
+
     with ProgressBar(f"reading {args.file}", args.quiet) as progress:
-        recording = _load(args.file, progress=progress)
+        recording = load(args.file, progress=progress)
         plot = recording.plot(*args.fields, start=args.start, end=args.end)
         missing = recording.missing
     for each in missing:

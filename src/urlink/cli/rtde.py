@@ -6,11 +6,11 @@ import argparse
 import csv
 import io
 import itertools
-import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from typing import Any
 
+from linkcore.cli.options import DURATION, argument, command, one_of, positive_int, seconds
 from linkcore.errors import BadValue
 from linkcore.text import strict_json
 from linkcore.wire.packet import State
@@ -19,7 +19,7 @@ from ..interfaces.rtde.recipes import Outputs
 from ..robot import Robot, connect
 from ..rtde import INPUTS, OUTPUTS, OutputStream, Variable
 from .echo import measure
-from .options import ADDRESS, DURATION, Tap, argument, command, one_of, positive_int, seconds, tell
+from .options import ADDRESS, Tap, tell
 from .values import as_json, as_text, plain
 
 
@@ -87,10 +87,8 @@ def _print(stream: OutputStream[Any], args: argparse.Namespace) -> None:
         if stream.left_out:
             tell(f"this controller does not have {', '.join(stream.left_out)}")
         show = _as_json if args.json else _csv_of(stream, names) if args.csv else _as_line(names)
-        packets: Iterable[State] = tap.packets(args.timeout, args.duration)
-        for packet in itertools.islice(packets, args.count):
-            print(show(packet))
-            sys.stdout.flush()
+        for packet in itertools.islice(tap.packets(args.timeout, args.duration), args.count):
+            print(show(packet), flush=True)
 
 
 def _as_json(packet: State) -> str:

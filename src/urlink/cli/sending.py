@@ -6,6 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from linkcore.cli.options import argument, command, seconds
 from linkcore.cli.terminal import Interruption
 from linkcore.errors import BadValue, LinkError, LinkTimeout, LocalError
 from linkcore.text import printable
@@ -13,7 +14,7 @@ from linkcore.text import printable
 from ..errors import ScriptError
 from ..interfaces.dashboard.commands import COMMANDS, COULD_NOT_UNDERSTAND
 from ..robot import Robot, connect
-from .options import ADDRESS, argument, command, seconds, tell
+from .options import ADDRESS, tell
 
 #: Seconds to wait for a program that is being stopped.
 _STOPPING = 5.0

@@ -9,13 +9,14 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Protocol, get_args
 
+from linkcore.cli.options import DURATION, argument, command, seconds
 from linkcore.cli.terminal import Interruption
 from linkcore.errors import BadAddress, LocalError
 
 from ..address import RobotAddress, SimulatorAddress, parse_address
 from ..commanding.interlock import Policy
 from ..robot import Robot, connect
-from .options import CONNECT_TIMEOUT, DURATION, argument, command, seconds, tell
+from .options import CONNECT_TIMEOUT, tell
 
 #: The group of entry points in which a distribution names its adapter.
 GROUP = "urlink.serve"

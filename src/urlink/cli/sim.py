@@ -6,10 +6,11 @@ import argparse
 from pathlib import Path
 from typing import get_args
 
+from linkcore.cli.options import DURATION, argument, command
 from linkcore.cli.terminal import Interruption
 
 from ..address import Motion
-from .options import DURATION, argument, command, tell
+from .options import tell
 
 #: rad. The joints of URSim when it starts, as the vendor's integration tests find them.
 _URSIM_POSTURE = (-1.6, -1.72, -2.2, -0.8, 1.6, 0.03)

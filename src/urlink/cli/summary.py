@@ -130,7 +130,7 @@ def _counted(count: int, noun: str) -> str:
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
-def summarise(recording: RecordingFile, progress: Progress | None = None) -> RecordingSummary:
+def summarise(recording: RecordingFile, progress: Progress) -> RecordingSummary:
     """Read a recording from beginning to end.
 
     Args:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import textwrap
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -50,20 +51,9 @@ def getter(kind: type[State], path: str) -> Callable[[Any], Any]:
 def _complaint(kind: type[State], path: str, names: list[str]) -> str:
     near = [name for name in names if name.rpartition(".")[2] == path]
     hint = f"; did you mean {' or '.join(near)}?" if near else ""
-    there = "\n".join(_wrapped(names)) or "  nothing: choose a class with --type"
-    other = "" if kind is RealtimeState else "\nReal-time fields need --interface realtime."
-    return f"{kind.__name__} has no field {path!r}{hint}\nIt has:\n{there}{other if not near else ''}"
-
-
-def _wrapped(names: list[str]) -> Iterator[str]:
-    line = " "
-    for name in names:
-        if len(line) + len(name) > 100:
-            yield line
-            line = " "
-        line += f" {name}"
-    if line.strip():
-        yield line
+    there = textwrap.indent(textwrap.fill(" ".join(names) or "nothing: choose a class with --type", 99), "  ")
+    other = "" if near or kind is RealtimeState else "\nReal-time fields need --interface realtime."
+    return f"{kind.__name__} has no field {path!r}{hint}\nIt has:\n{there}{other}"
 
 
 def plain(value: Any) -> Any:
@@ -79,11 +69,11 @@ def plain(value: Any) -> Any:
     return value.hex() if isinstance(value, (bytes, bytearray)) else value
 
 
-def as_json(packet: State) -> dict[str, Any]:
-    """A packet as a JSON object: its type, when it arrived (seconds since 1970), its fields."""
+def as_json(packet: State, getters: Mapping[str, Callable[[Any], Any]] | None = None) -> dict[str, Any]:
+    """A packet as a JSON object: its type, when it arrived (seconds since 1970), all fields or those of `getters`."""
     received = packet.received
     head = {"type": type(packet).__name__, "received": None if received is None else received.wall}
-    return head | _content(packet)
+    return head | ({path: plain(get(packet)) for path, get in getters.items()} if getters else _content(packet))
 
 
 def _content(packet: State) -> dict[str, Any]:

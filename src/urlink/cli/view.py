@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from linkcore.cli.options import DURATION, argument, command, positive_number
 from linkcore.cli.terminal import Interruption
 from linkcore.errors import LocalError, WrongPeer
 from linkcore.streaming.connection_life import ConnectionState
@@ -22,7 +23,7 @@ from ..view.arm_view import ArmView
 from ..view.page import LOOPBACK, Page
 from ..view.windows import LiveWindow, RecordedWindow, Window
 from .monitor import with_motion
-from .options import ADDRESS, DURATION, argument, command, positive_number, tell
+from .options import ADDRESS, tell
 
 
 def arm_of(robot: Robot) -> Arm | None:

@@ -15,8 +15,7 @@ from linkcore.text import similar
 
 from ..kinematics import Arm
 from ..motion.jog import Jog
-from ..poses import rotvec_to_quaternion
-from .bodies import Bodies
+from .bodies import Bodies, wxyz
 from .jog_buttons import JogButtons
 from .page import Page
 from .windows import SPAN, LiveWindow, RecordedWindow, Window
@@ -124,7 +123,7 @@ class ArmView:
             self._target.show(target)
         self._tcp.visible = pose is not None
         if pose is not None:
-            self._tcp.position, self._tcp.wxyz = pose[:3], np.roll(rotvec_to_quaternion(pose[3:]), 1)
+            self._tcp.position, self._tcp.wxyz = pose[:3], wxyz(pose[3:])
         way = self._window.way()
         self._trail.visible = way is not None and len(way) > 1
         if way is not None and len(way) > 1:

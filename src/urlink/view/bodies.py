@@ -60,10 +60,11 @@ class Bodies:
         """Put the links where they are at joint positions (6,), rad."""
         for frame, (_, _, poses) in zip(self._frames, link_poses(self._arm, q[np.newaxis]), strict=True):
             frame.position = poses[0, :3]
-            frame.wxyz = _wxyz(poses[0, 3:])
+            frame.wxyz = wxyz(poses[0, 3:])
 
 
-def _wxyz(rotvec: FloatArray) -> FloatArray:
+def wxyz(rotvec: FloatArray) -> FloatArray:
+    """The quaternion of a rotation vector, in the order of viser."""
     return np.roll(rotvec_to_quaternion(rotvec), 1)
 
 
@@ -81,12 +82,7 @@ def _visuals(urdf: Path | None, arm: Arm) -> list[tuple[str, int, ElementTree.El
 
 
 def _draw(
-    scene: Any,
-    node: str,
-    visual: ElementTree.Element,
-    urdf: Path | None,
-    colour: tuple[int, int, int],
-    opacity: float,
+    scene: Any, node: str, visual: ElementTree.Element, urdf: Path | None, colour: tuple[int, int, int], opacity: float
 ) -> None:
     with needs("view", "a view in a browser"):
         import trimesh
@@ -94,7 +90,7 @@ def _draw(
     said: Mapping[str, str] = {} if origin is None else origin.attrib
     place = {
         "position": _numbers(said.get("xyz", "0 0 0")),
-        "wxyz": _wxyz(rpy_to_rotvec(_numbers(said.get("rpy", "0 0 0")))),
+        "wxyz": wxyz(rpy_to_rotvec(_numbers(said.get("rpy", "0 0 0")))),
     }
     if shape is None:
         return

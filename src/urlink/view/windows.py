@@ -96,11 +96,11 @@ class LiveWindow(Window):
         """Names of the fields of a state."""
         return tuple(RealtimeState.FIELDS)
 
-    def look(self) -> bool:
-        """Take the newest state; False if there is none that is new."""
+    def look(self) -> None:
+        """Take the newest state, if it is new."""
         state = self._stream.latest
         if state is None or (self._states and state is self._states[-1]):
-            return False
+            return
         if self._states and state.time < self._states[-1].time:
             self._states.clear()  # the controller has been started anew
         if len(self._states) > 1 and self._states[-1].time - self._states[-2].time < SPAN / _ROWS:
@@ -109,7 +109,6 @@ class LiveWindow(Window):
         while state.time - self._states[0].time > SPAN:
             self._states.popleft()
         self.time = np.array([each.time for each in self._states])
-        return True
 
     @property
     def status(self) -> tuple[str, bool]:

@@ -21,9 +21,8 @@ from linkcore.streaming.connection_life import ConnectionState
 from linkcore.streaming.statistics import StreamStatistics
 from tests.harm import HOSTILE, assert_harmless
 from urlink.cli import monitor
-from urlink.cli.glance import Glance, StreamStatus, age_text, line, status_of
+from urlink.cli.glance import Glance, Reading, StreamStatus, age_text, line, read, status_of
 from urlink.cli.picture import Picture
-from urlink.cli.reading import Reading, read
 from urlink.firmware import RELEASES, Firmware
 from urlink.simulator import Controller
 

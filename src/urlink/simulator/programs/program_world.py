@@ -113,7 +113,6 @@ class ProgramWorld:
     kinematics = _reads(lambda world: world._state.kinematics)
     dynamics = _reads(lambda world: world._state.arm.dynamics)
     motors = _reads(lambda world: world._state.arm.motors)
-    cycle = _reads(lambda world: world._state.cycle)
     signals = _reads(lambda world: world._state.signals)
     flags = _reads(lambda world: world._state.flags)
     registers = _reads(lambda world: world._state.registers)

@@ -11,36 +11,18 @@ from __future__ import annotations
 import contextlib
 import copy
 import gc
+from collections import ChainMap
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Literal
 
 from urlink.firmware import Firmware
 
-from . import operations
+from . import instructions, operations
 from .builtins import find
 from .builtins.declaration import REQUIRED, Builtin
 from .builtins.remote_procedures import call_method
 from .errors import ProgramError
-from .instructions import (
-    Label,
-    await_builtin,
-    branch,
-    call,
-    enter_interpreter,
-    evaluate,
-    halt,
-    interpret,
-    join,
-    jump,
-    jump_to_label,
-    kill,
-    leave,
-    skip_if_set,
-    spend,
-    start,
-    store,
-    store_element,
-)
+from .instructions import Label
 from .machine import FIRST, Code, Instruction, Script, ScriptThread, StatementCode, Waiting
 from .operations import Function
 from .parser import parse
@@ -57,6 +39,7 @@ from .syntax import (
     Definition,
     Evaluate,
     Expression,
+    FunctionParameter,
     Halt,
     If,
     Index,
@@ -94,7 +77,7 @@ def compile_script(text: str, firmware: Firmware) -> Script:
     statements are the program. Both are guesses.
 
     Raises:
-        ScriptError: it does not compile; has the place and the controller's text.
+        ProgramError: it does not compile; has the place and the controller's text.
     """
     with _collection_paused():
         source = SourceText(text)
@@ -127,7 +110,8 @@ class _Program:
         self.firmware = firmware
         last = statements[-1] if statements else None
         body = statements
-        name, self.kind = "unnamed", "def"
+        name = "unnamed"
+        self.kind: Literal["def", "sec"] = "def"
         if isinstance(last, Definition) and last.kind != "thread":
             name, self.kind = last.name, last.kind
             for parameter in last.parameters:
@@ -136,10 +120,9 @@ class _Program:
         self.globals = {variable: slot for slot, variable in enumerate(global_names(body))}
         self._builtins: dict[str, Builtin | None] = {}
         self._leaves: dict[int, tuple[Definition, Function | None, int]] = {}
-        main = Code(name, source)
-        _Compiler(self, main, body, (), None).compile()
-        kind: Literal["def", "sec"] = "sec" if self.kind == "sec" else "def"
-        self.script = Script(source, name, kind, firmware, main, len(self.globals))
+        main = Code(source)
+        _Compiler(self, main, body, [], None).compile()
+        self.script = Script(name, self.kind, main, len(self.globals))
 
     def builtin(self, name: str) -> Builtin | None:
         """The built-in function of that name; None if the firmware lacks it."""
@@ -153,7 +136,7 @@ class _Program:
             return None, 0  # places of its faults would be looked up in the text of a later statement
         if id(definition) not in self._leaves:
             size = leaf_size(definition, self.globals)
-            compiler = _Compiler(self, Code(code.name, self.source), definition.body, (definition,), None)
+            compiler = _Compiler(self, Code(self.source), definition.body, definition.parameters, None)
             self._leaves[id(definition)] = definition, compiler.leaf() if size else None, size
         _, function, size = self._leaves[id(definition)]
         return function, size
@@ -171,17 +154,18 @@ class _Compiler:
     """Compiler of one function."""
 
     def __init__(
-        self, program: _Program, code: Code, body: Block, definition: Sequence[Definition], outer: Functions | None
+        self, program: _Program, code: Code, body: Block, parameters: list[FunctionParameter], outer: Functions | None
     ) -> None:
         self._program = program
         self._code = code
         self._body = body
         self._outer = outer
-        self._parameters = [parameter for one in definition for parameter in one.parameters]
+        self._parameters = parameters
         # Parameters that always have a value.
         self._given = {parameter.name for parameter in self._parameters if parameter.default is None}
         names = Names.of(body)
-        self.functions = Functions(names, program.source, outer)
+        defined = {each.name: (each, Code(program.source)) for each in names.definitions}
+        self.functions: Functions = ChainMap(defined) if outer is None else outer.new_child(defined)
         own = [
             *(parameter.name for parameter in self._parameters),
             *sorted(names.local),
@@ -203,7 +187,7 @@ class _Compiler:
                 self._default(parameter, parameter.default, self._slots[parameter.name])
         self._block(self._body)
         last = self._body[-1] if self._body else None
-        self._makers.append((lambda after: leave(None), last.place if last else 0))
+        self._makers.append((lambda after: instructions.leave(None), last.place if last else 0))
         self._code.size = self._top
         self._code.instructions.extend(maker(at) for at, (maker, _) in enumerate(self._makers, 1))
         self._code.places.extend(place for _, place in self._makers)
@@ -232,7 +216,7 @@ class _Compiler:
         defines are known to later statements.
 
         Raises:
-            ScriptError: it does not compile.
+            ProgramError: it does not compile.
         """
         source = SourceText(text)
         body = parse(source)
@@ -247,20 +231,20 @@ class _Compiler:
         # The same program with another source text.
         program = copy.copy(self._program)
         program.source = source
-        compiler = _Compiler(program, Code("statement", source), body, (), self.functions)
+        compiler = _Compiler(program, Code(source), body, [], self.functions)
         compiler._slots = self._slots
         compiler._used = compiler._top = self._code.size
         compiler.compile()
-        if compiler.functions.has_any:
+        if compiler.functions.maps[0]:
             self.functions = compiler.functions
         return StatementCode(compiler._code, len(known))
 
     def _default(self, parameter: Node, default: Expression, slot: int) -> None:
         """Evaluate a default value in the called function, at each call (a guess)."""
         given = Label()
-        self._emit(parameter, lambda after: skip_if_set(slot, given, after))
+        self._emit(parameter, lambda after: instructions.skip_if_set(slot, given, after))
         value = self._value(default)
-        self._emit(parameter, lambda after: store(False, slot, value, after))
+        self._emit(parameter, lambda after: instructions.store(False, slot, value, after))
         self._mark(given)
 
     # -- instructions ------------------------------------------------------------------------------
@@ -268,7 +252,7 @@ class _Compiler:
     def _emit(self, node: Node, maker: Callable[[int], Instruction]) -> None:
         parts, self._parts = self._parts, 0
         if parts > _SHORT:
-            self._makers.append((lambda after: spend(parts, after), node.place))
+            self._makers.append((lambda after: instructions.spend(parts, after), node.place))
         self._makers.append((maker, node.place))
 
     def _mark(self, label: Label) -> None:
@@ -291,14 +275,14 @@ class _Compiler:
 
     def _return(self, s: Return) -> None:
         value = None if s.value is None else self._value(s.value)
-        self._emit(s, lambda after: leave(value))
+        self._emit(s, lambda after: instructions.leave(value))
 
     def _leave_loop(self, s: Break | Continue) -> None:
         if not self._loops:
             line, _ = self._program.source.line_and_column(s.place)
             raise self._program.error(s, f"not_in_a_loop_on_line:{line}:")
         label = self._loops[-1][isinstance(s, Break)]
-        self._emit(s, lambda after: jump(label))
+        self._emit(s, lambda after: instructions.jump(label))
 
     def _node_label(self, s: NodeLabel) -> None:
         """A target of `jump_to_label`, by its name and its number; of several with one name the first."""
@@ -308,31 +292,29 @@ class _Compiler:
         self._labels.setdefault(s.number, label)
 
     def _halt(self, s: Halt) -> None:
-        self._emit(s, lambda after: halt())
+        self._emit(s, lambda after: instructions.halt())
 
     def _kill(self, s: Kill) -> None:
         handle = self._value(s.handle)
-        self._emit(s, lambda after: kill(handle, after))
+        self._emit(s, lambda after: instructions.kill(handle, after))
 
     def _join(self, s: Join) -> None:
         self._takes_time(s, "join")
         handle, slot = self._value(s.handle), self._slot()
-        self._emit(s, lambda after: join(handle, slot, after))
+        self._emit(s, lambda after: instructions.join(handle, slot, after))
 
     def _define(self, s: Definition) -> None:
-        found = self.functions.find(s.name)
-        assert found is not None
-        definition, code = found
+        definition, code = self.functions[s.name]
         if definition is not s or s.kind == "sec":
             raise self._program.error(s, f"compile_error_name_already_used:{s.name}:")
-        _Compiler(self._program, code, s.body, (s,), self.functions).compile()
+        _Compiler(self._program, code, s.body, s.parameters, self.functions).compile()
 
     def _assign(self, s: Assign) -> None:
         is_known = s.name in self._slots or s.name in self._program.globals
         if not is_known and s.name in _SETTERS and len(s.indices) == 1 and not _is_member(s.indices[0]):
             setting = Call(s.place, 1, True, _SETTERS[s.name], [s.indices[0], s.value], [], False)
             value = self._call_builtin(setting)
-            self._emit(s, lambda after: evaluate(value, after))
+            self._emit(s, lambda after: instructions.evaluate(value, after))
             return
         if s.scope == "global" or s.name not in self._slots:
             if s.name not in self._program.globals:
@@ -342,17 +324,17 @@ class _Compiler:
             is_global, slot = False, self._slots[s.name]
         *indices, value = self._sequence([*s.indices, s.value])
         if s.indices:
-            self._emit(s, lambda after: store_element(is_global, slot, s.name, indices, value, after))
+            self._emit(s, lambda after: instructions.store_element(is_global, slot, s.name, indices, value, after))
         else:
-            self._emit(s, lambda after: store(is_global, slot, value, after))
+            self._emit(s, lambda after: instructions.store(is_global, slot, value, after))
 
     def _evaluate(self, s: Evaluate) -> None:
         expression = s.value
         if isinstance(expression, Name) and expression.name in _BARE:
             expression = Call(expression.place, 1, True, expression.name, [], [], False)
         value = self._value(expression)
-        if not (isinstance(expression, (Call, MethodCall)) and self._takes(expression, alone=True)):
-            self._emit(s, lambda after: evaluate(value, after))
+        if not self._is_instruction(expression):
+            self._emit(s, lambda after: instructions.evaluate(value, after))
 
     def _if(self, s: If) -> None:
         end = Label()
@@ -361,7 +343,7 @@ class _Compiler:
             self._condition(condition, otherwise)
             self._block(body)
             if s.otherwise or condition is not s.branches[-1][0]:
-                self._emit(s, lambda after: jump(end))
+                self._emit(s, lambda after: instructions.jump(end))
             self._mark(otherwise)
         self._block(s.otherwise)
         self._mark(end)
@@ -373,7 +355,7 @@ class _Compiler:
         self._loops.append((begin, end))
         self._block(s.body)
         self._loops.pop()
-        self._emit(s, lambda after: jump(begin))
+        self._emit(s, lambda after: instructions.jump(begin))
         self._mark(end)
 
     def _condition(self, condition: Expression, otherwise: Label) -> None:
@@ -382,29 +364,27 @@ class _Compiler:
         used = self._used
         value = self._value(condition)
         self._used = used
-        self._emit(condition, lambda after: branch(value, otherwise, after))
+        self._emit(condition, lambda after: instructions.branch(value, otherwise, after))
 
     # -- expressions -------------------------------------------------------------------------------
 
-    def _takes(self, node: Expression, alone: bool = False) -> bool:
-        """Whether an expression contains calls that are instructions; with `alone`, whether it is one."""
+    def _takes(self, node: Expression) -> bool:
+        """Whether an expression contains calls that are instructions."""
         if not node.has_calls:
             return False
-        if not alone and id(node) in self._taking:
-            return self._taking[id(node)]
-        taking = isinstance(node, MethodCall)
-        if isinstance(node, Call) and not node.is_run:
-            found = self.functions.find(node.name)
-            if found is not None:
-                taking = self._program.leaf(*found)[0] is None
-            else:
-                builtin = self._program.builtin(node.name)
-                taking = builtin is None or builtin.takes_time
-        if alone:
-            return taking
-        taking = taking or any(self._takes(part) for part in parts_of(node))
-        self._taking[id(node)] = taking
-        return taking
+        if id(node) not in self._taking:
+            self._taking[id(node)] = self._is_instruction(node) or any(self._takes(part) for part in parts_of(node))
+        return self._taking[id(node)]
+
+    def _is_instruction(self, node: Expression) -> bool:
+        """Whether an expression is a call that is an instruction."""
+        if not isinstance(node, Call) or node.is_run:
+            return isinstance(node, MethodCall)
+        found = self.functions.get(node.name)
+        if found is not None:
+            return self._program.leaf(*found)[0] is None
+        builtin = self._program.builtin(node.name)
+        return builtin is None or builtin.takes_time
 
     def _sequence(self, nodes: Sequence[Expression]) -> list[Function]:
         """Python functions of expressions that are evaluated from left to right."""
@@ -424,7 +404,7 @@ class _Compiler:
 
     def _kept(self, node: Node, function: Function) -> Function:
         slot = self._slot()
-        self._emit(node, lambda after: store(False, slot, function, after))
+        self._emit(node, lambda after: instructions.store(False, slot, function, after))
         return operations.temporary(slot)
 
     def _value(self, node: Expression) -> Function:
@@ -490,19 +470,19 @@ class _Compiler:
         # If the left operand decides the result, jump over the instructions of the right one.
         settled, slot = Label(), self._slot()
         left = operations.checked_truth(self._value(node.left), place)
-        self._emit(node, lambda after: store(False, slot, left, after))
+        self._emit(node, lambda after: instructions.store(False, slot, left, after))
         known = operations.temporary(slot)
         goes_on = known if node.operator == "and" else operations.inverted(known, place)
-        self._emit(node, lambda after: branch(goes_on, settled, after))
+        self._emit(node, lambda after: instructions.branch(goes_on, settled, after))
         right = operations.checked_truth(self._value(node.right), place)
-        self._emit(node, lambda after: store(False, slot, right, after))
+        self._emit(node, lambda after: instructions.store(False, slot, right, after))
         self._mark(settled)
         return known
 
     # -- calls -------------------------------------------------------------------------------------
 
     def _call(self, node: Call) -> Function:
-        found = self.functions.find(node.name)
+        found = self.functions.get(node.name)
         if found is None:
             if node.is_run:
                 raise self._program.not_found(node, node.name)
@@ -512,18 +492,17 @@ class _Compiler:
             wanted = "thread" if node.is_run else "function"
             raise self._program.error(node, f"compile_error_not_a_{wanted}:{node.name}:")
         arguments = self._arguments(
-            node,
-            [(p.name, REQUIRED if p.default is None else UNSET) for p in definition.parameters],
+            node, [(p.name, REQUIRED if p.default is None else UNSET) for p in definition.parameters]
         )
         if node.is_run:
             self._takes_time(node, "run")
-            return operations.placed(start(code, arguments), node.place)
+            return operations.placed(instructions.start(code, arguments), node.place)
         leaf, size = self._program.leaf(definition, code)
         if leaf is not None:
             self._parts += size
             return operations.leaf_call(leaf, arguments)
         slot = self._slot()
-        self._emit(node, lambda after: call(code, arguments, slot, after))
+        self._emit(node, lambda after: instructions.call(code, arguments, slot, after))
         return operations.temporary(slot)
 
     def _method_call(self, node: MethodCall) -> Function:
@@ -533,7 +512,7 @@ class _Compiler:
         def call_it(thread: ScriptThread, base: Any, *arguments: Any) -> Waiting:
             return call_method(thread, base, node.name, arguments)
 
-        self._emit(node, lambda after: await_builtin(call_it, operands, slot, after))
+        self._emit(node, lambda after: instructions.await_builtin(call_it, operands, slot, after))
         return operations.temporary(slot)
 
     def _struct(self, node: Call) -> Function:
@@ -558,19 +537,20 @@ class _Compiler:
         if node.name == "interpreter_mode":
             return self._interpreter_mode(node, arguments)
         if node.name == "jump_to_label":
-            self._emit(node, lambda after: jump_to_label(self._labels, arguments[0]))
+            self._emit(node, lambda after: instructions.jump_to_label(self._labels, arguments[0]))
             return operations.constant(None)
         if not builtin.takes_time:
             return operations.call(builtin.function, arguments, node.place)
         slot = self._slot()
-        self._emit(node, lambda after: await_builtin(builtin.function, arguments, slot, after))
+        self._emit(node, lambda after: instructions.await_builtin(builtin.function, arguments, slot, after))
         return operations.temporary(slot)
 
     def _interpreter_mode(self, node: Call, arguments: Sequence[Function]) -> Function:
         """Two instructions rather than a function, since it runs statements that arrive meanwhile."""
         slot = self._slot()
-        self._emit(node, lambda after: enter_interpreter(self.statement, arguments[0], arguments[1], after))
-        self._emit(node, lambda after: interpret(slot, after))
+        on_enter, on_end = arguments
+        self._emit(node, lambda after: instructions.enter_interpreter(self.statement, on_enter, on_end, after))
+        self._emit(node, lambda after: instructions.interpret(slot, after))
         return operations.constant(None)
 
     def _takes_time(self, node: Node, what: str) -> None:

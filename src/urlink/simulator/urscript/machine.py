@@ -24,9 +24,6 @@ from dataclasses import dataclass, field
 from operator import is_
 from typing import Any, Literal, NamedTuple
 
-from linkcore.errors import BadValue
-from urlink.firmware import Firmware
-
 from ..robot.generator import OutOfReach
 from .errors import (
     ANOTHER_THREAD,
@@ -59,14 +56,12 @@ class Code:
     """A function.
 
     Attributes:
-        name: for messages.
+        source: the text.
         size: of its frame.
         instructions: one after the other.
         places: where in the text each stands.
-        source: the text.
     """
 
-    name: str
     source: SourceText
     size: int = FIRST
     instructions: list[Instruction] = field(default_factory=list)
@@ -90,18 +85,14 @@ class Script:
     """A program that compiles.
 
     Attributes:
-        source: its text.
         name: as after `def` or `sec`; "unnamed" (a guess) for statements alone.
         kind: `sec` runs beside the program that moves the arm.
-        firmware: for which it was compiled.
         main: where it begins.
         n_globals: how many global variables it has.
     """
 
-    source: SourceText
     name: str
     kind: Literal["def", "sec"]
-    firmware: Firmware
     main: Code
     n_globals: int
 
@@ -200,7 +191,7 @@ class ScriptThread:
         """Run until it waits or ends.
 
         Raises:
-            ScriptError: a run-time error.
+            ProgramError: a run-time error.
         """
         at = self._next - 1
         machine = self.machine
@@ -232,7 +223,7 @@ class ScriptThread:
                 machine.spinning += 1
         except Fault as fault:
             raise self._error(at, str(fault), fault.place) from None
-        except (BadValue, ArithmeticError, ValueError) as error:
+        except (ArithmeticError, ValueError) as error:
             raise self._error(at, str(error), None) from None
 
     def _waited(self, variables: list[Any]) -> int:
@@ -249,7 +240,7 @@ class ScriptThread:
 
     def endless(self) -> ProgramError:
         """The error of a program of which no thread waits for anything."""
-        return self._error(self._next, str(endless(self.machine.world.firmware)), None)
+        return self._error(self._next, str(endless(self.world.firmware)), None)
 
     def _error(self, at: int, text: str, place: int | None) -> ProgramError:
         places = self._code.places
@@ -292,8 +283,7 @@ class Machine:
         self._owner: ScriptThread | None = None
         self._move: BegunMove | None = None
         self._is_aborted = False
-        self._firmware = script.firmware
-        self.has_matrices = script.firmware in HAS_MATRICES
+        self.has_matrices = world.firmware in HAS_MATRICES
         self._globals: list[Any] = [UNSET] * script.n_globals
         self._work = 0
         self._made = 0
@@ -312,7 +302,7 @@ class Machine:
         """Run one cycle.
 
         Raises:
-            ScriptError: a run-time error.
+            ProgramError: a run-time error.
         """
         threads = self._threads
         self.left = MAX_INSTRUCTIONS
@@ -359,11 +349,9 @@ class Machine:
             move = self._move = begin()
         except OutOfReach as unreachable:
             raise Fault(str(unreachable)) from None
-        while True:
-            # Even a motion without a distance takes a cycle.
+        yield  # even a motion without a distance takes a cycle
+        while not (move.is_over or self._is_aborted):
             yield
-            if move.is_over or self._is_aborted:
-                break
         if self._owner is thread:
             self._owner = None
 
@@ -379,7 +367,7 @@ class Machine:
         """Count work that costs as much as making this many elements."""
         self._work += work
         if self._work > MAX_WORK:
-            raise endless(self._firmware)
+            raise endless(self.world.firmware)
 
     def charge(self, elements: int) -> None:
         """Count the making of this many elements."""

@@ -16,7 +16,7 @@ from . import values
 from .errors import MAX_INTEGER, MIN_INTEGER, Fault, type_error
 from .machine import GLOBALS, THREAD, Frame
 from .matrices import is_matrix, on_matrices
-from .values import NUMBERS, UNSET, PoseValue
+from .values import NUMBERS, UNSET, PoseValue, truth
 
 Function = Callable[[Frame], Any]
 
@@ -182,11 +182,6 @@ def structure(names: Sequence[str], items: Sequence[Function], place: int) -> Fu
 def member(base: Function, name: str, place: int) -> Function:
     """`base.name`"""
     return placed(lambda f: values.member(base(f), name), place)
-
-
-def truth(value: Any) -> bool:
-    """The truth value of a condition."""
-    return value if value is True or value is False else values.truth(value)
 
 
 def both(left: Function, right: Function, place: int) -> Function:
@@ -447,7 +442,7 @@ def choice(condition: Function, then: Function, otherwise: Function, place: int)
         if value is False:
             return otherwise(f)
         try:
-            holds = values.truth(value)
+            holds = truth(value)
         except Fault as fault:
             raise _at(place, fault) from None
         return then(f) if holds else otherwise(f)
@@ -471,10 +466,7 @@ def call(function: Callable[..., Any], arguments: Sequence[Function], place: int
     """A call of a built-in function that takes no time."""
 
     def run(
-        f: Frame,
-        function: Callable[..., Any] = function,
-        arguments: Sequence[Function] = arguments,
-        place: int = place,
+        f: Frame, function: Callable[..., Any] = function, arguments: Sequence[Function] = arguments, place: int = place
     ) -> Any:
         try:
             return function(f[THREAD], *[argument(f) for argument in arguments])

@@ -78,15 +78,8 @@ from .syntax import (
 from .tokens import END, NAME, NUMBER, STRING, SourceText, tokens_of
 from .values import MemberName
 
-# Highest precedence last.
-_LEVELS: list[frozenset[str]] = [
-    frozenset({"or"}),
-    frozenset({"xor"}),
-    frozenset({"and"}),
-    frozenset({"==", "!=", "<", "<=", ">", ">="}),
-    frozenset({"+", "-"}),
-    frozenset({"*", "/", "%"}),
-]
+#: Binary operators, those of the highest precedence last.
+_LEVELS = (("or",), ("xor",), ("and",), ("==", "!=", "<", "<=", ">", ">="), ("+", "-"), ("*", "/", "%"))
 _BINDING = {operator: level for level, operators in enumerate(_LEVELS, 1) for operator in operators}
 _COMPARISON = 4
 #: Tokens that continue a primary expression.
@@ -100,7 +93,7 @@ def parse(source: SourceText) -> Block:
     """The statements of a program.
 
     Raises:
-        ScriptError: a syntax error; has the place and the controller's text.
+        ProgramError: a syntax error; has the place and the controller's text.
     """
     return _Parser(source).program()
 
@@ -122,8 +115,7 @@ class _Parser:
     def _expect(self, kind: str) -> int:
         if self._kinds[self._at] != kind:
             raise self._unexpected()
-        self._at += 1
-        return self._places[self._at - 1]
+        return self._take()
 
     def _accept(self, kind: str) -> bool:
         if self._kinds[self._at] == kind:
@@ -256,9 +248,6 @@ class _Parser:
         name = self._texts[self._at - 1][1:-1]
         self._accept(STRING)
         return NodeLabel(place, int(number), name)
-
-    def _evaluate(self) -> Evaluate:
-        return Evaluate(self._places[self._at], self._expression())
 
     def _simple(self) -> Statement:
         place = self._places[self._at]
@@ -447,7 +436,7 @@ _READERS: dict[str, Callable[[_Parser], Statement]] = {
     "join": lambda parser: Join(parser._take(), parser._expression()),
     "global": lambda parser: parser._declaration("global"),
     "local": lambda parser: parser._declaration("local"),
-    "run": _Parser._evaluate,
+    "run": _Parser._simple,
     "$": _Parser._node_label,
     NAME: _Parser._simple,
 }

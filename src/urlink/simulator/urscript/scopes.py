@@ -15,6 +15,7 @@ its expression rather than an instruction with a frame to return to.
 
 from __future__ import annotations
 
+from collections import ChainMap
 from collections.abc import Container
 from dataclasses import dataclass, field
 
@@ -39,7 +40,6 @@ from .syntax import (
     While,
     parts_of,
 )
-from .tokens import SourceText
 
 
 @dataclass
@@ -84,34 +84,8 @@ class Names:
         return names
 
 
-class Functions:
-    """The functions and threads that are known in a scope.
-
-    Args:
-        names: of the function whose scope it is.
-        source: the text.
-        outer: the enclosing scope.
-    """
-
-    def __init__(self, names: Names, source: SourceText, outer: Functions | None) -> None:
-        self._outer = outer
-        self._known: dict[str, tuple[Definition, Code]] = {}
-        for definition in names.definitions:
-            self._known[definition.name] = (definition, Code(definition.name, source))
-
-    @property
-    def has_any(self) -> bool:
-        """Whether any is defined in this scope itself."""
-        return bool(self._known)
-
-    def find(self, name: str) -> tuple[Definition, Code] | None:
-        """The one of that name in the innermost scope that has one."""
-        scope: Functions | None = self
-        while scope is not None:
-            if name in scope._known:
-                return scope._known[name]
-            scope = scope._outer
-        return None
+#: The functions and threads that are known in a scope, those of the innermost one first.
+Functions = ChainMap[str, tuple[Definition, Code]]
 
 
 def global_names(body: Block) -> list[str]:

@@ -11,31 +11,16 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_right
-from typing import NamedTuple
 
 from .errors import MAX_TEXT, MAX_TOKENS, ProgramError
 
-#: Kinds of tokens; a keyword or mark is its own kind.
+#: Kinds of tokens, which are groups of `_TOKEN`; a keyword or mark is its own kind.
 NUMBER, NAME, STRING, END = "number", "name", "string", "end of text"
 
 _STATEMENTS = {"def", "sec", "thread", "end", "if", "elif", "else", "while", "return", "break", "continue", "pass"}
-_OTHERS = {
-    "halt",
-    "global",
-    "local",
-    "run",
-    "kill",
-    "join",
-    "and",
-    "or",
-    "xor",
-    "not",
-    "True",
-    "False",
-    "true",
-    "false",
-}
-KEYWORDS = frozenset(_STATEMENTS | _OTHERS)
+_SIMPLE = {"halt", "global", "local", "run", "kill", "join"}
+_IN_EXPRESSIONS = {"and", "or", "xor", "not", "True", "False", "true", "false"}
+KEYWORDS = frozenset(_STATEMENTS | _SIMPLE | _IN_EXPRESSIONS)
 
 # That numbers may be hexadecimal is a guess.
 _TOKEN = re.compile(
@@ -52,7 +37,6 @@ _TOKEN = re.compile(
     """,
     re.VERBOSE,
 )
-_NUMBER, _STRING, _NAME, _MARK, _END, _UNKNOWN = range(1, 7)
 
 
 class SourceText:
@@ -62,7 +46,7 @@ class SourceText:
         text: the program.
 
     Raises:
-        ScriptError: the text is too long.
+        ProgramError: the text is too long.
     """
 
     def __init__(self, text: str) -> None:
@@ -91,48 +75,28 @@ class SourceText:
         return self.failure(place, f"syntax_error_on_line:{line}:{quoted}:")
 
 
-class Tokens(NamedTuple):
-    """The tokens of a text.
-
-    Attributes:
-        kinds: of the tokens; the last is `END`.
-        texts: as written.
-        places: character offset of each.
-    """
-
-    kinds: list[str]
-    texts: list[str]
-    places: list[int]
-
-
-def tokens_of(source: SourceText) -> Tokens:
-    """The tokens of a text.
+def tokens_of(source: SourceText) -> tuple[list[str], list[str], list[int]]:
+    """The tokens of a text: the kind of each, of which the last is `END`, how it is written, and where it begins.
 
     Raises:
-        ScriptError: an unknown character, or too many tokens.
+        ProgramError: an unknown character, or too many tokens.
     """
-    found = Tokens([], [], [])
-    kinds, texts, places = found
+    kinds: list[str] = []
+    texts: list[str] = []
+    places: list[int] = []
     for match in _TOKEN.finditer(source.text):
-        group = match.lastindex or _UNKNOWN
-        word = match[group]
-        if group == _NAME:
-            kinds.append(word if word in KEYWORDS else NAME)
-        elif group == _MARK:
-            kinds.append(word)
-        elif group == _NUMBER:
-            kinds.append(NUMBER)
-        elif group == _STRING:
-            kinds.append(STRING)
-        elif group == _END:
+        kind = match.lastgroup or ""
+        if kind == "end":
             break
-        else:
-            raise source.syntax_error(match.start(group))
+        word, place = match[kind], match.start(kind)
+        if kind == "unknown":
+            raise source.syntax_error(place)
+        kinds.append(word if kind == "mark" or word in KEYWORDS else kind)
         texts.append(word)
-        places.append(match.start(group))
+        places.append(place)
         if len(kinds) > MAX_TOKENS:
-            raise source.failure(places[-1], f"program_too_long:{len(kinds)}:")
+            raise source.failure(place, f"program_too_long:{len(kinds)}:")
     kinds.append(END)
     texts.append("")
     places.append(len(source.text))
-    return found
+    return kinds, texts, places

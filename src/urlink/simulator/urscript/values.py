@@ -23,6 +23,7 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from .errors import MAX_ELEMENTS, MAX_INTEGER, MAX_STRUCTS, MIN_INTEGER, Fault, type_error
@@ -102,15 +103,12 @@ def type_name(value: object) -> str:
 
 def to_str(value: object) -> str:
     """The text of a value in `textmsg` and `to_str`."""
-    if value.__class__ is str:
+    if isinstance(value, (str, int)):
         return str(value)
-    if value.__class__ is float:
+    if isinstance(value, float):
         return f"{value:g}"
-    if value.__class__ is PoseValue or value.__class__ is tuple:
-        assert isinstance(value, tuple)
+    if isinstance(value, tuple):
         return f"{'p' if isinstance(value, PoseValue) else ''}[{','.join(map(to_str, value))}]"
-    if value.__class__ is int or value.__class__ is bool:
-        return str(value)
     if isinstance(value, Struct):
         return f"struct({','.join(f'{name}={to_str(member)}' for name, member in value.members.items())})"
     return type_name(value)
@@ -176,31 +174,6 @@ def checked(value: float | int) -> float | int:
 # -- arithmetic --------------------------------------------------------------------------------------
 
 
-def add(a: Any, b: Any, charge: Charge) -> Any:
-    """`a + b`"""
-    return _arithmetic(operator.add, "+", a, b, charge)
-
-
-def subtract(a: Any, b: Any, charge: Charge) -> Any:
-    """`a - b`"""
-    return _arithmetic(operator.sub, "-", a, b, charge)
-
-
-def multiply(a: Any, b: Any, charge: Charge) -> Any:
-    """`a * b`"""
-    return _arithmetic(operator.mul, "*", a, b, charge)
-
-
-def divide(a: Any, b: Any, charge: Charge) -> Any:
-    """`a / b`"""
-    return _arithmetic(operator.truediv, "/", a, b, charge)
-
-
-def modulo(a: Any, b: Any, charge: Charge) -> Any:
-    """`a % b`"""
-    return _arithmetic(_remainder, "%", a, b, charge)
-
-
 def signed(factor: int, a: Any) -> Any:
     """`-a` and `+a` of a number; the factor is -1 or 1."""
     if a.__class__ not in NUMBERS:
@@ -238,6 +211,14 @@ def _arithmetic(function: Callable[[Any, Any], Any], sign: str, a: Any, b: Any, 
     return _number(function, sign, a, b)
 
 
+#: `a + b` and the like, of two values; the third argument counts the elements made.
+add = partial(_arithmetic, operator.add, "+")
+subtract = partial(_arithmetic, operator.sub, "-")
+multiply = partial(_arithmetic, operator.mul, "*")
+divide = partial(_arithmetic, operator.truediv, "/")
+modulo = partial(_arithmetic, _remainder, "%")
+
+
 # -- comparison --------------------------------------------------------------------------------------
 
 
@@ -271,7 +252,7 @@ def compare(sign: str, a: Any, b: Any) -> bool:
 
 def truth(value: Any) -> bool:
     """The truth value of a condition."""
-    if value.__class__ in NUMBERS or value.__class__ is bool:
+    if value is True or value is False or value.__class__ in NUMBERS:
         return bool(value)
     raise type_error(f"a condition is a truth value or a number, not {type_name(value)}")
 

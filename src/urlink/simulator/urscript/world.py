@@ -104,7 +104,6 @@ class ScriptWorld(Protocol):
 
     Attributes:
         period: s per controller cycle.
-        cycle: counts them.
         q_actual, qd_actual, q_target, qd_target: six numbers, rad and rad/s.
         qdd_target: six numbers, rad/s².
         pose_actual, pose_target: the TCP in the base frame, m and rad.
@@ -127,8 +126,6 @@ class ScriptWorld(Protocol):
     def kinematics(self) -> Arm: ...
     @property
     def period(self) -> float: ...
-    @property
-    def cycle(self) -> int: ...
     @property
     def motion(self) -> MotionCommands: ...
     @property

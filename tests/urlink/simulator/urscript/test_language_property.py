@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from tests.fakes.world import NotedWorld, run
 from urlink.firmware import Firmware
 from urlink.simulator.urscript import ProgramError, Script, compile_script
-from urlink.simulator.urscript.builtins import FAMILIES
+from urlink.simulator.urscript.builtins import BUILTINS
 
 FIRMWARE = Firmware(5, 11)
 INTEGERS = st.integers(-1000, 1000)
@@ -231,7 +231,7 @@ VALUES = st.sampled_from(
         "nothing",
     ]
 )
-NAMES = st.sampled_from(sorted({name for family in FAMILIES for name in family.functions}))
+NAMES = st.sampled_from(sorted(BUILTINS))
 BEGINNING = """
 def nothing_at_all():
   sync()

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from urlink.firmware import Firmware
 
-from . import (
+# For what they declare.
+from . import (  # noqa: F401
     force,
     inputs_outputs,
     mathematics,
@@ -16,28 +17,11 @@ from . import (
     remote_procedures,
     sockets,
 )
-from .declaration import Builtin, Family
+from .declaration import BUILTINS, Builtin
 
-__all__ = ["FAMILIES", "find"]
-
-FAMILIES: tuple[Family, ...] = (
-    mathematics.FAMILY,
-    motions.FAMILY,
-    poses.FAMILY,
-    program.FAMILY,
-    inputs_outputs.FAMILY,
-    registers.FAMILY,
-    remote_procedures.FAMILY,
-    sockets.FAMILY,
-    queries.FAMILY,
-    force.FAMILY,
-)
+__all__ = ["BUILTINS", "find"]
 
 
 def find(name: str, firmware: Firmware) -> Builtin | None:
     """The function of that name in a firmware; None if it has none."""
-    for family in FAMILIES:
-        for builtin in family.functions.get(name, ()):
-            if builtin.is_in(firmware):
-                return builtin
-    return None
+    return next((each for each in BUILTINS.get(name, ()) if each.is_in(firmware)), None)

@@ -28,7 +28,6 @@ class Builtin:
     """A built-in function.
 
     Attributes:
-        name: in a program.
         function: called with the thread and every parameter, by position.
         parameters: names and default values.
         takes_time: whether it is a generator.
@@ -38,7 +37,6 @@ class Builtin:
         until: the first firmware without it, or with another form of it.
     """
 
-    name: str
     function: Callable[..., Any]
     parameters: tuple[tuple[str, Any], ...]
     takes_time: bool
@@ -52,40 +50,36 @@ class Builtin:
         return firmware in self.since and (self.until is None or firmware not in self.until)
 
 
-class Family:
-    """A table of related functions."""
+#: name -> the forms of a function, of which a firmware has one at most
+BUILTINS: dict[str, list[Builtin]] = {}
 
-    def __init__(self) -> None:
-        self.functions: dict[str, list[Builtin]] = {}
 
-    def declare(
-        self,
-        *aliases: str,
-        name: str | None = None,
-        takes_time: bool = False,
-        in_secondary: bool = True,
-        since: str = "1.0",
-        until: str | None = None,
-    ) -> Callable[[F], F]:
-        """Add a function to the table, under its own name or `name`, and under its aliases."""
+def declare(
+    *aliases: str,
+    name: str | None = None,
+    takes_time: bool = False,
+    in_secondary: bool = True,
+    since: str = "1.0",
+    until: str | None = None,
+) -> Callable[[F], F]:
+    """Add a function to `BUILTINS`, under its own name or `name`, and under its aliases."""
 
-        def enter(function: F) -> F:
-            signature = list(inspect.signature(function).parameters.values())[1:]
-            for known in (name or function.__name__, *aliases):
-                builtin = Builtin(
-                    known,
-                    function,
-                    tuple((p.name, p.default) for p in signature if p.kind is p.POSITIONAL_OR_KEYWORD),
-                    takes_time,
-                    in_secondary,
-                    any(p.kind is p.VAR_POSITIONAL for p in signature),
-                    Since(since),
-                    Since(until) if until else None,
-                )
-                self.functions.setdefault(known, []).append(builtin)
-            return function
+    def enter(function: F) -> F:
+        signature = list(inspect.signature(function).parameters.values())[1:]
+        builtin = Builtin(
+            function,
+            tuple((p.name, p.default) for p in signature if p.kind is p.POSITIONAL_OR_KEYWORD),
+            takes_time,
+            in_secondary,
+            any(p.kind is p.VAR_POSITIONAL for p in signature),
+            Since(since),
+            Since(until) if until else None,
+        )
+        for known in (name or function.__name__, *aliases):
+            BUILTINS.setdefault(known, []).append(builtin)
+        return function
 
-        return enter
+    return enter
 
 
 # -- checks of arguments --------------------------------------------------------------------------------
@@ -96,6 +90,14 @@ def number(value: Any, what: str) -> float:
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         return value
     raise type_error(f"{what} is a number, not {type_name(value)}")
+
+
+def number_within(value: Any, what: str, low: float, high: float) -> float:
+    """A number within a range."""
+    found = number(value, what)
+    if not low <= found <= high:
+        raise Fault(f"{what} is from {low:g} to {high:g}, not {found:g}")
+    return found
 
 
 def integer(value: Any, what: str, low: int = -(2**31), high: int = 2**31 - 1) -> int:

@@ -21,11 +21,8 @@ from urlink.simulator.robot.generator import ForceTask
 
 from ..errors import Fault
 from ..machine import ScriptThread, Waiting
-from .declaration import Family, boolean, integer, joints, number, pose, six, vector
-
-__all__ = ["FAMILY"]
-
-FAMILY = Family()
+from .declaration import boolean, declare, integer, joints, number, number_within, pose, six, vector
+from .poses import tcp_of
 
 _NOWHERE = (0.0, 0.0, 0.0)
 _BASE = (0.0,) * 6
@@ -38,13 +35,13 @@ _CLOSE, _TOO_CLOSE = 1e-4, 1e-5
 # -- the sensor and contacts -----------------------------------------------------------------------------
 
 
-@FAMILY.declare(since="3.0")
+@declare(since="3.0")
 def zero_ftsensor(thread: ScriptThread) -> None:
     """Make the present force the zero of the sensor."""
     thread.world.zero_force()
 
 
-@FAMILY.declare(since="5.4")
+@declare(since="5.4")
 def tool_contact(thread: ScriptThread, direction: Any = (0, 0, 0, 0, 0, 0)) -> int:
     """Cycles since a contact in that direction of the tool began; 0 without one. Zeros mean any direction.
 
@@ -54,8 +51,8 @@ def tool_contact(thread: ScriptThread, direction: Any = (0, 0, 0, 0, 0, 0)) -> i
 
 
 # The older of the two names is reported to have a sign error on real controllers; not modelled.
-@FAMILY.declare(name="enable_external_ft_sensor", since="3.0")
-@FAMILY.declare(since="3.14/5.9")
+@declare(name="enable_external_ft_sensor", since="3.0")
+@declare(since="3.14/5.9")
 def ft_rtde_input_enable(
     thread: ScriptThread,
     enable: Any,
@@ -73,7 +70,7 @@ def ft_rtde_input_enable(
 # -- force mode ------------------------------------------------------------------------------------------
 
 
-@FAMILY.declare(in_secondary=False)
+@declare(in_secondary=False)
 def force_mode(
     thread: ScriptThread, task_frame: Any, selection_vector: Any, wrench: Any, type: Any, limits: Any
 ) -> None:
@@ -92,26 +89,19 @@ def force_mode(
     thread.world.force_mode(task)
 
 
-@FAMILY.declare(in_secondary=False)
+@declare(in_secondary=False)
 def end_force_mode(thread: ScriptThread) -> None:
     thread.world.end_yielding()
 
 
-@FAMILY.declare(since="3.5")
+@declare(since="3.5")
 def force_mode_set_damping(thread: ScriptThread, damping: Any) -> None:
-    thread.world.set_force_damping(_between(damping, "force_mode_set_damping: damping", 1.0))
+    thread.world.set_force_damping(number_within(damping, "force_mode_set_damping: damping", 0.0, 1.0))
 
 
-@FAMILY.declare(since="5.0")
+@declare(since="5.0")
 def force_mode_set_gain_scaling(thread: ScriptThread, scaling: Any) -> None:
-    thread.world.set_force_gain(_between(scaling, "force_mode_set_gain_scaling: scaling", 2.0))
-
-
-def _between(value: Any, what: str, highest: float) -> float:
-    given = float(number(value, what))
-    if not 0 <= given <= highest:
-        raise Fault(f"{what} is from 0 to {highest:g}, not {given:g}")
-    return given
+    thread.world.set_force_gain(number_within(scaling, "force_mode_set_gain_scaling: scaling", 0.0, 2.0))
 
 
 def _axes(values: Any, what: str) -> list[bool]:
@@ -124,12 +114,7 @@ def _axes(values: Any, what: str) -> list[bool]:
 # -- freedrive -------------------------------------------------------------------------------------------
 
 
-@FAMILY.declare(name="freedrive_mode", in_secondary=False, since="3.0", until="5.10")
-def freedrive_mode_in_all_directions(thread: ScriptThread) -> None:
-    thread.world.freedrive([True] * 6, _BASE)
-
-
-@FAMILY.declare(in_secondary=False, since="5.10")
+@declare(in_secondary=False, since="5.10")
 def freedrive_mode(thread: ScriptThread, freeAxes: Any = (1, 1, 1, 1, 1, 1), feature: Any = "base") -> None:
     """Let the arm be moved by hand along and about axes of a feature: a pose in the base frame, "base" or "tool"."""
     thread.machine.spend(_COST)
@@ -139,18 +124,19 @@ def freedrive_mode(thread: ScriptThread, freeAxes: Any = (1, 1, 1, 1, 1, 1), fea
     thread.world.freedrive(_axes(freeAxes, "freedrive_mode: freeAxes"), frame)
 
 
-@FAMILY.declare(in_secondary=False, since="1.6")
+@declare(name="freedrive_mode", in_secondary=False, since="3.0", until="5.10")
+@declare(in_secondary=False, since="1.6")
 def teach_mode(thread: ScriptThread) -> None:
-    """The older name of freedrive, in all directions."""
+    """The older name of freedrive, which was in all directions at first."""
     thread.world.freedrive([True] * 6, _BASE)
 
 
-@FAMILY.declare("end_teach_mode", in_secondary=False, since="1.6")
+@declare("end_teach_mode", in_secondary=False, since="1.6")
 def end_freedrive_mode(thread: ScriptThread) -> None:
     thread.world.end_yielding()
 
 
-@FAMILY.declare(since="5.10")
+@declare(since="5.10")
 def get_freedrive_status(thread: ScriptThread) -> int:
     """0 normal, 1 near a singularity, 2 too near to be moved well. The distances are guesses."""
     thread.machine.spend(_COST)
@@ -178,24 +164,20 @@ def _speeds(thread: ScriptThread, qd: Any, what: str) -> Sequence[float]:
     return list(thread.world.qd_actual) if qd is None else joints(qd, f"{what}: qd")
 
 
-def _tool(thread: ScriptThread, tcp: Any, what: str) -> Sequence[float]:
-    return list(thread.world.tcp) if isinstance(tcp, str) else pose(tcp, f"{what}: tcp")
-
-
-@FAMILY.declare(since="5.23/10.11")
+@declare(since="5.23/10.11")
 def get_jacobian(thread: ScriptThread, q: Any = None, tcp: Any = "active_tcp") -> _Rows:
     """The matrix from joint speeds to the velocity of the TCP in the base frame."""
     thread.machine.spend(_COST)
-    at, tool = _positions(thread, q, "get_jacobian"), _tool(thread, tcp, "get_jacobian")
+    at, tool = _positions(thread, q, "get_jacobian"), tcp_of(thread, tcp, "get_jacobian: tcp")
     return _rows(thread.world.kinematics.jacobian(at, tool))
 
 
-@FAMILY.declare(since="5.23/10.11")
+@declare(since="5.23/10.11")
 def get_jacobian_time_derivative(thread: ScriptThread, q: Any = None, qd: Any = None, tcp: Any = "active_tcp") -> _Rows:
     """The time derivative of the Jacobian at these joint speeds, per second."""
     thread.machine.spend(2 * _COST)
     what = "get_jacobian_time_derivative"
-    at, speeds, tool = _positions(thread, q, what), _speeds(thread, qd, what), _tool(thread, tcp, what)
+    at, speeds, tool = _positions(thread, q, what), _speeds(thread, qd, what), tcp_of(thread, tcp, f"{what}: tcp")
     before, after = (
         thread.world.kinematics.jacobian([p + t * v for p, v in zip(at, speeds, strict=True)], tool)
         for t in (-_MOMENT, _MOMENT)
@@ -203,7 +185,7 @@ def get_jacobian_time_derivative(thread: ScriptThread, q: Any = None, qd: Any = 
     return _rows((after - before) / (2.0 * _MOMENT))
 
 
-@FAMILY.declare(since="5.23/10.11")
+@declare(since="5.23/10.11")
 def get_mass_matrix(thread: ScriptThread, q: Any = None, include_rotors_inertia: Any = False) -> _Rows:
     """The matrix from joint accelerations to torques, kg m²."""
     thread.machine.spend(_COST)
@@ -213,7 +195,7 @@ def get_mass_matrix(thread: ScriptThread, q: Any = None, include_rotors_inertia:
     return _rows(matrix)
 
 
-@FAMILY.declare(since="5.23/10.11")
+@declare(since="5.23/10.11")
 def get_coriolis_and_centrifugal_torques(thread: ScriptThread, q: Any = None, qd: Any = None) -> tuple[float, ...]:
     """Torques at constant joint speeds, without gravity, Nm."""
     thread.machine.spend(_COST)
@@ -222,13 +204,7 @@ def get_coriolis_and_centrifugal_torques(thread: ScriptThread, q: Any = None, qd
     return tuple(thread.world.dynamics.coriolis_torque(at, speeds).tolist())
 
 
-@FAMILY.declare(since="5.23/10.11")
-def get_target_joint_torques(thread: ScriptThread) -> tuple[float, ...]:
-    """Torques of the target movement, gravity included, Nm. The name of the function is a guess."""
-    return tuple(float(each) for each in thread.world.torques)
-
-
-@FAMILY.declare(takes_time=True, in_secondary=False, since="5.23/10.11")
+@declare(takes_time=True, in_secondary=False, since="5.23/10.11")
 def direct_torque(
     thread: ScriptThread,
     torque: Any,
@@ -254,13 +230,13 @@ def direct_torque(
     )
 
 
-@FAMILY.declare(since="5.23/10.11")
+@declare(since="5.23/10.11")
 def set_friction_compensation(thread: ScriptThread, enable: Any) -> None:
     """Without effect: an argument of `direct_torque` turns friction compensation on."""
     boolean(enable, "set_friction_compensation: enable")
 
 
-@FAMILY.declare(since="5.25/10.12")
+@declare(since="5.25/10.12")
 def set_friction_scales(thread: ScriptThread, viscous_scale: Any, coulomb_scale: Any) -> None:
     """Without effect, as `set_friction_compensation`."""
     six(viscous_scale, "set_friction_scales: viscous_scale")

@@ -10,11 +10,7 @@ from ..errors import MAX_ELEMENTS, MAX_STRING, Fault, type_error
 from ..machine import ScriptThread
 from ..matrices import Matrix, transposed
 from ..values import checked, list_of, to_str, type_name
-from .declaration import Family, boolean, integer, is_list, number, numbers, string
-
-__all__ = ["FAMILY"]
-
-FAMILY = Family()
+from .declaration import boolean, declare, integer, is_list, number, numbers, string
 
 _NUMBER = re.compile(r"\s*[+-]?(?:[0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?\s*")
 
@@ -27,21 +23,21 @@ def made(thread: ScriptThread, text: str) -> str:
     return text
 
 
-@FAMILY.declare("get_list_length", "size")
+@declare("get_list_length", "size")
 def length(thread: ScriptThread, v: Any) -> int:
     """The length of a list or string."""
-    if is_list(v) or isinstance(v, (str, tuple)):
+    if isinstance(v, (str, tuple)):
         return len(v)
     raise type_error(f"length of {type_name(v)}")
 
 
 # `to_str` is the function of `values` here.
-@FAMILY.declare(name="to_str")
+@declare(name="to_str")
 def to_string(thread: ScriptThread, val: Any) -> str:
     return made(thread, to_str(val))
 
 
-@FAMILY.declare()
+@declare()
 def to_num(thread: ScriptThread, str_to_convert: Any) -> float | int:
     text = string(str_to_convert, "to_num: str_to_convert")
     match = _NUMBER.fullmatch(text) if len(text) < 400 else None
@@ -51,23 +47,23 @@ def to_num(thread: ScriptThread, str_to_convert: Any) -> float | int:
     return checked(float(text) if is_float or len(text) > 20 else int(text))
 
 
-@FAMILY.declare()
+@declare()
 def str_cat(thread: ScriptThread, op1: Any, op2: Any) -> str:
     """Two values, converted by `to_str`, in one string."""
     return made(thread, to_str(op1) + to_str(op2))
 
 
-@FAMILY.declare()
+@declare()
 def str_len(thread: ScriptThread, str: Any) -> int:
     return len(string(str, "str_len: str"))
 
 
-@FAMILY.declare()
+@declare()
 def str_empty(thread: ScriptThread, str: Any) -> bool:
     return not string(str, "str_empty: str")
 
 
-@FAMILY.declare()
+@declare()
 def str_at(thread: ScriptThread, src: Any, index: Any) -> str:
     text = string(src, "str_at: src")
     at = integer(index, "str_at: index")
@@ -76,7 +72,7 @@ def str_at(thread: ScriptThread, src: Any, index: Any) -> str:
     return text[at]
 
 
-@FAMILY.declare()
+@declare()
 def str_sub(thread: ScriptThread, src: Any, index: Any, len: Any = 2**31 - 1) -> str:
     """At most `len` characters from `index` on."""
     text = string(src, "str_sub: src")
@@ -86,7 +82,7 @@ def str_sub(thread: ScriptThread, src: Any, index: Any, len: Any = 2**31 - 1) ->
     return made(thread, text[at : at + count])
 
 
-@FAMILY.declare()
+@declare()
 def str_find(thread: ScriptThread, src: Any, target: Any, start_from: Any = 0) -> int:
     """The index of `target`, or -1."""
     text, wanted = string(src, "str_find: src"), string(target, "str_find: target")
@@ -94,14 +90,14 @@ def str_find(thread: ScriptThread, src: Any, target: Any, start_from: Any = 0) -
     return text.find(wanted, integer(start_from, "str_find: start_from", 0))
 
 
-@FAMILY.declare()
+@declare()
 def integer_to_binary_list(thread: ScriptThread, x: Any) -> tuple[bool, ...]:
     """32 truth values, the lowest bit first."""
     value = integer(x, "integer_to_binary_list: x") & 0xFFFFFFFF
     return tuple([bool(value >> bit & 1) for bit in range(32)])
 
 
-@FAMILY.declare()
+@declare()
 def binary_list_to_integer(thread: ScriptThread, l: Any) -> int:  # noqa: E741
     """From up to 32 truth values, the lowest bit first; bit 31 is the sign."""
     if not is_list(l) or len(l) > 32:
@@ -110,14 +106,14 @@ def binary_list_to_integer(thread: ScriptThread, l: Any) -> int:  # noqa: E741
     return value - (1 << 32) if value >> 31 else value
 
 
-@FAMILY.declare(since="3.15/5.10")
+@declare(since="3.15/5.10")
 def make_list(thread: ScriptThread, length: Any, initial_value: Any, capacity: Any = 0) -> tuple[Any, ...]:
     """A list of `length` equal values. That `capacity` has no effect is a simplification."""
     count = integer(length, "make_list: length", 0, MAX_ELEMENTS)
     return list_of([initial_value] * count, thread.machine.charge)
 
 
-@FAMILY.declare()
+@declare()
 def sqrt(thread: ScriptThread, f: Any) -> float:
     x = number(f, "sqrt: f")
     if x < 0:
@@ -125,7 +121,7 @@ def sqrt(thread: ScriptThread, f: Any) -> float:
     return math.sqrt(x)
 
 
-@FAMILY.declare()
+@declare()
 def pow(thread: ScriptThread, base: Any, exponent: Any) -> float:
     """Always a float (a guess)."""
     x, y = float(number(base, "pow: base")), float(number(exponent, "pow: exponent"))
@@ -135,7 +131,7 @@ def pow(thread: ScriptThread, base: Any, exponent: Any) -> float:
         raise Fault(f"pow({x:g}, {y:g}) is no finite number") from None
 
 
-@FAMILY.declare()
+@declare()
 def exp(thread: ScriptThread, f: Any) -> float:
     try:
         return math.exp(number(f, "exp: f"))
@@ -143,7 +139,7 @@ def exp(thread: ScriptThread, f: Any) -> float:
         raise Fault("exp: floating point overflow") from None
 
 
-@FAMILY.declare()
+@declare()
 def log(thread: ScriptThread, b: Any, f: Any) -> float:
     """The logarithm of f to base b."""
     base, x = number(b, "log: b"), number(f, "log: f")
@@ -152,27 +148,27 @@ def log(thread: ScriptThread, b: Any, f: Any) -> float:
     return math.log(x) / math.log(base)
 
 
-@FAMILY.declare()
+@declare()
 def sin(thread: ScriptThread, f: Any) -> float:
     return math.sin(number(f, "sin: f"))
 
 
-@FAMILY.declare()
+@declare()
 def cos(thread: ScriptThread, f: Any) -> float:
     return math.cos(number(f, "cos: f"))
 
 
-@FAMILY.declare()
+@declare()
 def tan(thread: ScriptThread, f: Any) -> float:
     return math.tan(number(f, "tan: f"))
 
 
-@FAMILY.declare()
+@declare()
 def asin(thread: ScriptThread, f: Any) -> float:
     return math.asin(_of_an_angle(f, "asin"))
 
 
-@FAMILY.declare()
+@declare()
 def acos(thread: ScriptThread, f: Any) -> float:
     return math.acos(_of_an_angle(f, "acos"))
 
@@ -184,51 +180,51 @@ def _of_an_angle(f: Any, name: str) -> float:
     return x
 
 
-@FAMILY.declare()
+@declare()
 def atan(thread: ScriptThread, f: Any) -> float:
     return math.atan(number(f, "atan: f"))
 
 
-@FAMILY.declare()
+@declare()
 def atan2(thread: ScriptThread, x: Any, y: Any) -> float:
     """The angle of the sine x and the cosine y."""
     return math.atan2(number(x, "atan2: x"), number(y, "atan2: y"))
 
 
-@FAMILY.declare()
+@declare()
 def d2r(thread: ScriptThread, d: Any) -> float:
     return math.radians(number(d, "d2r: d"))
 
 
-@FAMILY.declare()
+@declare()
 def r2d(thread: ScriptThread, r: Any) -> float:
     return math.degrees(number(r, "r2d: r"))
 
 
-@FAMILY.declare()
+@declare()
 def floor(thread: ScriptThread, f: Any) -> float | int:
     return checked(math.floor(number(f, "floor: f")))
 
 
-@FAMILY.declare()
+@declare()
 def ceil(thread: ScriptThread, f: Any) -> float | int:
     return checked(math.ceil(number(f, "ceil: f")))
 
 
-@FAMILY.declare()
+@declare()
 def round(thread: ScriptThread, f: Any) -> float | int:
     """Round halves away from zero, as in C. This and the function itself are guesses."""
     x = number(f, "round: f")
     return checked(math.floor(abs(x) + 0.5) * (-1 if x < 0 else 1))
 
 
-@FAMILY.declare()
+@declare()
 def random(thread: ScriptThread) -> float:
     """From 0 to 1; the same numbers in every run of a program."""
     return thread.machine.random.random()
 
 
-@FAMILY.declare()
+@declare()
 def norm(thread: ScriptThread, a: Any) -> float | int:
     """The length of a vector, or the magnitude of a number."""
     if a.__class__ is int or a.__class__ is float:
@@ -238,12 +234,12 @@ def norm(thread: ScriptThread, a: Any) -> float | int:
     return checked(math.hypot(*items))
 
 
-@FAMILY.declare(since="3.14/5.9")
+@declare(since="3.14/5.9")
 def transpose(thread: ScriptThread, m: Any) -> Matrix:
     return transposed(m, thread.machine.charge)
 
 
-@FAMILY.declare()
+@declare()
 def normalize(thread: ScriptThread, v: Any) -> tuple[float, ...]:
     items = numbers(v, "normalize: v")
     thread.machine.charge(len(items))

@@ -12,12 +12,8 @@ from typing import Any
 from ..errors import Fault, type_error
 from ..machine import ScriptThread, Waiting
 from ..values import NUMBERS, type_name
-from .declaration import Family, integer, is_list, joints, number, pose, six
+from .declaration import declare, integer, is_list, joints, number, number_within, pose, six
 from .poses import solution
-
-__all__ = ["FAMILY"]
-
-FAMILY = Family()
 
 
 def _positive(value: Any, what: str) -> float:
@@ -52,28 +48,28 @@ def _pose(thread: ScriptThread, target: Any, what: str) -> Sequence[float]:
     return pose(target, what)
 
 
-@FAMILY.declare(takes_time=True, in_secondary=False)
+@declare(takes_time=True, in_secondary=False)
 def movej(thread: ScriptThread, q: Any, a: Any = 1.4, v: Any = 1.05, t: Any = 0, r: Any = 0) -> Waiting:
     target = _joints(thread, q, "movej: q")
     figures = _path("movej", a, v, t, r)
     return thread.machine.moving(thread, lambda: thread.world.motion.movej(target, *figures))
 
 
-@FAMILY.declare(takes_time=True, in_secondary=False)
+@declare(takes_time=True, in_secondary=False)
 def movel(thread: ScriptThread, pose: Any, a: Any = 1.2, v: Any = 0.25, t: Any = 0, r: Any = 0) -> Waiting:
     target = _pose(thread, pose, "movel: pose")
     figures = _path("movel", a, v, t, r)
     return thread.machine.moving(thread, lambda: thread.world.motion.movel(target, *figures))
 
 
-@FAMILY.declare(takes_time=True, in_secondary=False)
+@declare(takes_time=True, in_secondary=False)
 def movep(thread: ScriptThread, pose: Any, a: Any = 1.2, v: Any = 0.25, r: Any = 0) -> Waiting:
     target = _pose(thread, pose, "movep: pose")
     acceleration, speed, _, blend = _path("movep", a, v, 0, r)
     return thread.machine.moving(thread, lambda: thread.world.motion.movep(target, acceleration, speed, blend))
 
 
-@FAMILY.declare(takes_time=True, in_secondary=False)
+@declare(takes_time=True, in_secondary=False)
 def movec(
     thread: ScriptThread, pose_via: Any, pose_to: Any, a: Any = 1.2, v: Any = 0.25, r: Any = 0, mode: Any = 0
 ) -> Waiting:
@@ -83,7 +79,7 @@ def movec(
     return thread.machine.moving(thread, lambda: thread.world.motion.movec(via, to, acceleration, speed, blend, way))
 
 
-@FAMILY.declare(takes_time=True, in_secondary=False, since="5.22/10.8")
+@declare(takes_time=True, in_secondary=False, since="5.22/10.8")
 def optimovej(thread: ScriptThread, q: Any, a: Any = 0.3, v: Any = 0.3, r: Any = 0) -> Waiting:
     """As `movej`, with fractions of the lowest limits of the joints; no search for the fastest profile."""
     model = thread.world.kinematics.model
@@ -93,7 +89,7 @@ def optimovej(thread: ScriptThread, q: Any, a: Any = 0.3, v: Any = 0.3, r: Any =
     return thread.machine.moving(thread, lambda: thread.world.motion.movej(target, acceleration, speed, 0.0, blend))
 
 
-@FAMILY.declare(takes_time=True, in_secondary=False, since="5.22/10.8")
+@declare(takes_time=True, in_secondary=False, since="5.22/10.8")
 def optimovel(thread: ScriptThread, pose: Any, a: Any = 0.3, v: Any = 0.3, r: Any = 0) -> Waiting:
     """As `movel`, with fractions of 1 m/s and 2 m/s²; the reference values of a controller are not known."""
     target = _pose(thread, pose, "optimovel: pose")
@@ -118,22 +114,19 @@ def _path(name: str, a: Any, v: Any, t: Any, r: Any) -> tuple[float, float, floa
     return _positive(a, f"{name}: a"), _positive(v, f"{name}: v"), seconds, blend
 
 
-@FAMILY.declare(takes_time=True, in_secondary=False, until="3.0")
+@declare(takes_time=True, in_secondary=False, until="3.0")
 def servoj(thread: ScriptThread, q: Any, a: Any = 3, v: Any = 0.75, t: Any = 0) -> Waiting:
     """Of CB2, without lookahead time and gain; the drive gets zeros for them."""
     return _servoj(thread, q, a, v, t, 0.0, 0.0)
 
 
-@FAMILY.declare(name="servoj", takes_time=True, in_secondary=False, since="3.0")
+@declare(name="servoj", takes_time=True, in_secondary=False, since="3.0")
 def servoj_with_gain(
     thread: ScriptThread, q: Any, a: Any = 0, v: Any = 0, t: Any = 0, lookahead_time: Any = 0.1, gain: Any = 300
 ) -> Waiting:
     """The ranges of the last two are those of the manuals, as remembered."""
-    ahead, stiffness = number(lookahead_time, "servoj: lookahead_time"), number(gain, "servoj: gain")
-    if not 0.03 <= ahead <= 0.2:
-        raise Fault(f"servoj: lookahead_time is from 0.03 to 0.2, not {ahead:g}")
-    if not 100 <= stiffness <= 2000:
-        raise Fault(f"servoj: gain is from 100 to 2000, not {stiffness:g}")
+    ahead = number_within(lookahead_time, "servoj: lookahead_time", 0.03, 0.2)
+    stiffness = number_within(gain, "servoj: gain", 100, 2000)
     return _servoj(thread, q, a, v, t, ahead, stiffness)
 
 
@@ -146,7 +139,7 @@ def _servoj(thread: ScriptThread, q: Any, a: Any, v: Any, t: Any, ahead: float, 
     return thread.machine.moving(thread, lambda: thread.world.motion.servoj(target, seconds, ahead, stiffness))
 
 
-@FAMILY.declare(takes_time=True, in_secondary=False)
+@declare(takes_time=True, in_secondary=False)
 def servoc(thread: ScriptThread, pose: Any, a: Any = 1.2, v: Any = 0.25, r: Any = 0) -> Waiting:
     target = _pose(thread, pose, "servoc: pose")
     acceleration, speed, _, blend = _path("servoc", a, v, 0, r)
@@ -163,14 +156,14 @@ def _seconds(t: Any, what: str) -> float | None:
     return None if t is None or (t.__class__ in NUMBERS and t == 0) else _not_negative(t, what)
 
 
-@FAMILY.declare(takes_time=True, in_secondary=False)
+@declare(takes_time=True, in_secondary=False)
 def speedj(thread: ScriptThread, qd: Any, a: Any = 1.4, t: Any = None) -> Waiting:
     speeds = six(qd, "speedj: qd")
     acceleration, seconds = _change(a, "speedj: a"), _seconds(t, "speedj: t")
     return thread.machine.moving(thread, lambda: thread.world.motion.speedj(speeds, acceleration, seconds))
 
 
-@FAMILY.declare(takes_time=True, in_secondary=False)
+@declare(takes_time=True, in_secondary=False)
 def speedl(thread: ScriptThread, xd: Any, a: Any = 1.2, t: Any = None, aRot: Any = "a") -> Waiting:
     speeds = six(xd, "speedl: xd")
     acceleration, seconds = _change(a, "speedl: a"), _seconds(t, "speedl: t")
@@ -178,13 +171,13 @@ def speedl(thread: ScriptThread, xd: Any, a: Any = 1.2, t: Any = None, aRot: Any
     return thread.machine.moving(thread, lambda: thread.world.motion.speedl(speeds, acceleration, seconds, turning))
 
 
-@FAMILY.declare(takes_time=True, in_secondary=False)
+@declare(takes_time=True, in_secondary=False)
 def stopj(thread: ScriptThread, a: Any = 2.0) -> Waiting:
     acceleration = _positive(a, "stopj: a")
     return thread.machine.moving(thread, lambda: thread.world.motion.stopj(acceleration))
 
 
-@FAMILY.declare(takes_time=True, in_secondary=False)
+@declare(takes_time=True, in_secondary=False)
 def stopl(thread: ScriptThread, a: Any = 1.2, aRot: Any = "a") -> Waiting:
     acceleration = _positive(a, "stopl: a")
     turning = _turning(aRot, acceleration, "stopl: aRot")
@@ -200,7 +193,7 @@ def _turning(aRot: Any, a: float, what: str) -> float:
     return _positive(aRot, what)
 
 
-@FAMILY.declare()
+@declare()
 def is_steady(thread: ScriptThread) -> bool:
     """Whether the arm stands still; how long a real one must have done so is not modelled."""
     return thread.world.motion.is_standing

@@ -18,12 +18,8 @@ from urlink.kinematics import Unreachable
 from ..errors import Fault, type_error
 from ..machine import ScriptThread
 from ..matrices import rows_of
-from ..values import PoseValue, list_of, type_name
-from .declaration import Family, is_list, joints, number, pose, vector
-
-__all__ = ["FAMILY"]
-
-FAMILY = Family()
+from ..values import PoseValue, list_of
+from .declaration import declare, is_list, joints, number, pose, vector
 
 # Work of each, in elements of a list.
 _TRANSFORMATION, _FORWARD, _INVERSE = 20, 40, 400
@@ -31,17 +27,17 @@ _TRANSFORMATION, _FORWARD, _INVERSE = 20, 40, 400
 _NOWHERE = (0.0, 0.0, 0.0)
 
 
-@FAMILY.declare()
+@declare()
 def pose_trans(thread: ScriptThread, p_from: Any, p_from_to: Any) -> PoseValue:
     return _transformed(thread, pose(p_from, "pose_trans: p_from"), pose(p_from_to, "pose_trans: p_from_to"))
 
 
-@FAMILY.declare()
+@declare()
 def pose_inv(thread: ScriptThread, p_from: Any) -> PoseValue:
     return _inverse(thread, pose(p_from, "pose_inv: p_from"))
 
 
-@FAMILY.declare(since="3.0")
+@declare(since="3.0")
 def inv(thread: ScriptThread, m: Any) -> Any:
     """The inverse of a pose, as `pose_inv`; from 3.14 and 5.9 on also of a square matrix."""
     if m.__class__ is PoseValue or not thread.machine.has_matrices:
@@ -57,7 +53,7 @@ def inv(thread: ScriptThread, m: Any) -> Any:
     return list_of([list_of(row, thread.machine.charge) for row in inverse], thread.machine.charge)
 
 
-@FAMILY.declare(since="3.0")
+@declare(since="3.0")
 def wrench_trans(thread: ScriptThread, T_from_to: Any, w_from: Any) -> tuple[float, ...]:
     """A wrench of the first frame, expressed in the second: the torque is about the origin of the second.
 
@@ -71,32 +67,32 @@ def wrench_trans(thread: ScriptThread, T_from_to: Any, w_from: Any) -> tuple[flo
     return (*(turn @ wrench[:3]).tolist(), *(turn @ torque).tolist())
 
 
-@FAMILY.declare()
+@declare()
 def pose_add(thread: ScriptThread, p_1: Any, p_2: Any) -> PoseValue:
     a, b = pose(p_1, "pose_add: p_1"), pose(p_2, "pose_add: p_2")
     turned = _transformed(thread, [*_NOWHERE, *a[3:]], [*_NOWHERE, *b[3:]])
     return PoseValue([a[0] + b[0], a[1] + b[1], a[2] + b[2], *turned[3:]])
 
 
-@FAMILY.declare()
+@declare()
 def pose_sub(thread: ScriptThread, p_to: Any, p_from: Any) -> PoseValue:
     a, b = pose(p_to, "pose_sub: p_to"), pose(p_from, "pose_sub: p_from")
     turned = _transformed(thread, [*_NOWHERE, *a[3:]], _inverse(thread, [*_NOWHERE, *b[3:]]))
     return PoseValue([a[0] - b[0], a[1] - b[1], a[2] - b[2], *turned[3:]])
 
 
-@FAMILY.declare()
+@declare()
 def pose_dist(thread: ScriptThread, p_from: Any, p_to: Any) -> float:
     between = _transformed(thread, _inverse(thread, pose(p_from, "pose_dist: p_from")), pose(p_to, "pose_dist: p_to"))
     return math.hypot(*between)
 
 
-@FAMILY.declare()
+@declare()
 def point_dist(thread: ScriptThread, p_from: Any, p_to: Any) -> float:
     return math.dist(pose(p_from, "point_dist: p_from")[:3], pose(p_to, "point_dist: p_to")[:3])
 
 
-@FAMILY.declare()
+@declare()
 def interpolate_pose(thread: ScriptThread, p_from: Any, p_to: Any, alpha: Any) -> PoseValue:
     a, b = pose(p_from, "interpolate_pose: p_from"), pose(p_to, "interpolate_pose: p_to")
     x = number(alpha, "interpolate_pose: alpha")
@@ -104,34 +100,27 @@ def interpolate_pose(thread: ScriptThread, p_from: Any, p_to: Any, alpha: Any) -
     return PoseValue(poses.interpolate(a, b, x).tolist())
 
 
-@FAMILY.declare()
+@declare()
 def rotvec2rpy(thread: ScriptThread, rotation_vector: Any) -> tuple[float, ...]:
     """Roll, pitch and yaw of a rotation vector, about the fixed x, y and z axes in that order; rad."""
     return tuple(poses.rotvec_to_rpy(vector(rotation_vector, "rotvec2rpy: vector", 3)).tolist())
 
 
-@FAMILY.declare()
+@declare()
 def rpy2rotvec(thread: ScriptThread, rpy_vector: Any) -> tuple[float, ...]:
     thread.machine.spend(2 * _TRANSFORMATION)
     return tuple(poses.rpy_to_rotvec(vector(rpy_vector, "rpy2rotvec: vector", 3)).tolist())
 
 
-@FAMILY.declare()
+@declare()
 def get_forward_kin(thread: ScriptThread, q: Any = "current_joint_positions", tcp: Any = "active_tcp") -> PoseValue:
     world = thread.world
     thread.machine.spend(_FORWARD)
     where = world.q_actual if isinstance(q, str) else joints(q, "get_forward_kin: q")
-    return PoseValue(world.kinematics.forward(list(where), _tool(thread, tcp)).tolist())
+    return PoseValue(world.kinematics.forward(list(where), tcp_of(thread, tcp, "tcp")).tolist())
 
 
-@FAMILY.declare(since="1.0", until="3.0")
-def get_inverse_kin(
-    thread: ScriptThread, x: Any, qnear: Any = None, maxPositionError: Any = 1e-10, maxOrientationError: Any = 1e-10
-) -> tuple[float, ...]:
-    return _inverse_kin(thread, x, qnear, "active_tcp")
-
-
-@FAMILY.declare(name="get_inverse_kin", since="3.0")
+@declare(name="get_inverse_kin", since="3.0")
 def get_inverse_kin_tcp(
     thread: ScriptThread,
     x: Any,
@@ -140,18 +129,21 @@ def get_inverse_kin_tcp(
     maxOrientationError: Any = 1e-10,
     tcp: Any = "active_tcp",
 ) -> tuple[float, ...]:
-    return _inverse_kin(thread, x, qnear, tcp)
-
-
-def _inverse_kin(thread: ScriptThread, x: Any, qnear: Any, tcp: Any) -> tuple[float, ...]:
     found = solution(thread, pose(x, "get_inverse_kin: x"), _near(thread, qnear), tcp)
     if found is None:
         raise Fault("get_inverse_kin: unable to find an inverse kinematics solution")
     return tuple(found)
 
 
+@declare(until="3.0")
+def get_inverse_kin(
+    thread: ScriptThread, x: Any, qnear: Any = None, maxPositionError: Any = 1e-10, maxOrientationError: Any = 1e-10
+) -> tuple[float, ...]:
+    return get_inverse_kin_tcp(thread, x, qnear)
+
+
 # By one project's test matrix, 5.9.4 has it and 5.8.2 does not; that CB3 has it from 3.14 on is a guess.
-@FAMILY.declare(since="3.14/5.9")
+@declare(since="3.14/5.9")
 def get_inverse_kin_has_solution(
     thread: ScriptThread,
     pose: Any,
@@ -166,7 +158,7 @@ def get_inverse_kin_has_solution(
 _pose = pose
 
 
-@FAMILY.declare(since="3.0")
+@declare(since="3.0")
 def is_within_safety_limits(thread: ScriptThread, pose: Any) -> bool:
     """Whether joint positions or a pose are within the joint limits; the simulator has no safety planes."""
     q: Sequence[float] | None
@@ -184,7 +176,7 @@ def solution(thread: ScriptThread, x: Sequence[float], near: Sequence[float], tc
         # A controller takes any rotation vector; `Arm.inverse` takes those of up to one turn.
         turned = rigid.to_pose(rigid.from_pose(list(x)))
         found: list[float] = thread.world.kinematics.inverse(
-            turned, near, _tool(thread, tcp), is_limited=False
+            turned, near, tcp_of(thread, tcp, "tcp"), is_limited=False
         ).tolist()
     except Unreachable:
         return None
@@ -195,12 +187,9 @@ def _near(thread: ScriptThread, qnear: Any) -> list[float]:
     return list(thread.world.q_target) if qnear is None else joints(qnear, "qnear")
 
 
-def _tool(thread: ScriptThread, tcp: Any) -> list[float]:
-    if isinstance(tcp, str):
-        return list(thread.world.tcp)
-    if not isinstance(tcp, PoseValue):
-        raise type_error(f"tcp is a pose, not {type_name(tcp)}")
-    return pose(tcp, "tcp")
+def tcp_of(thread: ScriptThread, tcp: Any, what: str) -> list[float]:
+    """The TCP in the flange frame: a pose, or the active one for a string."""
+    return list(thread.world.tcp) if isinstance(tcp, str) else pose(tcp, what)
 
 
 def _transformed(thread: ScriptThread, first: Sequence[float], second: Sequence[float]) -> PoseValue:

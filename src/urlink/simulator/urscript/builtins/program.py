@@ -12,19 +12,17 @@ from typing import Any
 from ..errors import Fault
 from ..machine import ScriptThread, Waiting
 from ..values import to_str
-from .declaration import Family, boolean, number
+from .declaration import boolean, declare, number
 from .mathematics import made
 
-FAMILY = Family()
 
-
-@FAMILY.declare(takes_time=True, in_secondary=False)
+@declare(takes_time=True, in_secondary=False)
 def sync(thread: ScriptThread) -> Waiting:
     """Wait for the next cycle."""
     yield
 
 
-@FAMILY.declare(takes_time=True, in_secondary=False)
+@declare(takes_time=True, in_secondary=False)
 def sleep(thread: ScriptThread, t: Any) -> Waiting:
     """Wait `t` seconds, rounded up to whole cycles, at least one (a guess)."""
     seconds = number(t, "sleep: t")
@@ -40,18 +38,18 @@ def sleep(thread: ScriptThread, t: Any) -> Waiting:
             return
 
 
-@FAMILY.declare("exit_critical")
+@declare("exit_critical")
 def enter_critical(thread: ScriptThread) -> None:
     """Without effect; see `machine`."""
 
 
-@FAMILY.declare()
+@declare()
 def textmsg(thread: ScriptThread, s1: Any, s2: Any = "") -> None:
     """Send both arguments, converted by `to_str`, as one text."""
     thread.world.text_message(made(thread, to_str(s1) + to_str(s2)))
 
 
-@FAMILY.declare(takes_time=True)
+@declare(takes_time=True)
 def popup(
     thread: ScriptThread, s: Any, title: Any = "Popup", warning: Any = False, error: Any = False, blocking: Any = False
 ) -> Waiting:
@@ -68,14 +66,14 @@ def popup(
         yield
 
 
-@FAMILY.declare(takes_time=True, since="3.8/5.0")
+@declare(takes_time=True, since="3.8/5.0")
 def protective_stop(thread: ScriptThread) -> Waiting:
     """Make a protective stop; the program that moves the arm continues when it is unlocked (a guess)."""
     thread.world.protective_stop()
     yield
 
 
-@FAMILY.declare(takes_time=True, in_secondary=False, since="3.0")
+@declare(takes_time=True, in_secondary=False, since="3.0")
 def jump_to_label(thread: ScriptThread, label: Any) -> Waiting:
     """Go on at the node of the same function with this name, or number (a guess): `$ 3 "home"` before it in the text.
     The compiler emits an instruction instead; this is never called."""
@@ -85,36 +83,36 @@ def jump_to_label(thread: ScriptThread, label: Any) -> Waiting:
 # -- interpreter mode --------------------------------------------------------------------------------
 
 
-@FAMILY.declare(takes_time=True, in_secondary=False, since="5.10")
+@declare(takes_time=True, in_secondary=False, since="5.10")
 def interpreter_mode(thread: ScriptThread, clearQueueOnEnter: Any = True, clearOnEnd: Any = True) -> Waiting:
     """Run statements from clients of port 30020. The compiler emits instructions instead; this is never called."""
     yield
 
 
-@FAMILY.declare(since="5.10")
+@declare(since="5.10")
 def end_interpreter(thread: ScriptThread) -> None:
     """Leave interpreter mode after this statement."""
     thread.machine.statements.leave()
 
 
-@FAMILY.declare(since="5.10")
+@declare(since="5.10")
 def clear_interpreter(thread: ScriptThread) -> None:
     """Clear the statements that were begun, which makes room for others."""
     thread.machine.statements.clear()
 
 
-_NETWORK = [
-    "eip_reader_factory",
-    "eip_writer_factory",
-]
-#: In public programs, but in no manual as far as they are remembered.
-_UNKNOWN = ["tool_pose"]
-_CONVEYOR = [
-    "encoder_enable_pulse_decode",
-    "get_conveyor_tick_count",
-    "stop_conveyor_tracking",
-    "track_conveyor_linear",
-]
+#: Why not -> the functions.
+_UNMODELLED = {
+    "EtherNet/IP is": ("eip_reader_factory", "eip_writer_factory"),
+    "conveyors are": (
+        "encoder_enable_pulse_decode",
+        "get_conveyor_tick_count",
+        "stop_conveyor_tracking",
+        "track_conveyor_linear",
+    ),
+    # In public programs, but in no manual as far as they are remembered.
+    "what it gives is not known, and it is": ("tool_pose",),
+}
 
 
 def _unmodelled(name: str, what: str) -> Callable[..., Any]:
@@ -124,10 +122,6 @@ def _unmodelled(name: str, what: str) -> Callable[..., Any]:
     return stop
 
 
-for _names, _what in (
-    (_NETWORK, "EtherNet/IP is"),
-    (_CONVEYOR, "conveyors are"),
-    (_UNKNOWN, "what it gives is not known, and it is"),
-):
+for _what, _names in _UNMODELLED.items():
     for _name in _names:
-        FAMILY.declare(name=_name, since="3.0")(_unmodelled(_name, _what))
+        declare(name=_name, since="3.0")(_unmodelled(_name, _what))

@@ -2,116 +2,79 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from ..errors import MAX_INTEGER, MIN_INTEGER, Fault
 from ..machine import ScriptThread
 from ..values import PoseValue, list_of
-from .declaration import Family, integer, number, pose, string, vector
-
-__all__ = ["FAMILY"]
-
-FAMILY = Family()
+from ..world import ScriptWorld
+from .declaration import declare, integer, number, pose, string, vector
 
 # Work of recomputing the arm's state, as with another tool, in elements of a list.
 _LOOK = 400
 
-_List = tuple[float, ...]
+#: Name -> list or pose, what it has of the controller, and the first firmware with the function.
+_STATE: dict[str, tuple[type[tuple[float, ...]], Callable[[ScriptWorld], Sequence[float]], str]] = {
+    "get_actual_joint_positions": (tuple, lambda world: world.q_actual, "1.0"),
+    # The name occurs in a driver's program; that it means the actual positions is a guess.
+    "get_joint_positions": (tuple, lambda world: world.q_actual, "1.0"),
+    "get_actual_joint_speeds": (tuple, lambda world: world.qd_actual, "1.0"),
+    "get_target_joint_positions": (tuple, lambda world: world.q_target, "1.0"),
+    "get_target_joint_speeds": (tuple, lambda world: world.qd_target, "1.0"),
+    "get_target_joint_accelerations": (tuple, lambda world: world.qdd_target, "5.23/10.11"),
+    "get_joint_torques": (tuple, lambda world: world.torques, "1.0"),
+    # Of the target movement, gravity included. The name is a guess.
+    "get_target_joint_torques": (tuple, lambda world: world.torques, "5.23/10.11"),
+    "get_actual_tcp_pose": (PoseValue, lambda world: world.pose_actual, "1.0"),
+    "get_target_tcp_pose": (PoseValue, lambda world: world.pose_target, "1.0"),
+    "get_actual_tcp_speed": (tuple, lambda world: world.speed_actual, "1.0"),
+    "get_target_tcp_speed": (tuple, lambda world: world.speed_target, "3.0"),
+    "get_tcp_force": (tuple, lambda world: world.force, "1.0"),
+    "get_tcp_offset": (PoseValue, lambda world: world.tcp, "1.0"),
+    "get_target_payload_cog": (tuple, lambda world: world.payload_cog, "1.0"),
+    "get_payload_cog": (tuple, lambda world: world.payload_cog, "1.0"),
+    "get_target_payload_inertia": (tuple, lambda world: world.payload_inertia, "3.15/5.10"),
+}
 
 
-def _floats(values: Sequence[float]) -> _List:
-    return tuple([float(value) for value in values])
+def _reader(
+    kind: type[tuple[float, ...]], read: Callable[[ScriptWorld], Sequence[float]]
+) -> Callable[[ScriptThread], tuple[float, ...]]:
+    return lambda thread: kind([float(value) for value in read(thread.world)])
 
 
-# The name without "actual" occurs in a driver's program; that it means the actual positions is a guess.
-@FAMILY.declare("get_joint_positions")
-def get_actual_joint_positions(thread: ScriptThread) -> _List:
-    return _floats(thread.world.q_actual)
+for _name, (_kind, _read, _since) in _STATE.items():
+    declare(name=_name, since=_since)(_reader(_kind, _read))
 
 
-@FAMILY.declare()
-def get_actual_joint_speeds(thread: ScriptThread) -> _List:
-    return _floats(thread.world.qd_actual)
-
-
-@FAMILY.declare()
-def get_target_joint_positions(thread: ScriptThread) -> _List:
-    return _floats(thread.world.q_target)
-
-
-@FAMILY.declare()
-def get_target_joint_speeds(thread: ScriptThread) -> _List:
-    return _floats(thread.world.qd_target)
-
-
-@FAMILY.declare(since="5.23/10.11")
-def get_target_joint_accelerations(thread: ScriptThread) -> _List:
-    return _floats(thread.world.qdd_target)
-
-
-@FAMILY.declare(since="3.0")
-def get_actual_joint_positions_history(thread: ScriptThread, steps: Any = 0) -> _List:
+@declare(since="3.0")
+def get_actual_joint_positions_history(thread: ScriptThread, steps: Any = 0) -> tuple[float, ...]:
     """The joint positions of `steps` cycles ago; at most back to the program's start, and 500 cycles (a guess)."""
     past = thread.machine.history
     return past[-1 - min(integer(steps, "get_actual_joint_positions_history: steps", 0), len(past) - 1)]
 
 
-@FAMILY.declare()
-def get_joint_torques(thread: ScriptThread) -> _List:
-    return _floats(thread.world.torques)
-
-
-@FAMILY.declare()
-def get_actual_tcp_pose(thread: ScriptThread) -> PoseValue:
-    return PoseValue(_floats(thread.world.pose_actual))
-
-
-@FAMILY.declare()
-def get_target_tcp_pose(thread: ScriptThread) -> PoseValue:
-    return PoseValue(_floats(thread.world.pose_target))
-
-
-@FAMILY.declare()
-def get_actual_tcp_speed(thread: ScriptThread) -> _List:
-    return _floats(thread.world.speed_actual)
-
-
-@FAMILY.declare(since="3.0")
-def get_target_tcp_speed(thread: ScriptThread) -> _List:
-    return _floats(thread.world.speed_target)
-
-
-@FAMILY.declare(since="3.0")
+@declare(since="3.0")
 def get_target_waypoint(thread: ScriptThread) -> PoseValue:
     """The end of the present path move; without one, the target pose of the TCP (a guess)."""
     waypoint = thread.world.motion.waypoint
-    return PoseValue(_floats(thread.world.pose_target if waypoint is None else waypoint))
+    return PoseValue(map(float, thread.world.pose_target if waypoint is None else waypoint))
 
 
-@FAMILY.declare()
+@declare()
 def get_actual_tool_flange_pose(thread: ScriptThread) -> PoseValue:
     return PoseValue(thread.world.kinematics.forward(list(thread.world.q_actual)).tolist())
 
 
-@FAMILY.declare()
-def get_tcp_force(thread: ScriptThread) -> _List:
-    return _floats(thread.world.force)
-
-
-@FAMILY.declare()
+@declare()
 def force(thread: ScriptThread) -> float:
     """The magnitude of the force at the TCP, N."""
-    x, y, z = _floats(thread.world.force)[:3]
+    x, y, z = map(float, thread.world.force[:3])
     return float((x * x + y * y + z * z) ** 0.5)
 
 
-@FAMILY.declare()
-def get_tcp_offset(thread: ScriptThread) -> PoseValue:
-    return PoseValue(_floats(thread.world.tcp))
-
-
-@FAMILY.declare()
+@declare()
 def set_tcp(thread: ScriptThread, pose: Any) -> None:
     thread.machine.spend(_LOOK)
     thread.world.set_tcp(_pose(pose, "set_tcp: pose"))
@@ -120,13 +83,13 @@ def set_tcp(thread: ScriptThread, pose: Any) -> None:
 _pose = pose
 
 
-@FAMILY.declare()
+@declare()
 def set_payload(thread: ScriptThread, m: Any, cog: Any = None) -> None:
     """Without a centre of mass the controller uses the TCP (CB) or the flange."""
     thread.world.set_payload(_mass(m, "set_payload: m"), _cog(cog, "set_payload: cog"), None)
 
 
-@FAMILY.declare(since="3.15/5.10")
+@declare(since="3.15/5.10")
 def set_target_payload(thread: ScriptThread, m: Any, cog: Any, inertia: Any = None, transition_time: Any = 0) -> None:
     seconds = number(transition_time, "set_target_payload: transition_time")
     moments = None if inertia is None else vector(inertia, "set_target_payload: inertia", 6)
@@ -134,43 +97,33 @@ def set_target_payload(thread: ScriptThread, m: Any, cog: Any, inertia: Any = No
     thread.world.set_payload(mass, centre, moments, seconds)
 
 
-@FAMILY.declare()
+@declare()
 def set_payload_mass(thread: ScriptThread, m: Any) -> None:
     thread.world.set_payload(_mass(m, "set_payload_mass: m"), list(thread.world.payload_cog), None)
 
 
-@FAMILY.declare()
+@declare()
 def set_payload_cog(thread: ScriptThread, CoG: Any) -> None:
     thread.world.set_payload(thread.world.payload, _cog(CoG, "set_payload_cog: CoG"), None)
 
 
-@FAMILY.declare("get_payload")
+@declare("get_payload")
 def get_target_payload(thread: ScriptThread) -> float:
     return float(thread.world.payload)
 
 
-@FAMILY.declare("get_payload_cog")
-def get_target_payload_cog(thread: ScriptThread) -> _List:
-    return _floats(thread.world.payload_cog)
-
-
-@FAMILY.declare(since="3.15/5.10")
-def get_target_payload_inertia(thread: ScriptThread) -> _List:
-    return _floats(thread.world.payload_inertia)
-
-
-@FAMILY.declare()
+@declare()
 def set_gravity(thread: ScriptThread, d: Any) -> None:
     thread.world.set_gravity(vector(d, "set_gravity: d", 3))
 
 
-@FAMILY.declare()
+@declare()
 def get_steptime(thread: ScriptThread) -> float:
     return thread.world.period
 
 
 # In the manuals from 5.25.1 and 10.14 on; the vendor's examples for 5.23 call it.
-@FAMILY.declare(since="5.23/10.11")
+@declare(since="5.23/10.11")
 def get_rtde_value(thread: ScriptThread, name: Any) -> Any:
     """An RTDE output of the cycle before: a number, a truth value or a list. That a pose is a list is a guess."""
     value = thread.world.rtde_value(string(name, "get_rtde_value: name"))

@@ -12,19 +12,15 @@ end the program (a guess).
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from linkcore.wire.fields import Since
 
-from ...registers import BITS, NUMBERS, Action, Bank
+from ...registers import BITS, NUMBERS, Action
 from ...robot.signals import KINDS, READ_AND_WRITE, ModbusSignal
 from ..errors import Fault, type_error
 from ..machine import ScriptThread
-from .declaration import Family, boolean, integer, is_list, number, string, vector
-
-__all__ = ["FAMILY"]
-
-FAMILY = Family()
+from .declaration import boolean, declare, integer, is_list, number, number_within, string, vector
 
 _Kind = Literal["boolean", "integer", "float"]
 
@@ -40,18 +36,15 @@ def _address(thread: ScriptThread, address: Any, kind: _Kind, what: str) -> int:
     return integer(address, f"{what}: address", 0, count - 1)
 
 
-def _read(bank: Bank, kind: _Kind, at: int) -> bool | int | float:
-    if kind == "boolean":
-        return bool(bank.bits >> at & 1)
-    # Tests write numpy numbers too, which the machine does not accept as numbers.
-    return int(bank.integers[at]) if kind == "integer" else float(bank.floats[at])
-
-
 def _reader(name: str, kind: _Kind, *, is_input: bool) -> Callable[..., bool | int | float]:
     def read(thread: ScriptThread, address: Any) -> bool | int | float:
         registers = thread.world.registers
         bank = registers.inputs if is_input else registers.outputs
-        return _read(bank, kind, _address(thread, address, kind, name))
+        at = _address(thread, address, kind, name)
+        if kind == "boolean":
+            return bool(bank.bits >> at & 1)
+        # Tests write numpy numbers too, which the machine does not accept as numbers.
+        return int(bank.integers[at]) if kind == "integer" else float(bank.floats[at])
 
     return read
 
@@ -70,18 +63,16 @@ def _writer(name: str, kind: _Kind) -> Callable[..., None]:
     return write
 
 
-_KINDS: tuple[_Kind, ...] = ("boolean", "integer", "float")
-
 # RTDE has them from 3.4 on; whether programs have them from 3.0 on is not known, so they are allowed.
-for _kind in _KINDS:
+for _kind in get_args(_Kind):
     for _direction in ("input", "output"):
         _name = f"read_{_direction}_{_kind}_register"
-        FAMILY.declare(name=_name, since="3.0")(_reader(_name, _kind, is_input=_direction == "input"))
+        declare(name=_name, since="3.0")(_reader(_name, _kind, is_input=_direction == "input"))
     _name = f"write_output_{_kind}_register"
-    FAMILY.declare(name=_name, since="3.0")(_writer(_name, _kind))
+    declare(name=_name, since="3.0")(_writer(_name, _kind))
 
 
-@FAMILY.declare(since="3.0")
+@declare(since="3.0")
 def rtde_set_watchdog(thread: ScriptThread, variable_name: Any, min_frequency: Any, action: Any = "pause") -> None:
     """Require the variable `min_frequency` times a second from now on, or take the action."""
     variable = string(variable_name, "rtde_set_watchdog: variable_name")
@@ -102,7 +93,7 @@ def _signal(thread: ScriptThread, name: Any, what: str) -> ModbusSignal:
     return found
 
 
-@FAMILY.declare(since="3.0")
+@declare(since="3.0")
 def modbus_add_signal(
     thread: ScriptThread,
     IP: Any,
@@ -123,7 +114,7 @@ def modbus_add_signal(
     thread.world.modbus.add(string(signal_name, f"{what}: signal_name"), signal)
 
 
-@FAMILY.declare(since="5.0")
+@declare(since="5.0")
 def modbus_add_rw_signal(
     thread: ScriptThread,
     IP: Any,
@@ -154,13 +145,13 @@ def modbus_add_rw_signal(
     thread.world.modbus.add(string(signal_name, f"{what}: signal_name"), signal)
 
 
-@FAMILY.declare(since="3.0")
+@declare(since="3.0")
 def modbus_delete_signal(thread: ScriptThread, signal_name: Any) -> bool:
     """Delete a signal; False if there is none."""
     return thread.world.modbus.delete(string(signal_name, "modbus_delete_signal: signal_name"))
 
 
-@FAMILY.declare(since="3.0")
+@declare(since="3.0")
 def modbus_get_signal_status(thread: ScriptThread, signal_name: Any, is_secondary_program: Any = False) -> Any:
     """True or False for a digital signal, a number for a register, a list of numbers for several."""
     signal = _signal(thread, signal_name, "modbus_get_signal_status")
@@ -174,7 +165,7 @@ def _set(thread: ScriptThread, name: Any, value: Any, what: str, is_digital: boo
     thread.world.modbus[str(name)] = value
 
 
-@FAMILY.declare(since="3.0")
+@declare(since="3.0")
 def modbus_set_output_signal(
     thread: ScriptThread, signal_name: Any, digital_value: Any, is_secondary_program: Any = False
 ) -> None:
@@ -182,7 +173,7 @@ def modbus_set_output_signal(
     _set(thread, signal_name, int(boolean(digital_value, f"{what}: digital_value")), what, True)
 
 
-@FAMILY.declare(since="3.0")
+@declare(since="3.0")
 def modbus_set_output_register(
     thread: ScriptThread, signal_name: Any, register_value: Any, is_secondary_program: Any = False
 ) -> None:
@@ -195,42 +186,40 @@ def modbus_set_output_register(
     signal.written = tuple([integer(number, f"{what}: register_value", 0, 65535) for number in numbers])
 
 
-@FAMILY.declare(since="3.0")
+@declare(since="3.0")
 def modbus_set_signal_update_frequency(thread: ScriptThread, signal_name: Any, update_frequency: Any) -> None:
     what = "modbus_set_signal_update_frequency"
-    frequency = number(update_frequency, f"{what}: update_frequency")
-    if not 0 <= frequency <= 125:
-        raise Fault(f"{what}: update_frequency is from 0 to 125, not {frequency:g}")
+    frequency = number_within(update_frequency, f"{what}: update_frequency", 0, 125)
     _signal(thread, signal_name, what).frequency = frequency
 
 
-@FAMILY.declare(since="3.0")
+@declare(since="3.0")
 def modbus_set_signal_watchdog(thread: ScriptThread, signal_name: Any, is_watched: Any) -> None:
     """Stored in the signal; a failure does not stop a program here."""
     what = "modbus_set_signal_watchdog"
     _signal(thread, signal_name, what).watchdog = boolean(is_watched, f"{what}: is_watched")
 
 
-@FAMILY.declare(since="3.0")
+@declare(since="3.0")
 def modbus_set_runstate_dependent_choice(thread: ScriptThread, signal_name: Any, runstate_choice: Any) -> None:
     """Stored in the signal; outputs keep their values here, whether a program runs or not."""
     what = "modbus_set_runstate_dependent_choice"
     _signal(thread, signal_name, what).choice = integer(runstate_choice, f"{what}: runstate_choice", 0, 4)
 
 
-@FAMILY.declare(since="3.0")
+@declare(since="3.0")
 def modbus_get_error(thread: ScriptThread, signal_name: Any) -> int:
     return _signal(thread, signal_name, "modbus_get_error").error
 
 
-@FAMILY.declare(since="3.0")
+@declare(since="3.0")
 def modbus_get_time_since_signal_invalid(thread: ScriptThread, signal_name: Any) -> float:
     """s; 0 for a valid signal."""
     signal = _signal(thread, signal_name, "modbus_get_time_since_signal_invalid")
     return thread.world.modbus.seconds_invalid(signal)
 
 
-@FAMILY.declare(since="3.0")
+@declare(since="3.0")
 def modbus_send_custom_command(thread: ScriptThread, IP: Any, slave_number: Any, function_code: Any, data: Any) -> None:
     """The arguments are checked; nothing is sent."""
     what = "modbus_send_custom_command"

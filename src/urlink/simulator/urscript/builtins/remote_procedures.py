@@ -19,16 +19,14 @@ from linkcore.wire.http import HttpParser, HttpRequest, HttpResponse
 from ..errors import MAX_NESTING, MAX_STRING, Fault, type_error
 from ..machine import ScriptThread, Waiting
 from ..values import Charge, PoseValue, RpcHandle, Struct, checked, list_of, struct_of, type_name
-from .declaration import Family, string
-
-FAMILY = Family()
+from .declaration import declare, string
 
 #: Seconds that a call may take.
 TIMEOUT = 30.0
 _POSE = ("x", "y", "z", "rx", "ry", "rz")
 
 
-@FAMILY.declare(since="3.0")
+@declare(since="3.0")
 def rpc_factory(thread: ScriptThread, type: Any, url: Any) -> RpcHandle:
     """A handle with the methods of a server; no connection is opened before the first call."""
     if string(type, "rpc_factory: type") != "xmlrpc":

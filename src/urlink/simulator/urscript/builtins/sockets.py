@@ -21,12 +21,8 @@ from typing import Any
 from ..errors import MAX_STRING, Fault
 from ..machine import ScriptThread, Waiting
 from ..values import to_str
-from .declaration import Family, boolean, integer, number, string
+from .declaration import boolean, declare, integer, number, string
 from .mathematics import made
-
-__all__ = ["FAMILY"]
-
-FAMILY = Family()
 
 _NAME = "socket_0"
 _CONNECTING = 2.0
@@ -40,7 +36,7 @@ _NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,
 # -- opening and closing -----------------------------------------------------------------------------
 
 
-@FAMILY.declare(takes_time=True)
+@declare(takes_time=True)
 def socket_open(thread: ScriptThread, address: Any, port: Any, socket_name: Any = _NAME) -> Waiting:
     """True once connected; False otherwise."""
     name, sockets = string(socket_name, "socket_open: socket_name"), thread.world.sockets
@@ -57,7 +53,7 @@ def socket_open(thread: ScriptThread, address: Any, port: Any, socket_name: Any 
     return False
 
 
-@FAMILY.declare()
+@declare()
 def socket_close(thread: ScriptThread, socket_name: Any = _NAME) -> None:
     thread.world.sockets.close(string(socket_name, "socket_close: socket_name"))
 
@@ -74,27 +70,27 @@ def _bytes(text: str) -> bytes:
     return text.encode("latin-1", "replace")
 
 
-@FAMILY.declare()
+@declare()
 def socket_send_string(thread: ScriptThread, str: Any, socket_name: Any = _NAME) -> bool:
     return _send(thread, socket_name, _bytes(to_str(str)))
 
 
-@FAMILY.declare()
+@declare()
 def socket_send_line(thread: ScriptThread, str: Any, socket_name: Any = _NAME) -> bool:
     return _send(thread, socket_name, _bytes(to_str(str)) + b"\n")
 
 
-@FAMILY.declare()
+@declare()
 def socket_send_byte(thread: ScriptThread, value: Any, socket_name: Any = _NAME) -> bool:
     return _send(thread, socket_name, bytes([integer(value, "socket_send_byte: value", 0, 255)]))
 
 
-@FAMILY.declare()
+@declare()
 def socket_send_int(thread: ScriptThread, value: Any, socket_name: Any = _NAME) -> bool:
     return _send(thread, socket_name, integer(value, "socket_send_int: value").to_bytes(4, "big", signed=True))
 
 
-@FAMILY.declare()
+@declare()
 def socket_set_var(thread: ScriptThread, name: Any, value: Any, socket_name: Any = _NAME) -> bool:
     """The manual speaks of integers; public programs pass other numbers, of which `to_str` gives the text (a guess)."""
     what, new = string(name, "socket_set_var: name"), number(value, "socket_set_var: value")
@@ -104,10 +100,10 @@ def socket_set_var(thread: ScriptThread, name: Any, value: Any, socket_name: Any
 # -- reading -----------------------------------------------------------------------------------------
 
 
-def _await(thread: ScriptThread, name: str, timeout: Any, is_there: Callable[[bytearray], bool]) -> Waiting:
+def _await(thread: ScriptThread, socket_name: Any, timeout: Any, is_there: Callable[[bytearray], bool]) -> Waiting:
     """The receive buffer once `is_there` is true for it; None on a timeout, or if the socket is not open."""
     sockets = thread.world.sockets
-    seconds = number(timeout, "timeout")
+    name, seconds = string(socket_name, "socket_name"), number(timeout, "timeout")
     if thread.machine.reads >= _READS:
         yield
     thread.machine.reads += 1
@@ -125,39 +121,45 @@ def _await(thread: ScriptThread, name: str, timeout: Any, is_there: Callable[[by
         yield
 
 
-def _count(value: Any, what: str) -> int:
-    return integer(value, what, 1, _MOST)
+def _read_line(thread: ScriptThread, socket_name: Any, timeout: Any) -> Waiting:
+    """A line without its line feed, which is consumed; None as by `_await`."""
+    buffer = yield from _await(thread, socket_name, timeout, lambda data: b"\n" in data)
+    if buffer is None:
+        return None
+    line = bytes(buffer[: buffer.index(b"\n")])
+    del buffer[: len(line) + 1]
+    return line
 
 
-@FAMILY.declare(takes_time=True)
-def socket_read_binary_integer(
-    thread: ScriptThread, number: Any, socket_name: Any = _NAME, timeout: Any = 2
-) -> Waiting:
-    count = _count(number, "socket_read_binary_integer: number")
-    buffer = yield from _await(thread, string(socket_name, "socket_name"), timeout, lambda data: len(data) >= 4 * count)
+def _read_numbers(thread: ScriptThread, count: int, code: str, socket_name: Any, timeout: Any) -> Waiting:
+    """A list of `count` and the numbers, each of the format `code` of `struct`."""
+    layout = struct.Struct(f">{count}{code}")
+    buffer = yield from _await(thread, socket_name, timeout, lambda data: len(data) >= layout.size)
     if buffer is None:
         return (0, *[-1] * count)
-    numbers = struct.unpack_from(f">{count}i", buffer)
-    del buffer[: 4 * count]
+    numbers = layout.unpack_from(buffer)
+    del buffer[: layout.size]
     return (count, *numbers)
 
 
-@FAMILY.declare(takes_time=True)
+@declare(takes_time=True)
+def socket_read_binary_integer(
+    thread: ScriptThread, number: Any, socket_name: Any = _NAME, timeout: Any = 2
+) -> Waiting:
+    count = integer(number, "socket_read_binary_integer: number", 1, _MOST)
+    return _read_numbers(thread, count, "i", socket_name, timeout)
+
+
+@declare(takes_time=True)
 def socket_read_byte_list(thread: ScriptThread, number: Any, socket_name: Any = _NAME, timeout: Any = 2) -> Waiting:
-    count = _count(number, "socket_read_byte_list: number")
-    buffer = yield from _await(thread, string(socket_name, "socket_name"), timeout, lambda data: len(data) >= count)
-    if buffer is None:
-        return (0, *[-1] * count)
-    data = bytes(buffer[:count])
-    del buffer[:count]
-    return (count, *data)
+    count = integer(number, "socket_read_byte_list: number", 1, _MOST)
+    return _read_numbers(thread, count, "B", socket_name, timeout)
 
 
-@FAMILY.declare(takes_time=True)
+@declare(takes_time=True)
 def socket_read_ascii_float(thread: ScriptThread, number: Any, socket_name: Any = _NAME, timeout: Any = 2) -> Waiting:
-    count = _count(number, "socket_read_ascii_float: number")
-    name = string(socket_name, "socket_name")
-    buffer = yield from _await(thread, name, timeout, lambda data: b")" in data)
+    count = integer(number, "socket_read_ascii_float: number", 1, _MOST)
+    buffer = yield from _await(thread, socket_name, timeout, lambda data: b")" in data)
     found: list[float] = []
     if buffer is not None:
         end = buffer.index(b")")
@@ -172,18 +174,14 @@ def socket_read_ascii_float(thread: ScriptThread, number: Any, socket_name: Any 
     return (len(found), *found, *[math.nan] * (count - len(found)))
 
 
-@FAMILY.declare(takes_time=True)
+@declare(takes_time=True)
 def socket_read_line(thread: ScriptThread, socket_name: Any = _NAME, timeout: Any = 2) -> Waiting:
     """A line without its line feed and a carriage return before it, both consumed; empty on a timeout."""
-    buffer = yield from _await(thread, string(socket_name, "socket_name"), timeout, lambda data: b"\n" in data)
-    if buffer is None:
-        return ""
-    line = bytes(buffer[: buffer.index(b"\n")])
-    del buffer[: len(line) + 1]
-    return made(thread, line.removesuffix(b"\r").decode("latin-1"))
+    line = yield from _read_line(thread, socket_name, timeout)
+    return "" if line is None else made(thread, line.removesuffix(b"\r").decode("latin-1"))
 
 
-@FAMILY.declare(takes_time=True)
+@declare(takes_time=True)
 def socket_read_string(
     thread: ScriptThread,
     socket_name: Any = _NAME,
@@ -202,7 +200,7 @@ def socket_read_string(
         at = data.find(first)
         return bool(data) and at >= 0 and (not last or data.find(last, at + len(first)) >= 0)
 
-    buffer = yield from _await(thread, string(socket_name, "socket_name"), timeout, is_there)
+    buffer = yield from _await(thread, socket_name, timeout, is_there)
     if buffer is None:
         return ""
     begin_at = buffer.find(first) + len(first)
@@ -216,17 +214,15 @@ def _unescaped(text: str) -> str:
     return text.replace("\\n", "\n").replace("\\r", "\r").replace("\\t", "\t")
 
 
-@FAMILY.declare(takes_time=True)
+@declare(takes_time=True)
 def socket_get_var(thread: ScriptThread, name: Any, socket_name: Any = _NAME, timeout: Any = 2) -> Waiting:
     """Send `GET name`; returns the integer of the reply `name value`, or 0 without a reply (a guess)."""
     what = string(name, "socket_get_var: name")
     if not _send(thread, socket_name, _bytes(f"GET {what}\n")):
         return 0
-    buffer = yield from _await(thread, string(socket_name, "socket_name"), timeout, lambda data: b"\n" in data)
-    if buffer is None:
+    line = yield from _read_line(thread, socket_name, timeout)
+    if line is None:
         return 0
-    line = bytes(buffer[: buffer.index(b"\n")])
-    del buffer[: len(line) + 1]
     key, _, value = line.decode("latin-1").strip().rpartition(" ")
     if key != what or not re.fullmatch(r"[+-]?[0-9]{1,10}", value):
         raise Fault(f"socket_get_var: '{what} <integer>' was expected as a reply")
