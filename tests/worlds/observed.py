@@ -32,6 +32,7 @@ from urlink.motion.setpoints import MESSAGE_SIZE, STOP_MESSAGE, WAIT_MESSAGE
 from urlink.robot import Robot
 from urlink.rtde import Rtde
 from urlink.simulator import Controller
+from urlink.simulator.ports.port import ScriptReceiver
 from urlink.simulator.programs.pendant import Pendant
 from urlink.simulator.programs.program_world import ProgramWorld
 from urlink.urscript import wrapping
@@ -213,7 +214,7 @@ class Observed:
             (Pendant, "play", self._play),
             (runner, "start", self._begun),
             (runner, "_ended", self._over),
-            (self._controller, "_script_receiver", self._receiver),
+            (ScriptReceiver, "__init__", self._receiver),
         ]
         with contextlib.ExitStack() as stack:
             for owner, name, wrap in around:
@@ -413,23 +414,20 @@ class Observed:
 
     # -- the controller ----------------------------------------------------------------------------------
 
-    def _receiver(self, make: Callable[..., Any]) -> Callable[..., Any]:
-        def wrapped(port: str, client: Any) -> Any:
-            receiver = make(port, client)
+    def _receiver(self, make: Callable[..., None]) -> Callable[..., None]:
+        def wrapped(receiver: ScriptReceiver, client: Any, counters: Any, on_line: Any, on_program: Any) -> None:
             host = client.connection.peer[0]
-            taken = receiver._on_program
 
-            def on_program(text: str) -> bool:
+            def taken(text: str) -> bool:
                 if text.startswith("sec urlink_permission"):
                     for sent in self.programs.values():
                         is_its = sent.grant == text and sent.computer.address == host
                         if is_its and sent.begun is not None and sent.over is None:
                             sent.granted = self._sim.now
-                has_taken: bool = taken(text)
+                has_taken: bool = on_program(text)
                 return has_taken
 
-            receiver._on_program = on_program
-            return receiver
+            make(receiver, client, counters, on_line, taken)
 
         return wrapped
 
