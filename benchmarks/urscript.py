@@ -26,7 +26,7 @@ from contextlib import closing
 from urlink.firmware import Firmware
 from urlink.interfaces.enums import ProgramState
 from urlink.kinematics import Arm
-from urlink.motion.setpoints import STOP_MESSAGE, setpoint
+from urlink.motion.setpoints import STOP_MESSAGE, dated, setpoint
 from urlink.simulator import Controller, Still
 from urlink.simulator.urscript import compile_script
 from urlink.simulator.urscript.errors import MAX_TOKENS
@@ -109,14 +109,14 @@ def streaming(model: str, firmware: str) -> float:
         )
         with closing(connected(controller, listener)) as link:
             cycles = round(SECONDS * rate)
-            messages = [setpoint(joint_path(n / rate), joint_speeds(n / rate)) for n in range(cycles)]
+            messages = [dated(setpoint(joint_path(n / rate), joint_speeds(n / rate)), n) for n in range(cycles)]
             began = time.process_time()
             for message in messages:
                 link.send(message)
                 controller.step()
             taken = time.process_time() - began
             check(controller.arm.setpoint.q, joint_path(SECONDS), within=0.05)
-            link.send(STOP_MESSAGE)
+            link.send(dated(STOP_MESSAGE, cycles))
             controller.step(rate)
     if is_running(controller):
         raise SystemExit("the streaming program did not end")
