@@ -68,22 +68,6 @@ class Selection:
         cells: their words, as an index of the table's flat storage.
     """
 
-    __slots__ = (
-        "_expected",
-        "_key",
-        "_stamped",
-        "_stride",
-        "_valued",
-        "at",
-        "cells",
-        "ids",
-        "is_ordered",
-        "rows",
-        "size",
-        "starts",
-        "width",
-    )
-
     def __init__(self, layout: TableLayout, ids: Ids, width: int) -> None:
         count = len(ids)
         head = 1 + width  # words of an entry before its data: id and stamp
