@@ -9,7 +9,7 @@ milliseconds of a loop.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,12 @@ _LOW = 0xFFFFFFFF
 _REMEMBERED = 8
 
 K = TypeVar("K")
+
+
+def read_only(array: NDArray[Any]) -> NDArray[Any]:
+    """The same array, which nobody can change any more by it."""
+    array.flags.writeable = False
+    return array
 
 
 class TableLayout:
