@@ -286,7 +286,7 @@ class Dynamics:
 
     def _inertias(self, frames: list[Rigid[Number]]) -> list[_Inertia[Number]]:
         """Of each link about the origin of the base."""
-        return [_inertia(frame, *body) for frame, body in zip(frames, self._bodies, strict=True)]
+        return [_inertia(frame, body) for frame, body in zip(frames, self._bodies, strict=True)]
 
 
 _ZERO = np.zeros(6)
@@ -306,16 +306,10 @@ def _axes(frames: list[Rigid[Number]]) -> list[_Spatial[Number]]:
     return found
 
 
-def _inertia(
-    frame: Rigid[Number],
-    mass: float,
-    cog: tuple[float, float, float],
-    tensor: tuple[float, float, float, float, float, float],
-) -> _Inertia[Number]:
+def _inertia(frame: Rigid[Number], body: _Body) -> _Inertia[Number]:
     """The inertia of a body about the origin of the base, in the base frame."""
     r00, r01, r02, r10, r11, r12, r20, r21, r22, px, py, pz = frame
-    cx, cy, cz = cog
-    ixx, ixy, ixz, iyy, iyz, izz = tensor
+    mass, (cx, cy, cz), (ixx, ixy, ixz, iyy, iyz, izz) = body
     x = r00 * cx + r01 * cy + r02 * cz + px
     y = r10 * cx + r11 * cy + r12 * cz + py
     z = r20 * cx + r21 * cy + r22 * cz + pz

@@ -187,12 +187,7 @@ class RobotApi:
         return self._programs("GET", quote(_argument("download_program", name), safe=""), firmware).body
 
     def upload(
-        self,
-        file_name: str,
-        content: bytes,
-        replaces: bool,
-        firmware: Firmware,
-        given_up: Callable[[], object] | None,
+        self, file_name: str, content: bytes, replaces: bool, firmware: Firmware, given_up: Callable[[], object] | None
     ) -> str | None:
         """Store another one, or replace one; the name that the controller says it has. Raises as `do`."""
         form = encode_form(file_name, content)
