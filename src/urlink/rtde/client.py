@@ -6,7 +6,7 @@ import threading
 import time
 import weakref
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, Literal, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args, overload
 
 from linkcore.arguments import check_choice
 from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError
@@ -115,7 +115,7 @@ class Rtde:
             BadRecording: the recording holds no RTDE, or not these variables.
             Closed: the robot was closed.
         """
-        check_choice(missing, "missing", ("error", "leave_out"))
+        check_choice(missing, "missing", get_args(Missing))
         kind: type[Outputs] = Outputs
         optional: frozenset[str] = frozenset()
         if len(names) == 1 and isinstance(names[0], type):
