@@ -19,7 +19,7 @@ far more than that of the links. Friction is not in it, as it is not in a contro
 
 from __future__ import annotations
 
-from typing import cast
+from itertools import accumulate
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -275,10 +275,9 @@ class Dynamics:
         """Row by row, from the inertia of all that a joint carries (composite rigid bodies)."""
         axes = _axes(frames)
         table: list[list[Number]] = [[axes[0][0]] * 6 for _ in range(6)]
-        carried: _Inertia[Number] | None = None
-        for i, inertia in reversed(list(enumerate(self._inertias(frames)))):
-            carried = inertia if carried is None else cast("_Inertia[Number]", _added(carried, inertia))
-            momentum = _momentum(carried, axes[i])
+        carried = accumulate(reversed(self._inertias(frames)), _added)
+        for i, inertia in zip(range(5, -1, -1), carried, strict=True):
+            momentum = _momentum(inertia, axes[i])
             for j in range(i + 1):
                 table[i][j] = table[j][i] = _dot(axes[j], momentum)
             table[i][i] = table[i][i] + self._rotors[i]
