@@ -451,11 +451,8 @@ class Sockets:
 
     def addresses(self, host: Any, port: Any, family: int = 0, type: int = 0, proto: int = 0, flags: int = 0) -> Any:
         """`socket.getaddrinfo`."""
-        name = (
-            host.decode()
-            if isinstance(host, bytes)
-            else host or ("0.0.0.0" if flags & _socket.AI_PASSIVE else "127.0.0.1")
-        )
+        name = host.decode() if isinstance(host, bytes) else host
+        name = name or ("0.0.0.0" if flags & _socket.AI_PASSIVE else "127.0.0.1")
         found = self.network.find(name, self.computer())
         is_numeric = name.replace(".", "").isdigit()
         if not is_numeric and (found is None or flags & _socket.AI_NUMERICHOST):
