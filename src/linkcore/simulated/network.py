@@ -61,8 +61,11 @@ class Computer:
     Attributes:
         name, address: how it is called.
         rate: seconds of its clock for one of the simulation; 1.0001 is 100 ppm fast.
+        offset: seconds that its clock had when the simulation began.
+        is_running: its process is not suspended.
         is_on: whether it has power: without, it takes and sends no packet, and has forgotten its connections.
         is_in_c: whether a function in C holds the interpreter's lock of its program.
+        held: tasks that could run if its process did.
     """
 
     name: str

@@ -415,9 +415,7 @@ class Sockets:
     def computer(self) -> Computer:
         """That of the task that runs."""
         assert self.scheduler.running is not None
-        process = self.scheduler.running.process
-        assert isinstance(process, Computer)
-        return process
+        return self.scheduler.running.computer
 
     def open(self, opened: Pollable) -> int:
         number = _FIRST
