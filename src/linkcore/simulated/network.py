@@ -12,9 +12,12 @@ import itertools
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from .scheduler import Scheduler, Task
+
+if TYPE_CHECKING:
+    from .sockets import Socket
 
 #: Bytes that a kernel holds for one direction of a connection, at each end.
 BUFFER = 128 * 1024
@@ -41,13 +44,6 @@ class Route:
     jitter: float = 5e-5
     bandwidth: float = 125e6
     is_silent: bool = False
-
-
-class Watched(Protocol):
-    """Something that tasks wait for."""
-
-    def changed(self) -> None:
-        """Look again."""
 
 
 #: Above every number that Linux gives a process, 2**22 at most.
@@ -140,7 +136,7 @@ class Listener:
     computer: Computer
     port: int
     backlog: int
-    owner: Watched
+    owner: Socket
     accepted: deque[End] = field(default_factory=deque)
 
     def close(self) -> None:
@@ -175,7 +171,7 @@ class End:
         self.peer_name: tuple[str, int] = ("", 0)
         self.connecting_to: Computer | None = None
         self.refuse: Callable[[], object] = lambda: None
-        self.owner: Watched | None = None
+        self.owner: Socket | None = None
         self.received = bytearray()
         self.error = 0
         self.is_connected = False
