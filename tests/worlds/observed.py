@@ -138,7 +138,6 @@ def here() -> Computer:
     """The computer whose thread runs."""
     scheduler = current()
     assert scheduler is not None
-    assert scheduler.running is not None
     return scheduler.running.computer
 
 

@@ -122,7 +122,7 @@ class Scheduler:
         self._is_choosing = False
         # Released by a thread that `end` has ended.
         self._ended = allocate_lock()
-        self.running: Task | None = None
+        self.running: Task  # since `adopt`
         #: of the thread that runs
         self.ident = 0
         self._tracer: Tracer | None = None
@@ -179,7 +179,6 @@ class Scheduler:
     def yield_(self) -> None:
         """Let the others run, if there are any that can."""
         task = self.running
-        assert task is not None
         self.make_ready(task)
         self._change(task)
 
@@ -191,7 +190,6 @@ class Scheduler:
             waiters: where the task is found by who is to make it ready; it is taken out at the deadline.
         """
         task = self.running
-        assert task is not None
         task.is_late = False
         task.deadline = deadline
         task.waiters = waiters
@@ -207,7 +205,6 @@ class Scheduler:
         """When so many seconds of the running task's computer are over."""
         if seconds is None:
             return None
-        assert self.running is not None
         return self.now + max(seconds, 0.0) / self.running.computer.rate
 
     # -- what anybody does while a task runs -------------------------------------------------------------
@@ -241,7 +238,7 @@ class Scheduler:
         computer.is_running = False
         computer.held += [task for task in self._ready if task.computer is computer]
         self._ready[:] = [task for task in self._ready if task.computer is not computer]
-        if not self._is_choosing and self.running is not None and self.running.computer is computer:
+        if not self._is_choosing and self.running.computer is computer:
             self.yield_()
 
     def resume(self, computer: Computer) -> None:
@@ -273,7 +270,7 @@ class Scheduler:
     def trace_lines(self, tracer: Tracer | None) -> None:
         """Have the lines of all tasks traced from now on; None ends that, and puts back what there was before."""
         self._tracer = tracer
-        if self.is_between_lines and self.running is not None:
+        if self.is_between_lines:
             self._follow(self.running)
 
     def _follow(self, task: Task) -> None:

@@ -56,7 +56,6 @@ class Pollable:
     def wait_for(self, mask: int, deadline: float | None) -> bool:
         """Wait until one of these events may be there; False if the deadline came first."""
         scheduler = self._sockets.scheduler
-        assert scheduler.running is not None
         waiter = scheduler.running, mask
         self._waiters.append(waiter)
         try:
@@ -414,7 +413,6 @@ class Sockets:
 
     def computer(self) -> Computer:
         """That of the task that runs."""
-        assert self.scheduler.running is not None
         return self.scheduler.running.computer
 
     def open(self, opened: Pollable) -> int:
@@ -472,7 +470,6 @@ class Sockets:
         scheduler.step()
         deadline = scheduler.deadline(timeout)
         task = scheduler.running
-        assert task is not None
         while True:
             found = {}
             watched = []

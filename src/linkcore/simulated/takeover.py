@@ -112,7 +112,6 @@ class Simulation:
     def on(self, computer: Computer) -> Iterator[None]:
         """Run the block as a program of another computer: its sockets and threads are there."""
         task = self._scheduler.running
-        assert task is not None
         before, task.computer = task.computer, computer
         try:
             yield
@@ -251,7 +250,7 @@ def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
             if scheduler is None:
                 return real()
             scheduler.now += STEP
-            computer = scheduler.running.computer  # type: ignore[union-attr]
+            computer = scheduler.running.computer
             seconds = epoch + computer.offset + scheduler.now * computer.rate
             return int(seconds * scale) if scale else seconds
 
