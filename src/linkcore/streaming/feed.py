@@ -74,7 +74,7 @@ class Feed(Generic[T]):
         """
         timeout = check_seconds(timeout, "timeout")
         self._connection.refuse_to_wait("wait()")
-        with contextlib.closing(self._packets(latest, timeout)) as packets:
+        with contextlib.closing(self._packets(latest, timeout, None)) as packets:
             for packet in packets:
                 return packet
         raise self._why_nothing(timeout)
@@ -141,9 +141,7 @@ class Feed(Generic[T]):
         self._connection.refuse_to_wait("iterating")
         return self._packets(policy, timeout, lifespan)
 
-    def _packets(
-        self, policy: Policy, timeout: float | None, lifespan: float | None = None
-    ) -> Generator[T, None, None]:
+    def _packets(self, policy: Policy, timeout: float | None, lifespan: float | None) -> Generator[T, None, None]:
         connection, kind = self._connection, self._kind
         expand = connection.fan_out.expander(kind)
         queue = connection.open_queue(kind, policy, lifespan)
