@@ -8,7 +8,7 @@ from matplotlib.patches import Patch
 
 from urlink.firmware import NEWEST, Firmware
 from urlink.interfaces.dashboard.commands import COMMANDS
-from urlink.interfaces.dashboard.robot_api import REQUESTS
+from urlink.interfaces.dashboard.robot_api import REQUESTS, find
 
 SIZE = (7.0, 6.4)
 #: What a command is answered by.
@@ -21,8 +21,7 @@ def answered(command: str, firmware: Firmware) -> int:
     if not firmware.is_polyscope_x:
         since = COMMANDS[command].e
         return DASHBOARD_SERVER if since is not None and firmware >= since else NOTHING
-    has_it = any(each.since <= firmware < each.until for each in REQUESTS.get(command, ()))
-    return ROBOT_API if has_it else NOTHING
+    return NOTHING if find(command, firmware) is None else ROBOT_API
 
 
 def draw(figure: Figure) -> str:

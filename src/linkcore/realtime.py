@@ -56,23 +56,23 @@ class _Threads:
         self._numbers: dict[int, int] = {}  # of the system -> how often it was entered
         self._options = _Options()
 
-    def enter(self) -> int:
-        """The current thread is one from now on; its number, for `leave`."""
+    @contextlib.contextmanager
+    def urgent(self) -> Iterator[None]:
+        """The current thread must not be late while it is in the block."""
         number = threading.get_native_id()
         with self._lock:
             self._numbers[number] = self._numbers.get(number, 0) + 1
             if self._numbers[number] == 1 and self._options != _Options():
                 _give(number, self._options)
-        return number
-
-    def leave(self, number: int) -> None:
-        """The thread is no longer urgent, if it was entered once."""
-        with self._lock:
-            self._numbers[number] -= 1
-            if not self._numbers[number]:
-                del self._numbers[number]
-                if self._options != _Options():
-                    _give(number, _Options())
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._numbers[number] -= 1
+                if not self._numbers[number]:
+                    del self._numbers[number]
+                    if self._options != _Options():
+                        _give(number, _Options())
 
     def use(self, options: _Options) -> dict[str, str]:
         """Give these to all of them, and to those to come; name -> why it was refused."""
@@ -87,18 +87,9 @@ class _Threads:
 
 
 _threads = _Threads()
+urgent = _threads.urgent
 _everywhere = os.sched_getaffinity(0) if sys.platform == "linux" else set()
 _reported: set[frozenset[str]] = set()
-
-
-@contextlib.contextmanager
-def urgent() -> Iterator[None]:
-    """The current thread must not be late while it is in the block."""
-    number = _threads.enter()
-    try:
-        yield
-    finally:
-        _threads.leave(number)
 
 
 def realtime_options(

@@ -1,4 +1,4 @@
-"""Connections recorded in linkcore's format: written as the bytes come, played batch by batch, summed up in figures."""
+"""Connections recorded in linkcore's format: written as the bytes come, and played batch by batch."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 import logging
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from linkcore.clock import Stamp
 from linkcore.errors import BadRecording, Closed
@@ -179,58 +179,3 @@ def play(recording: RecordingFile, progress: Progress | None = None) -> Iterator
             for data in batch.data:
                 database.table(data.direction).receive(data)
             yield Moment(record.stamp, database, decoder.handshake.width, connection, False)
-
-
-@dataclass
-class Summary:
-    """The contents of a recording.
-
-    Attributes:
-        file: its name.
-        size: bytes.
-        is_complete: whether it was closed in good order.
-        left_out: bytes at its end that are unfinished or damaged.
-        seconds: from the first batch to the last.
-        batches: how many, those of handshakes among them.
-        connections: how many.
-        width: words of a time stamp.
-        variables: name -> how many batches set it.
-    """
-
-    file: str
-    size: int
-    is_complete: bool
-    left_out: int
-    seconds: float = 0.0
-    batches: int = 0
-    connections: int = 0
-    width: int = 0
-    variables: dict[str, int] = field(default_factory=dict)
-
-
-def summarise(recording: RecordingFile, progress: Progress | None = None) -> Summary:
-    """Read it through.
-
-    Args:
-        progress: called with the part that is read, 0 to 1.
-
-    Raises:
-        BadRecording: it holds no robot that runs RHD.
-        PacketError: it holds bytes that are not a batch.
-    """
-    summary = Summary(str(recording.path), recording.path.stat().st_size, recording.is_complete, recording.left_out)
-    first: float | None = None
-    for moment in play(recording, progress):
-        first = moment.received.monotonic if first is None else first
-        summary.seconds = moment.received.monotonic - first
-        summary.batches += 1
-        summary.connections, summary.width = moment.connection, moment.width
-        counts = summary.variables
-        if moment.is_handshake:
-            for table in (moment.database.read, moment.database.write):
-                for row in table:
-                    counts.setdefault(row.name, 0)
-        else:
-            for name in moment.update().changes:
-                counts[name] += 1
-    return summary

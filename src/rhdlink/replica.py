@@ -75,7 +75,7 @@ class Replica:
 
     def names(self) -> list[str]:
         """The names of all variables, read variables first."""
-        return [row.name for table in (self.database.read, self.database.write) for row in table]
+        return [row.name for row in (*self.database.read, *self.database.write)]
 
     def find_to_set(self, name: str) -> tuple[VariableTable, int]:
         """Where a write variable is.

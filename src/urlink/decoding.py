@@ -72,7 +72,8 @@ def decode(
     boundary: RealtimeBoundary | PackageBoundary
     decode_frame: Callable[[bytes], State]
     if interface == "realtime":
-        boundary, decode_frame, name = RealtimeBoundary(), _realtime_decoder(version), "RealtimeState"
+        boundary, name = RealtimeBoundary(), "RealtimeState"
+        decode_frame = partial(RealtimeState.LAYOUTS.decode, version=version)
     else:
         boundary, decode_frame, name = PackageBoundary(), _package_decoder(version).decode, "package"
     if is_strict():
@@ -111,19 +112,14 @@ def _strict_decoder(interface: Interface, version: Firmware | None) -> Callable[
     """Takes only packets of which every byte is known."""
     if interface != "realtime":
         return strictly(PackageDecoder(version))
-    decode_state = _realtime_decoder(version)
+    decode_state = partial(RealtimeState.LAYOUTS.decode, version=version)
 
     def decode_frame(frame: bytes) -> RealtimeState:
-        state = decode_state(frame)
+        state: RealtimeState = decode_state(frame)
         check_explained(state, 0, len(state.tail))
         return state
 
     return decode_frame
-
-
-@lru_cache
-def _realtime_decoder(version: Firmware | None) -> Callable[[bytes], RealtimeState]:
-    return partial(RealtimeState.LAYOUTS.decode, version=version)
 
 
 @lru_cache

@@ -19,7 +19,7 @@ far more than that of the links. Friction is not in it, as it is not in a contro
 
 from __future__ import annotations
 
-from typing import cast
+from itertools import accumulate
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -275,10 +275,9 @@ class Dynamics:
         """Row by row, from the inertia of all that a joint carries (composite rigid bodies)."""
         axes = _axes(frames)
         table: list[list[Number]] = [[axes[0][0]] * 6 for _ in range(6)]
-        carried: _Inertia[Number] | None = None
-        for i, inertia in reversed(list(enumerate(self._inertias(frames)))):
-            carried = inertia if carried is None else cast("_Inertia[Number]", _added(carried, inertia))
-            momentum = _momentum(carried, axes[i])
+        carried = accumulate(reversed(self._inertias(frames)), _added)
+        for i, inertia in zip(range(5, -1, -1), carried, strict=True):
+            momentum = _momentum(inertia, axes[i])
             for j in range(i + 1):
                 table[i][j] = table[j][i] = _dot(axes[j], momentum)
             table[i][i] = table[i][i] + self._rotors[i]
@@ -286,7 +285,7 @@ class Dynamics:
 
     def _inertias(self, frames: list[Rigid[Number]]) -> list[_Inertia[Number]]:
         """Of each link about the origin of the base."""
-        return [_inertia(frame, *body) for frame, body in zip(frames, self._bodies, strict=True)]
+        return [_inertia(frame, body) for frame, body in zip(frames, self._bodies, strict=True)]
 
 
 _ZERO = np.zeros(6)
@@ -306,16 +305,10 @@ def _axes(frames: list[Rigid[Number]]) -> list[_Spatial[Number]]:
     return found
 
 
-def _inertia(
-    frame: Rigid[Number],
-    mass: float,
-    cog: tuple[float, float, float],
-    tensor: tuple[float, float, float, float, float, float],
-) -> _Inertia[Number]:
+def _inertia(frame: Rigid[Number], body: _Body) -> _Inertia[Number]:
     """The inertia of a body about the origin of the base, in the base frame."""
     r00, r01, r02, r10, r11, r12, r20, r21, r22, px, py, pz = frame
-    cx, cy, cz = cog
-    ixx, ixy, ixz, iyy, iyz, izz = tensor
+    mass, (cx, cy, cz), (ixx, ixy, ixz, iyy, iyz, izz) = body
     x = r00 * cx + r01 * cy + r02 * cz + px
     y = r10 * cx + r11 * cy + r12 * cz + py
     z = r20 * cx + r21 * cy + r22 * cz + pz

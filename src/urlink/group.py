@@ -184,13 +184,9 @@ class Group:
         else:
             seconds = check_number(time, "time", _SHORTEST, 3600.0, "s")
         rest = np.zeros((2, 6))
-        return self.follow(
-            [
-                Trajectory.from_arrays([0.0, seconds], [start, goal], rest, rest)
-                for start, goal in zip(starts, goals, strict=True)
-            ],
-            wait=wait,
-        )
+        ways = zip(starts, goals, strict=True)
+        trajectories = [Trajectory.from_arrays([0.0, seconds], [start, goal], rest, rest) for start, goal in ways]
+        return self.follow(trajectories, wait=wait)
 
     def stream(
         self,

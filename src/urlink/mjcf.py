@@ -92,13 +92,9 @@ def _add_inertial(body: ElementTree.Element, model: Model, i: int, end: Rigid[fl
     turn = np.array(end[:9]).reshape(3, 3)
     x, y, z = (turn @ model.link_cogs[i] + np.array(end[9:])).tolist()
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = (turn @ model.link_inertias[i] @ turn.T).tolist()
-    ElementTree.SubElement(
-        body,
-        "inertial",
-        pos=numbers(x, y, z),
-        mass=numbers(float(model.link_masses[i])),
-        fullinertia=numbers(xx, yy, zz, xy, xz, yz),
-    )
+    inertial = ElementTree.SubElement(body, "inertial", pos=numbers(x, y, z))
+    inertial.set("mass", numbers(float(model.link_masses[i])))
+    inertial.set("fullinertia", numbers(xx, yy, zz, xy, xz, yz))
 
 
 def _place(frame: Rigid[float]) -> dict[str, str]:

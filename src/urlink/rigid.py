@@ -154,20 +154,8 @@ def product(first: Rigid[Number], second: Rigid[Number]) -> Rigid[Number]:
 def invert(rigid: Rigid[Number]) -> Rigid[Number]:
     """The transform that undoes `rigid`."""
     r00, r01, r02, r10, r11, r12, r20, r21, r22, px, py, pz = rigid
-    return (
-        r00,
-        r10,
-        r20,
-        r01,
-        r11,
-        r21,
-        r02,
-        r12,
-        r22,
-        -(r00 * px + r10 * py + r20 * pz),
-        -(r01 * px + r11 * py + r21 * pz),
-        -(r02 * px + r12 * py + r22 * pz),
-    )
+    x, y, z = r00 * px + r10 * py + r20 * pz, r01 * px + r11 * py + r21 * pz, r02 * px + r12 * py + r22 * pz
+    return r00, r10, r20, r01, r11, r21, r02, r12, r22, -x, -y, -z
 
 
 # --- rotation vectors and poses ---
@@ -178,20 +166,10 @@ def _turned(px: Number, py: Number, pz: Number, x: Number, y: Number, z: Number,
     sx, sy, sz = s * x, s * y, s * z
     vx, vy, vz = v * x, v * y, v * z
     xx, yy, zz, xy, yz, zx = vx * x, vy * y, vz * z, vx * y, vy * z, vz * x
-    return (
-        1.0 - yy - zz,
-        xy - sz,
-        zx + sy,
-        xy + sz,
-        1.0 - xx - zz,
-        yz - sx,
-        zx - sy,
-        yz + sx,
-        1.0 - xx - yy,
-        px,
-        py,
-        pz,
-    )
+    r00, r01, r02 = 1.0 - yy - zz, xy - sz, zx + sy
+    r10, r11, r12 = xy + sz, 1.0 - xx - zz, yz - sx
+    r20, r21, r22 = zx - sy, yz + sx, 1.0 - xx - yy
+    return r00, r01, r02, r10, r11, r12, r20, r21, r22, px, py, pz
 
 
 def from_pose(pose: Six[float] | list[float]) -> Rigid[float]:

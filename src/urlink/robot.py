@@ -14,6 +14,7 @@ from linkcore.arguments import check_callable, check_choice
 from linkcore.errors import BadValue, Closed, LocalError
 from linkcore.net.recall import Recall
 from linkcore.streaming.stream import Stream
+from linkcore.text import html_table
 from linkcore.threads import MadeOnce
 
 from .address import RecordingAddress, RobotAddress, SimulatorAddress
@@ -628,8 +629,6 @@ class Robot(AnswersForeignNames):
             warnings.warn(f"{self!r} was not closed; its simulator goes on", ResourceWarning, source=self, stacklevel=2)
 
     def _repr_html_(self) -> str:
-        from linkcore.text import html_table  # imported here: importing the library stays cheap
-
         known = self._who.last
         streams = tuple(self._streams.items())
         opened = ", ".join(name for name, _ in streams) or "none; the first use of robot.realtime connects it"

@@ -126,22 +126,17 @@ def networked(
         return last[0]
 
     def transport(interface: str) -> Transport:
-        # RTDE has no read-only twin: a client without inputs writes nothing.
-        port = "rtde" if interface == "rtde" else interface + suffix
         if interface != "rtde" and interface not in INTERFACES:
             raise BadValue(f"no interface {interface!r}; expected one of {', '.join(INTERFACES)}")
+        # RTDE has no read-only twin: a client without inputs writes nothing.
+        host, port = place.host, place.ports["rtde" if interface == "rtde" else interface + suffix]
         if options.isolate and interface == "realtime":
             from linkcore.net.isolated_transport import IsolatedTransport
 
             boundary = "urlink.interfaces.realtime.protocol:RealtimeBoundary"
             decode = RealtimeProtocol().decode
-            return IsolatedTransport(place.host, place.ports[port], silence=silence, boundary=boundary, decode=decode)
-        return tcp(
-            place.host,
-            place.ports[port],
-            silence=silence,
-            refused=lambda: refusal_hint(last[0].firmware if last else None),
-        )
+            return IsolatedTransport(host, port, silence=silence, boundary=boundary, decode=decode)
+        return tcp(host, port, silence=silence, refused=lambda: refusal_hint(last[0].firmware if last else None))
 
     return Source(ask, transport, options.backoff, timeout, silence, is_lossless=False)
 

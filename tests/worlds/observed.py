@@ -139,10 +139,7 @@ def here() -> Computer:
     """The computer whose thread runs."""
     scheduler = current()
     assert scheduler is not None
-    assert scheduler.running is not None
-    computer = scheduler.running.process
-    assert isinstance(computer, Computer)
-    return computer
+    return scheduler.running.computer
 
 
 class Observed:

@@ -9,12 +9,12 @@ from typing import Any, Generic, TypeVar
 
 from ..arguments import check_callable, check_seconds
 from ..streaming.connection_life import ConnectionState
-from ..streaming.feed import LAGGARD, Feed, check_deadline
+from ..streaming.feed import LAGGARD, Feed
 from ..streaming.history import History
 from ..streaming.packet_queue import Policy, check_lifespan, drop_oldest, latest
 from ..streaming.statistics import StreamStatistics
 from ..streaming.stream import Stream
-from ..streaming.subscription import Subscription
+from ..streaming.subscription import Subscription, check_deadline
 from .loop_connection import LoopConnection
 from .packets import Packets
 

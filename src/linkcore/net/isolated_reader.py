@@ -105,7 +105,9 @@ class Slot:
         """Replace the packet."""
         if len(packet) <= _ROOM:
             self._number += 1
-            self._memory[: _SLOT.size + len(packet)] = _packed(self._number, packet, stamp)
+            checksum = _checksum(self._number, packet, *stamp)
+            head = _SLOT.pack(self._number, len(packet), checksum, *stamp)
+            self._memory[: _SLOT.size + len(packet)] = head + packet
 
     def clear(self) -> None:
         """There is none any more."""
@@ -128,11 +130,6 @@ class Slot:
         if not self._memory.closed:
             self._memory.close()
             os.close(self.descriptor)
-
-
-def _packed(number: int, packet: bytes, stamp: Stamp) -> bytes:
-    checksum = _checksum(number, packet, *stamp)
-    return _SLOT.pack(number, len(packet), checksum, *stamp) + packet
 
 
 def _checksum(number: int, packet: bytes, monotonic: float, wall: float) -> int:

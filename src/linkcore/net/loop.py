@@ -572,10 +572,8 @@ class SelectorLoop:
     # -- inside ----------------------------------------------------------------------------------------
 
     def _select(self, seconds: float | None) -> list[tuple[selectors.SelectorKey, int]]:
-        if seconds is None:
-            return self._selector.select()
-        if seconds <= 0.0:
-            return self._selector.select(0)
+        if seconds is None or seconds <= 0.0:
+            return self._selector.select(seconds)
         if self._select_from is not None:
             return self._selector.select(0) if select.select(self._select_from, (), (), seconds)[0] else []
         # Whole milliseconds, rounded down, since the selector rounds up. The last part is slept.

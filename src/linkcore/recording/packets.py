@@ -8,6 +8,8 @@ so the result does not depend on how the bytes were cut; a property test holds t
 
 from __future__ import annotations
 
+import itertools
+import operator
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -173,14 +175,9 @@ class _Places:
         self._finish()
         extra = np.frombuffer(bytes(self._extra), np.uint8)
         parts = []
-        at = 0
-        while at < len(self._runs):
-            layout = self._runs[at][0]
-            end = next((n for n in range(at, len(self._runs)) if self._runs[n][0] is not layout), len(self._runs))
-            place = np.concatenate([run[1] for run in self._runs[at:end]])
-            record = np.concatenate([run[2] for run in self._runs[at:end]])
-            parts.append(Part(layout, data, extra, place, record))
-            at = end
+        for layout, runs in itertools.groupby(self._runs, key=operator.itemgetter(0)):
+            _, places, records = zip(*runs, strict=True)
+            parts.append(Part(layout, data, extra, np.concatenate(places), np.concatenate(records)))
         return parts
 
 

@@ -12,9 +12,12 @@ import itertools
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from .scheduler import Scheduler, Task
+
+if TYPE_CHECKING:
+    from .sockets import Socket
 
 #: Bytes that a kernel holds for one direction of a connection, at each end.
 BUFFER = 128 * 1024
@@ -43,13 +46,6 @@ class Route:
     is_silent: bool = False
 
 
-class Watched(Protocol):
-    """Something that tasks wait for."""
-
-    def changed(self) -> None:
-        """Look again."""
-
-
 #: Above every number that Linux gives a process, 2**22 at most.
 _PIDS = itertools.count(1 << 23)
 
@@ -61,8 +57,11 @@ class Computer:
     Attributes:
         name, address: how it is called.
         rate: seconds of its clock for one of the simulation; 1.0001 is 100 ppm fast.
+        offset: seconds that its clock had when the simulation began.
+        is_running: its process is not suspended.
         is_on: whether it has power: without, it takes and sends no packet, and has forgotten its connections.
         is_in_c: whether a function in C holds the interpreter's lock of its program.
+        held: tasks that could run if its process did.
     """
 
     name: str
@@ -137,7 +136,7 @@ class Listener:
     computer: Computer
     port: int
     backlog: int
-    owner: Watched
+    owner: Socket
     accepted: deque[End] = field(default_factory=deque)
 
     def close(self) -> None:
@@ -172,7 +171,7 @@ class End:
         self.peer_name: tuple[str, int] = ("", 0)
         self.connecting_to: Computer | None = None
         self.refuse: Callable[[], object] = lambda: None
-        self.owner: Watched | None = None
+        self.owner: Socket | None = None
         self.received = bytearray()
         self.error = 0
         self.is_connected = False

@@ -260,8 +260,7 @@ def start(thread: threading.Thread) -> None:
         return
     if _task(thread) is not None or thread.ident is not None:
         raise RuntimeError("threads can only be started once")
-    assert scheduler.running is not None
-    task = scheduler.spawn(thread.name, scheduler.running.process)
+    task = scheduler.spawn(thread.name, scheduler.running.computer)
     thread._simulated = task  # type: ignore[attr-defined]
     if getattr(thread, "_context", thread) is None:
         # CPython 3.14 runs a thread in a context that `Thread.start` has set; before, each begins with an empty one.

@@ -22,7 +22,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from struct import Struct
 from types import FrameType
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .network import Computer
 
 #: As `sys.settrace` takes it.
 Tracer = Callable[[FrameType, str, Any], Any]
@@ -52,27 +55,13 @@ class Ended(SystemExit):
     """Raised in a task that still waits when the simulation ends, so that its thread ends too."""
 
 
-class Process(Protocol):
-    """What tasks belong to: it can be suspended, and has a clock of its own."""
-
-    #: its number, for what a program keeps for the life of its process
-    pid: int
-    #: seconds of its clock for one of the simulation
-    rate: float
-    #: seconds that its clock had when the simulation began
-    offset: float
-    is_running: bool
-    #: tasks that could run if it did
-    held: list[Task]
-
-
 @dataclass(eq=False, slots=True)
 class Task:
     """A thread that takes part."""
 
     name: str
     number: int
-    process: Process
+    computer: Computer
     #: held while it does not run
     baton: LockType = field(default_factory=allocate_lock)
     ident: int = 0
@@ -133,23 +122,23 @@ class Scheduler:
         self._is_choosing = False
         # Released by a thread that `end` has ended.
         self._ended = allocate_lock()
-        self.running: Task | None = None
+        self.running: Task  # since `adopt`
         #: of the thread that runs
         self.ident = 0
         self._tracer: Tracer | None = None
 
     # -- tasks -----------------------------------------------------------------------------------------
 
-    def adopt(self, name: str, process: Process) -> Task:
+    def adopt(self, name: str, computer: Computer) -> Task:
         """Make the calling thread the first task. It runs."""
-        task = self.spawn(name, process, is_ready=False)
+        task = self.spawn(name, computer, is_ready=False)
         task.ident = self.ident = get_ident()
         self.running = task
         return task
 
-    def spawn(self, name: str, process: Process, *, is_ready: bool = True) -> Task:
+    def spawn(self, name: str, computer: Computer, *, is_ready: bool = True) -> Task:
         """A task whose thread waits for its baton."""
-        task = Task(name, len(self.tasks), process)
+        task = Task(name, len(self.tasks), computer)
         self.tasks.append(task)
         if is_ready:
             self.make_ready(task)
@@ -190,7 +179,6 @@ class Scheduler:
     def yield_(self) -> None:
         """Let the others run, if there are any that can."""
         task = self.running
-        assert task is not None
         self.make_ready(task)
         self._change(task)
 
@@ -202,7 +190,6 @@ class Scheduler:
             waiters: where the task is found by who is to make it ready; it is taken out at the deadline.
         """
         task = self.running
-        assert task is not None
         task.is_late = False
         task.deadline = deadline
         task.waiters = waiters
@@ -218,8 +205,7 @@ class Scheduler:
         """When so many seconds of the running task's computer are over."""
         if seconds is None:
             return None
-        assert self.running is not None
-        return self.now + max(seconds, 0.0) / self.running.process.rate
+        return self.now + max(seconds, 0.0) / self.running.computer.rate
 
     # -- what anybody does while a task runs -------------------------------------------------------------
 
@@ -228,7 +214,7 @@ class Scheduler:
         if task.is_ready or task.is_over:
             return
         task.is_ready = True
-        (self._ready if task.process.is_running else task.process.held).append(task)
+        (self._ready if task.computer.is_running else task.computer.held).append(task)
 
     def wake_one(self, waiters: deque[Task]) -> None:
         """Make one of those that wait ready, which the seed chooses."""
@@ -247,19 +233,19 @@ class Scheduler:
         """Add what has happened to the trace."""
         self.trace = zlib.crc32(data, self.trace)
 
-    def suspend(self, process: Process) -> None:
+    def suspend(self, computer: Computer) -> None:
         """No task of it runs until `resume`."""
-        process.is_running = False
-        process.held += [task for task in self._ready if task.process is process]
-        self._ready[:] = [task for task in self._ready if task.process is not process]
-        if not self._is_choosing and self.running is not None and self.running.process is process:
+        computer.is_running = False
+        computer.held += [task for task in self._ready if task.computer is computer]
+        self._ready[:] = [task for task in self._ready if task.computer is not computer]
+        if not self._is_choosing and self.running.computer is computer:
             self.yield_()
 
-    def resume(self, process: Process) -> None:
+    def resume(self, computer: Computer) -> None:
         """Its tasks run again."""
-        process.is_running = True
-        self._ready += process.held
-        process.held.clear()
+        computer.is_running = True
+        self._ready += computer.held
+        computer.held.clear()
 
     def end(self) -> None:
         """End every other task, one after the other: who waits gets `Ended`."""
@@ -284,7 +270,7 @@ class Scheduler:
     def trace_lines(self, tracer: Tracer | None) -> None:
         """Have the lines of all tasks traced from now on; None ends that, and puts back what there was before."""
         self._tracer = tracer
-        if self.is_between_lines and self.running is not None:
+        if self.is_between_lines:
             self._follow(self.running)
 
     def _follow(self, task: Task) -> None:
@@ -396,7 +382,7 @@ class Scheduler:
 
     def _interrupt(self, task: Task, error: BaseException) -> None:
         task.error = error
-        task.process.is_running = True
+        task.computer.is_running = True
         task.is_ready = False
         self.make_ready(task)
 

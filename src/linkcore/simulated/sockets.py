@@ -56,7 +56,6 @@ class Pollable:
     def wait_for(self, mask: int, deadline: float | None) -> bool:
         """Wait until one of these events may be there; False if the deadline came first."""
         scheduler = self._sockets.scheduler
-        assert scheduler.running is not None
         waiter = scheduler.running, mask
         self._waiters.append(waiter)
         try:
@@ -414,10 +413,7 @@ class Sockets:
 
     def computer(self) -> Computer:
         """That of the task that runs."""
-        assert self.scheduler.running is not None
-        process = self.scheduler.running.process
-        assert isinstance(process, Computer)
-        return process
+        return self.scheduler.running.computer
 
     def open(self, opened: Pollable) -> int:
         number = _FIRST
@@ -451,11 +447,8 @@ class Sockets:
 
     def addresses(self, host: Any, port: Any, family: int = 0, type: int = 0, proto: int = 0, flags: int = 0) -> Any:
         """`socket.getaddrinfo`."""
-        name = (
-            host.decode()
-            if isinstance(host, bytes)
-            else host or ("0.0.0.0" if flags & _socket.AI_PASSIVE else "127.0.0.1")
-        )
+        name = host.decode() if isinstance(host, bytes) else host
+        name = name or ("0.0.0.0" if flags & _socket.AI_PASSIVE else "127.0.0.1")
         found = self.network.find(name, self.computer())
         is_numeric = name.replace(".", "").isdigit()
         if not is_numeric and (found is None or flags & _socket.AI_NUMERICHOST):
@@ -477,7 +470,6 @@ class Sockets:
         scheduler.step()
         deadline = scheduler.deadline(timeout)
         task = scheduler.running
-        assert task is not None
         while True:
             found = {}
             watched = []

@@ -112,12 +112,11 @@ class Simulation:
     def on(self, computer: Computer) -> Iterator[None]:
         """Run the block as a program of another computer: its sockets and threads are there."""
         task = self._scheduler.running
-        assert task is not None
-        before, task.process = task.process, computer
+        before, task.computer = task.computer, computer
         try:
             yield
         finally:
-            task.process = before
+            task.computer = before
 
     def at(self, seconds: float, call: Callable[[], object]) -> None:
         """Call something at a time of the simulation, such as `computer.suspend`. It must not wait."""
@@ -251,8 +250,8 @@ def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
             if scheduler is None:
                 return real()
             scheduler.now += STEP
-            process = scheduler.running.process  # type: ignore[union-attr]
-            seconds = epoch + process.offset + scheduler.now * process.rate
+            computer = scheduler.running.computer
+            seconds = epoch + computer.offset + scheduler.now * computer.rate
             return int(seconds * scale) if scale else seconds
 
         return read

@@ -129,9 +129,9 @@ class Connection(abc.ABC):
     def _join_reader(self, timeout: float) -> bool:
         """Wait until nothing is read any more; False when time is up."""
 
-    @abc.abstractmethod
     def _hang_up(self) -> None:
         """Disconnect once what was sent is delivered, and wake what reads. After `_stop`."""
+        self._transport.close()
 
     # -- beginning and ending --------------------------------------------------------------------
 

@@ -14,7 +14,7 @@ from .connection import Connection
 from .connection_life import ConnectionEvent, ConnectionState
 from .history import History
 from .packet_queue import Policy, block, check_lifespan, check_policy, drop_oldest, latest
-from .subscription import Subscription
+from .subscription import Subscription, check_deadline
 
 if TYPE_CHECKING:
     from ..plotting import Plot
@@ -23,21 +23,6 @@ T = TypeVar("T")
 
 #: Packets that may wait for a consumer that has to look at every one.
 LAGGARD = 1024
-
-
-def check_deadline(deadline: float | None, on_deadline: Callable[[float], object] | None) -> float | None:
-    """The deadline of a subscription, s.
-
-    Raises:
-        BadValue: it is not a positive number of seconds, or `on_deadline` cannot be called or has no deadline.
-    """
-    if deadline is not None:
-        deadline = check_seconds(deadline, "deadline", positive=True)
-    if on_deadline is not None:
-        check_callable(on_deadline, "on_deadline")
-        if deadline is None:
-            raise BadValue("on_deadline was given without a deadline")
-    return deadline
 
 
 class Feed(Generic[T]):
@@ -74,7 +59,7 @@ class Feed(Generic[T]):
         """
         timeout = check_seconds(timeout, "timeout")
         self._connection.refuse_to_wait("wait()")
-        with contextlib.closing(self._packets(latest, timeout)) as packets:
+        with contextlib.closing(self._packets(latest, timeout, None)) as packets:
             for packet in packets:
                 return packet
         raise self._why_nothing(timeout)
@@ -141,9 +126,7 @@ class Feed(Generic[T]):
         self._connection.refuse_to_wait("iterating")
         return self._packets(policy, timeout, lifespan)
 
-    def _packets(
-        self, policy: Policy, timeout: float | None, lifespan: float | None = None
-    ) -> Generator[T, None, None]:
+    def _packets(self, policy: Policy, timeout: float | None, lifespan: float | None) -> Generator[T, None, None]:
         connection, kind = self._connection, self._kind
         expand = connection.fan_out.expander(kind)
         queue = connection.open_queue(kind, policy, lifespan)

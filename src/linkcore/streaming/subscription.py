@@ -13,7 +13,8 @@ from collections.abc import Callable, Iterable, Sequence
 from time import monotonic
 from typing import Any
 
-from ..arguments import check_seconds
+from ..arguments import check_callable, check_seconds
+from ..errors import BadValue
 from ..threads import started
 from .packet_queue import PacketQueue
 from .statistics import SLOW_INLINE, StreamCounters, SubscriptionStatistics, snapshot
@@ -24,6 +25,21 @@ _NEVER = float("inf")
 
 #: Seconds between two looks of a thread that waits for the end of an inline call.
 _LOOK = 0.001
+
+
+def check_deadline(deadline: float | None, on_deadline: Callable[[float], object] | None) -> float | None:
+    """The deadline of a subscription, s.
+
+    Raises:
+        BadValue: it is not a positive number of seconds, or `on_deadline` cannot be called or has no deadline.
+    """
+    if deadline is not None:
+        deadline = check_seconds(deadline, "deadline", positive=True)
+    if on_deadline is not None:
+        check_callable(on_deadline, "on_deadline")
+        if deadline is None:
+            raise BadValue("on_deadline was given without a deadline")
+    return deadline
 
 
 class Delivery:

@@ -62,9 +62,6 @@ class ThreadConnection(Connection):
         reader.join(min(timeout, threading.TIMEOUT_MAX))
         return not reader.is_alive()
 
-    def _hang_up(self) -> None:
-        self._transport.close()
-
     # -- the reader thread -----------------------------------------------------------------------
 
     @urgent()

@@ -1,7 +1,7 @@
 """One order of fields on the wire, lowered to its machine form: offsets, sizes, a decoder, an encoder, a numpy dtype.
 
 Everything in a `Layout` is derived from the declared fields, never written twice. It knows raw numbers and their
-offsets; the shapes define their meaning. A packet class makes its layouts by itself (`linkcore.wire.choice`).
+offsets; the shapes define their meaning. A packet class makes its layouts by itself (`linkcore.wire.state_layouts`).
 Where the fields are known only at run time, a layout can be made of them alone::
 
     layout = Layout("DataPackage", [(field, field.shape) for field in fields], header)

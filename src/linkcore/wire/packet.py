@@ -21,10 +21,10 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from .choice import StateLayout, StateLayouts
 from .fields import Field, Header, OpenInt, Raw, Shape, Since, Version, parse_version
 from .layout import indices, is_of_cells
 from .split import is_split, split_indices
+from .state_layouts import StateLayout, StateLayouts
 
 if TYPE_CHECKING:
     from typing_extensions import Self

@@ -108,10 +108,9 @@ def _serve(args: argparse.Namespace) -> int:
     try:
         host = Host.from_config(config, **_service(args, config.limits))
         names = ", ".join(plugin.name for plugin in host.plugins) or "no plugin"
-        ended = _serve_until_told(host, f"{args.config}: {names}", args.duration)
+        return _serve_until_told(host, f"{args.config}: {names}", args.duration)
     finally:
         sys.path.remove(folder)
-    return ended.status
 
 
 @command(
@@ -147,19 +146,18 @@ def _turtle(args: argparse.Namespace) -> int:
         save(robot.world, args.picture)  # raises at once if it cannot be written
     pacing: Pacing = "lockstep" if args.lockstep else "period"
     host = Host([robot], period=args.period, pacing=pacing, **_service(args, Limits()))
-    ended = _serve_until_told(host, f"turtle, driven by {args.drive}", args.duration)
+    status = _serve_until_told(host, f"turtle, driven by {args.drive}", args.duration)
     pose = robot.world.pose
     tell(f"ended at x {pose.x:.3f} m, y {pose.y:.3f} m, heading {math.degrees(pose.theta):.1f} deg")
     if args.picture is not None:
         save(robot.world, args.picture)
-    return ended.status
+    return status
 
 
-def _serve_until_told(host: Host, what: str, duration: float | None) -> Interruption:
-    """Serve until Ctrl-C, SIGTERM or the end of `duration`; then stop properly, and print statistics.
+def _serve_until_told(host: Host, what: str, duration: float | None) -> int:
+    """Serve until Ctrl-C, SIGTERM or the end of `duration`; then stop properly, print statistics, return the status.
 
-    The address is printed on stdout once clients can connect. The `Interruption` that is returned has the signal, if
-    any.
+    The address is printed on stdout once clients can connect.
 
     Raises:
         PluginFailed: a critical plugin raised.
@@ -180,4 +178,4 @@ def _serve_until_told(host: Host, what: str, duration: float | None) -> Interrup
         )
         if stats.failed_plugins:
             tell(f"failed plugins: {', '.join(stats.failed_plugins)}")
-    return interruption
+    return interruption.status

@@ -6,6 +6,7 @@ import argparse
 import itertools
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 
 from linkcore.cli.options import DURATION, RECORDING, argument, command, export, exporting, positive_int, seconds
 from linkcore.cli.terminal import Interruption, ProgressBar
@@ -16,10 +17,37 @@ from linkcore.text import printable, strict_json
 
 from ..client import connect
 from ..loading import load
-from ..recording import Summary, play, summarise
+from ..recording import play
 from ..variables.snapshot import Update
 from .options import ADDRESS, tell
 from .view import in_units, update_as_json, with_meaning, words_of
+
+
+@dataclass
+class _Summary:
+    """The contents of a recording.
+
+    Attributes:
+        file: its name.
+        size: bytes.
+        is_complete: whether it was closed in good order.
+        left_out: bytes at its end that are unfinished or damaged.
+        seconds: from the first batch to the last.
+        batches: how many, those of handshakes among them.
+        connections: how many.
+        width: words of a time stamp.
+        variables: name -> how many batches set it.
+    """
+
+    file: str
+    size: int
+    is_complete: bool
+    left_out: int
+    seconds: float = 0.0
+    batches: int = 0
+    connections: int = 0
+    width: int = 0
+    variables: dict[str, int] = field(default_factory=dict)
 
 
 def _rate(text: str) -> float:
@@ -107,9 +135,30 @@ def _replay(args: argparse.Namespace) -> int:
     return interruption.status
 
 
-def _summary(args: argparse.Namespace) -> Summary:
+def _summary(args: argparse.Namespace) -> _Summary:
+    """Read a recording through.
+
+    Raises:
+        BadRecording: it holds no robot that runs RHD.
+        PacketError: it holds bytes that are not a batch.
+    """
     with ProgressBar(f"reading {args.file}", args.quiet) as progress:
-        return summarise(RecordingFile(args.file, progress), progress)
+        recording = RecordingFile(args.file, progress)
+        size = recording.path.stat().st_size
+        summary = _Summary(str(recording.path), size, recording.is_complete, recording.left_out)
+        first: float | None = None
+        for moment in play(recording, progress):
+            first = moment.received.monotonic if first is None else first
+            summary.seconds = moment.received.monotonic - first
+            summary.batches += 1
+            summary.connections, summary.width = moment.connection, moment.width
+            if moment.is_handshake:
+                for row in (*moment.database.read, *moment.database.write):
+                    summary.variables.setdefault(row.name, 0)
+            else:
+                for name in moment.update().changes:
+                    summary.variables[name] += 1
+    return summary
 
 
 def _updates(recording: RecordingFile, args: argparse.Namespace, interruption: Interruption) -> Iterator[Update]:
@@ -118,7 +167,7 @@ def _updates(recording: RecordingFile, args: argparse.Namespace, interruption: I
     names = frozenset(args.names) or None
     for moment in play(recording):
         if moment.is_handshake and names is not None:
-            there = {row.name for table in (moment.database.read, moment.database.write) for row in table}
+            there = {row.name for row in (*moment.database.read, *moment.database.write)}
             missing = [name for name in args.names if name not in there]
             if missing:
                 raise BadRecording(f"{recording.path} holds no variable {', '.join(map(repr, missing))}")
@@ -140,7 +189,7 @@ def _line(update: Update) -> str:
     return " | ".join(parts)
 
 
-def _summary_text(summary: Summary) -> str:
+def _summary_text(summary: _Summary) -> str:
     state = "complete" if summary.is_complete else "not closed in order"
     left_out = f", {summary.left_out} bytes at its end unreadable" if summary.left_out else ""
     rate = f", {summary.batches / summary.seconds:.1f}/s" if summary.seconds else ""

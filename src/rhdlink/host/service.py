@@ -48,20 +48,6 @@ class Client:
         dirty_write: likewise the write variables, set by others.
     """
 
-    __slots__ = (
-        "access",
-        "decoder",
-        "dirty_read",
-        "dirty_write",
-        "failure",
-        "is_reading",
-        "name",
-        "refused_writes",
-        "request",
-        "requests",
-        "slot",
-    )
-
     dirty_read: DirtySet
     dirty_write: DirtySet
 

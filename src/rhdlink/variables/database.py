@@ -35,7 +35,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from linkcore.errors import BadValue, LocalError
 
-from ..wire.data import DataPackage, Ids, Selection, Stamps, TableLayout, Words, remember
+from ..wire.data import DataPackage, Ids, Selection, Stamps, TableLayout, Words, read_only, remember
 from ..wire.messages import END, LONGEST_NAME, Handshake, SymbolRow, encode_access, encode_data, encode_table
 from ..wire.schema import WORD
 from .dirty_set import DirtySet
@@ -187,9 +187,7 @@ class VariableTable:
         """
         start = self.start(identity)
         # Read only: writing here would set no stamp and no flag, so nobody would be sent it.
-        view = self.values[start : start + self._sizes[identity]]
-        view.flags.writeable = False
-        return view
+        return read_only(self.values[start : start + self._sizes[identity]])
 
     def words(self, identity: int) -> int | Words:
         """The words of a variable as users get them: an int if it is one, else a read-only copy.
@@ -198,11 +196,7 @@ class VariableTable:
             BadValue: no variable has such an id.
         """
         words = self.value(identity)
-        if len(words) == 1:
-            return int(words[0])
-        words = words.copy()
-        words.flags.writeable = False
-        return words
+        return int(words[0]) if len(words) == 1 else read_only(words.copy())
 
     def stamp(self, identity: int) -> TimeStamp:
         """When a variable was set last."""
@@ -257,8 +251,7 @@ class VariableTable:
         if len(wanted) and not 0 <= int(wanted.min()) <= int(wanted.max()) < len(self.rows):
             raise BadValue(f"ids {wanted} are not all among 0 to {len(self.rows) - 1}")
         if wanted.flags.writeable:
-            wanted = wanted.copy()  # whoever has it may change it
-            wanted.flags.writeable = False
+            wanted = read_only(wanted.copy())  # whoever has it may change it
         selection = Selection(self.layout, wanted, width)
         remember(self._selections, key, selection)
         return selection

@@ -4,19 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..wire.data import Ids
+from ..wire.data import Ids, read_only
 
 #: So many ids are sorted in a list; beyond it, looking at the flag of every variable is quicker.
 _FEW = 64
 
 
-def _read_only(ids: Ids) -> Ids:
-    """Several parties hold the same array."""
-    ids.flags.writeable = False
-    return ids
-
-
-_NONE = _read_only(np.empty(0, np.int64))
+_NONE = read_only(np.empty(0, np.int64))
 
 
 class DirtySet:
@@ -74,11 +68,11 @@ class DirtySet:
             for identity in few:
                 self._marks[identity] = 0
             few.sort()
-            return _read_only(np.array(few, np.int64))
+            return read_only(np.array(few, np.int64))
         ids = self._flags.nonzero()[0]
         self._flags[ids] = 0
         self._few, self._has_flags = [], False
-        return _read_only(ids)
+        return read_only(ids)
 
     def __bool__(self) -> bool:
         return self._whole is not None or self._has_flags or bool(self._few)

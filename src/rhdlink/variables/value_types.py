@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from linkcore.errors import BadValue
 
-from ..wire.data import Words
+from ..wire.data import Words, read_only
 
 #: Which byte of a number stands first in the memory of the robot's machine.
 Order = Literal["little", "big"]
@@ -113,11 +113,6 @@ def _words(memory: bytes, order: Order) -> Words:
     return words if order == sys.byteorder else words.byteswap()
 
 
-def _frozen(array: NDArray[Any]) -> NDArray[Any]:
-    array.flags.writeable = False
-    return array
-
-
 def _shaped(values: ArrayLike, count: int, what: str) -> NDArray[Any]:
     try:
         array = np.asarray(values)
@@ -154,7 +149,7 @@ class _Number(ValueType[V, A, S]):
         return result
 
     def unpack_many(self, words: Words, count: int, order: Order) -> A:
-        result: Any = _frozen(np.frombuffer(_memory(words, order), self._types[order], count).astype(self._native))
+        result: Any = read_only(np.frombuffer(_memory(words, order), self._types[order], count).astype(self._native))
         return result  # type: ignore[no-any-return]
 
     def reader(self, count: int, order: Order) -> Reader:
@@ -163,7 +158,7 @@ class _Number(ValueType[V, A, S]):
             if is_swapped:
                 return super().reader(count, order)
             native = self._native
-            return lambda memory, offset: (_frozen(np.frombuffer(memory, native, count, offset).copy()),)
+            return lambda memory, offset: (read_only(np.frombuffer(memory, native, count, offset).copy()),)
         if not is_swapped:
             return struct.Struct("=" + self._letter).unpack_from
         # Each word is in the order of this machine, so the words are put in that of the robot's before they are one.
@@ -277,7 +272,7 @@ class _Flag(ValueType[bool, NDArray[np.bool_], bool]):
         return bool(words[0])
 
     def unpack_many(self, words: Words, count: int, order: Order) -> NDArray[np.bool_]:
-        return _frozen(words != 0)
+        return read_only(words != 0)
 
     def pack_many(self, values: ArrayLike, count: int, order: Order) -> Words:
         array = _shaped(values, count, "Bool")
@@ -335,7 +330,7 @@ class Scaled(ValueType[float, NDArray[np.float64], SupportsFloat]):
         return int(words[0]) * self.scale
 
     def unpack_many(self, words: Words, count: int, order: Order) -> NDArray[np.float64]:
-        return _frozen(words * self.scale)
+        return read_only(words * self.scale)
 
     def pack_many(self, values: ArrayLike, count: int, order: Order) -> Words:
         numbers = _numbers(values, count, repr(self))
@@ -373,7 +368,7 @@ class _Millionths(ValueType[float, NDArray[np.float64], SupportsFloat]):
         return int(words[0]) + int(words[1]) / 1e6
 
     def unpack_many(self, words: Words, count: int, order: Order) -> NDArray[np.float64]:
-        return _frozen(words[0::2] + words[1::2] / 1e6)
+        return read_only(words[0::2] + words[1::2] / 1e6)
 
     def pack_many(self, values: ArrayLike, count: int, order: Order) -> Words:
         numbers = _numbers(values, count, "Millionths")

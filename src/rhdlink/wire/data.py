@@ -9,7 +9,7 @@ milliseconds of a loop.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,12 @@ _LOW = 0xFFFFFFFF
 _REMEMBERED = 8
 
 K = TypeVar("K")
+
+
+def read_only(array: NDArray[Any]) -> NDArray[Any]:
+    """The same array, which nobody can change any more by it."""
+    array.flags.writeable = False
+    return array
 
 
 class TableLayout:
@@ -67,22 +73,6 @@ class Selection:
         rows: the variables, as an index of arrays with an element for each variable of the table.
         cells: their words, as an index of the table's flat storage.
     """
-
-    __slots__ = (
-        "_expected",
-        "_key",
-        "_stamped",
-        "_stride",
-        "_valued",
-        "at",
-        "cells",
-        "ids",
-        "is_ordered",
-        "rows",
-        "size",
-        "starts",
-        "width",
-    )
 
     def __init__(self, layout: TableLayout, ids: Ids, width: int) -> None:
         count = len(ids)

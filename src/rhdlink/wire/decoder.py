@@ -238,8 +238,6 @@ class ServerDecoder(_Decoder):
         if handshake is None:
             raise BadValue("take_batch() before the handshake has been taken")
         self._check()
-        if self._start == len(self._buffer):
-            return None
         while len(self._buffer) - self._at >= 2:
             letter, direction = self._buffer[self._at], chr(self._buffer[self._at + 1])
             if letter == _END:  # whatever the second letter
@@ -404,8 +402,6 @@ class ClientDecoder(_Decoder):
         if self.access is None:
             raise BadValue("take_request() before the access request has been taken")
         self._check()
-        if self._start == len(self._buffer):
-            return None
         while len(self._buffer) - self._at >= 2:
             letter, direction = self._buffer[self._at], chr(self._buffer[self._at + 1])
             if letter == _END:

@@ -189,7 +189,7 @@ def _teach(args: argparse.Namespace) -> int:
         if known is not None:
             _play(robot, known, args, interruption)
         else:
-            _save(robot, args, interruption)
+            _keep(robot, args, interruption)
     return interruption.status
 
 
@@ -205,7 +205,7 @@ def _play(robot: Robot, taught: Taught, args: argparse.Namespace, interruption: 
             print("done", flush=True)
 
 
-def _save(robot: Robot, args: argparse.Namespace, interruption: Interruption) -> None:
+def _keep(robot: Robot, args: argparse.Namespace, interruption: Interruption) -> None:
     with robot.teach(
         digital_input=args.digital_input, button=args.button, axes=args.axes, on_point=lambda point: _show(point.q)
     ) as teaching:

@@ -1,4 +1,4 @@
-"""The common part of several commands: a robot's address, lines and questions on stderr, and every packet of a stream."""
+"""The common part of several commands: the address of a robot, what is said on stderr, and every packet of a stream."""
 
 from __future__ import annotations
 

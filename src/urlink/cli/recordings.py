@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 import time
 from collections.abc import Callable
@@ -63,6 +64,7 @@ def _record(args: argparse.Namespace) -> int:
       urlink record 192.168.56.101 run.urlog --interface primary --interface secondary --count 100
     """
     interfaces = list(dict.fromkeys(args.interface or ("realtime", "primary")))
+    longest, most = args.duration or math.inf, args.count or math.inf
     with connect(args.address, timeout=args.connect_timeout) as robot, Interruption() as interruption:
         streams = [getattr(robot, name) for name in interfaces]
         with robot.record(args.file, interfaces), ProgressBar("recording", args.quiet) as progress:
@@ -71,13 +73,8 @@ def _record(args: argparse.Namespace) -> int:
             interruption.end_after(args.duration)
             while not interruption.wait(0.05):
                 fewest = min(stream.stats.received for stream in streams)
-                progress(
-                    max(
-                        0.0 if args.duration is None else (time.monotonic() - begin) / args.duration,
-                        0.0 if args.count is None else fewest / args.count,
-                    )
-                )
-                if args.count is not None and fewest >= args.count:
+                progress(max((time.monotonic() - begin) / longest, fewest / most))
+                if fewest >= most:
                     break
                 for stream in streams:
                     if stream.failure is not None:

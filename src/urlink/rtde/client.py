@@ -6,7 +6,7 @@ import threading
 import time
 import weakref
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, Literal, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args, overload
 
 from linkcore.arguments import check_choice
 from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError
@@ -42,6 +42,7 @@ if TYPE_CHECKING:
 Missing = Literal["error", "leave_out"]
 
 T = TypeVar("T", bound=Outputs)
+K = TypeVar("K", bound=OutputStream[Any] | Inputs | Claims)
 
 #: The vendor says 3.4, a test program 3.3, and the vendor's Python client asks for a late 3.2: what is older has none.
 _FIRST = Firmware(3, 2)
@@ -115,7 +116,7 @@ class Rtde:
             BadRecording: the recording holds no RTDE, or not these variables.
             Closed: the robot was closed.
         """
-        check_choice(missing, "missing", ("error", "leave_out"))
+        check_choice(missing, "missing", get_args(Missing))
         kind: type[Outputs] = Outputs
         optional: frozenset[str] = frozenset()
         if len(names) == 1 and isinstance(names[0], type):
@@ -136,9 +137,7 @@ class Rtde:
             raise BadValue(f"frequency={frequency!r}; this controller sends 1 to {most} packages a second")
         plan = Requests(wanted, frequency, optional, kind=kind)
         connection, transport = self._connection(plan, "rtde")
-        stream: OutputStream[Any] = OutputStream(connection, plan, transport)
-        self._keep(stream)
-        return stream
+        return self._keep(OutputStream(connection, plan, transport))
 
     def _recorded(self, wanted: tuple[str, ...], optional: frozenset[str], kind: type[Outputs]) -> OutputStream[Any]:
         assert self._source.channel is not None, "of a recording"
@@ -147,9 +146,7 @@ class Rtde:
         if lacking:
             raise BadValue(f"{self._name} was recorded without {', '.join(lacking)}; it has {', '.join(plan.outputs)}")
         connection = connection_of(f"{self._name} rtde", self._source.transport("rtde"), plan, self._source)
-        stream: OutputStream[Any] = OutputStream(connection, plan, None, lossless=self._source.is_lossless)
-        self._keep(stream)
-        return stream
+        return self._keep(OutputStream(connection, plan, None, lossless=self._source.is_lossless))
 
     def _check_there(self) -> Firmware:
         """The firmware, if it has RTDE.
@@ -186,8 +183,8 @@ class Rtde:
         self._brief.give_back()  # a setting of this very robot may have one of them
         plan = Requests(("timestamp",), _HEARTBEAT, inputs=[wanted])
         connection, transport = self._connection(plan, "rtde inputs")
-        inputs = Inputs(connection, transport, wanted, self._source.timeout)
-        self._keep(inputs)  # before it connects: whoever closes the robot meanwhile ends that too
+        # Kept before it connects: whoever closes the robot meanwhile ends that too.
+        inputs = self._keep(Inputs(connection, transport, wanted, self._source.timeout))
         inputs._claim()
         return inputs
 
@@ -318,7 +315,7 @@ class Rtde:
         transport = (source.rtde or RtdeTransport)(source.transport("rtde"), plan)
         return connection_of(f"{self._name} {what}", transport, plan, source), transport
 
-    def _keep(self, opened: OutputStream[Any] | Inputs | Claims) -> None:
+    def _keep(self, opened: K) -> K:
         """Close this with the robot.
 
         Raises:
@@ -330,6 +327,7 @@ class Rtde:
         if is_closed:
             self.close()
             raise Closed(f"{self._name} was closed")
+        return opened
 
     def close(self, timeout: float = 2.0) -> None:
         """Close every stream and release every input, within `timeout` seconds. Idempotent."""

@@ -19,10 +19,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from linkcore.errors import PacketError
-from linkcore.wire.choice import StateLayout
 from linkcore.wire.fields import Array, Coded, Mask64, OpenInt, Raw, Shape
 from linkcore.wire.layout import Place
 from linkcore.wire.packet import State
+from linkcore.wire.state_layouts import StateLayout
 from tests.oracle import parse
 from urlink import decode
 from urlink.firmware import RELEASES, Firmware, Release

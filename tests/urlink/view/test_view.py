@@ -164,7 +164,12 @@ def test_the_last_seconds_of_a_live_arm() -> None:
         window.look()
         assert len(window.time) == 1
         first = window.time[0]
-        until(lambda: (window.look(), window.time[-1] - first > SPAN + 2.0)[1])
+
+        def has_dropped_the_first() -> bool:
+            window.look()
+            return bool(window.time[-1] - first > SPAN + 2.0)
+
+        until(has_dropped_the_first)
         assert SPAN - 1.0 < window.time[-1] - window.time[0] <= SPAN
         assert len(window.time) <= 502
         assert window.word("robot") == "RUNNING"

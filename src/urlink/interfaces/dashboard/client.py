@@ -457,16 +457,9 @@ class Dashboard:
             return contextlib.nullcontext()
         take_back = None
         if name == "play":
-            another = partial(
-                Dashboard,
-                self._host,
-                self._port,
-                self._firmware,
-                api_port=self._api_port,
-                timeout=self._timeout,
-                recall=Recall(self._name),  # its `stop` waits for nothing that is to be taken back
-            )
-            take_back = TakeBack(another, _stop_what_plays)
+            recall = Recall(self._name)  # with it, `stop` waits for nothing that is to be taken back
+            another = partial(Dashboard, self._host, self._port, self._firmware, api_port=self._api_port)
+            take_back = TakeBack(partial(another, timeout=self._timeout, recall=recall), _stop_what_plays)
         return self._recall.command(name, self._timeout, take_back)
 
 

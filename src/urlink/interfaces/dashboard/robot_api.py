@@ -51,8 +51,7 @@ class ApiRequest:
         reply: name of the member of the answer that is returned; empty for none.
         words: the answer in the dashboard server's words, with the member in it.
         names: values of the member -> what the dashboard server calls them.
-        since: the first firmware that has it.
-        until: the first firmware that has another request for it.
+        since: the first firmware that has it; it holds until the next one for the same command.
         slow: seconds that the answer may take, where that is longer than a moment.
     """
 
@@ -63,7 +62,6 @@ class ApiRequest:
     words: str = "{}"
     names: Mapping[str, str] = field(default_factory=dict)
     since: Version = ROBOT_API
-    until: Version = (99, 0)
     slow: float = 0.0
 
 
@@ -85,7 +83,7 @@ def _mode(path: str, words: str = "{}", names: Mapping[str, str] = MappingProxyT
     return (ApiRequest("GET", path, reply="mode", words=words, names=names, since=(10, 12)),)
 
 
-#: name of the dashboard's command -> the requests for it, by firmware. "resume" is not a command there.
+#: name of the dashboard's command -> the requests for it, the oldest first. "resume" is not a command there.
 REQUESTS: Mapping[str, tuple[ApiRequest, ...]] = MappingProxyType(
     {
         # Powering on may take more than 10 s.
@@ -100,7 +98,7 @@ REQUESTS: Mapping[str, tuple[ApiRequest, ...]] = MappingProxyType(
         "stop": _program("stop"),
         "programState": (ApiRequest("GET", _PROGRAM, reply="state"),),
         "load": (
-            ApiRequest("PUT", "/program/v1/load", {"programName": ""}, until=(10, 12), slow=60.0),
+            ApiRequest("PUT", "/program/v1/load", {"programName": ""}, slow=60.0),
             ApiRequest("PUT", _LOADED, {"name": ""}, since=(10, 12), slow=60.0),
         ),
         "get loaded program": (ApiRequest("GET", _LOADED, reply="name", words="Loaded program: {}", since=(10, 12)),),
@@ -187,12 +185,7 @@ class RobotApi:
         return self._programs("GET", quote(_argument("download_program", name), safe=""), firmware).body
 
     def upload(
-        self,
-        file_name: str,
-        content: bytes,
-        replaces: bool,
-        firmware: Firmware,
-        given_up: Callable[[], object] | None,
+        self, file_name: str, content: bytes, replaces: bool, firmware: Firmware, given_up: Callable[[], object] | None
     ) -> str | None:
         """Store another one, or replace one; the name that the controller says it has. Raises as `do`."""
         form = encode_form(file_name, content)
@@ -269,7 +262,7 @@ def _text(response: HttpResponse) -> str:
 
 def find(name: str, firmware: Firmware) -> ApiRequest | None:
     """The request for a command of the dashboard, or None where this firmware has none."""
-    return next((each for each in REQUESTS.get(name, ()) if each.since <= firmware < each.until), None)
+    return next((each for each in reversed(REQUESTS.get(name, ())) if each.since <= firmware), None)
 
 
 def _argument(name: str, argument: str | None) -> str:

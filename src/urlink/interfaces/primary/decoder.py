@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 from linkcore.clock import Stamp
@@ -167,23 +168,14 @@ class PackageDecoder:
     def _sub_package(self, frame: bytes, at: int) -> tuple[int, int]:
         """Size and type of the sub-package that begins at `at`."""
         left = len(frame) - at
+        wrong = partial(PacketError, packet="RobotState", offset=at)
         if left < _HEAD.size:
-            raise PacketError(
-                "sub-package header cut off", packet="RobotState", expected=_HEAD.size, actual=left, offset=at
-            )
+            raise wrong("sub-package header cut off", expected=_HEAD.size, actual=left)
         size, kind = _HEAD.unpack_from(frame, at)
         if size < _HEAD.size:
-            raise PacketError(
-                f"sub-package {kind} is smaller than its header",
-                packet="RobotState",
-                expected=_HEAD.size,
-                actual=size,
-                offset=at,
-            )
+            raise wrong(f"sub-package {kind} is smaller than its header", expected=_HEAD.size, actual=size)
         if size > left:
-            raise PacketError(
-                f"sub-package {kind} does not fit", packet="RobotState", expected=size, actual=left, offset=at
-            )
+            raise wrong(f"sub-package {kind} does not fit", expected=size, actual=left)
         return size, kind
 
     def _located(self, decoders: Sequence[Callable[..., SubPackage]], parts: Sequence[bytes]) -> PacketError:

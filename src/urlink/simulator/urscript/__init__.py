@@ -10,15 +10,6 @@ from __future__ import annotations
 from .compiler import compile_script
 from .errors import ProgramError
 from .machine import Execution, Script
-from .world import BegunMove, MotionCommands, ScriptSockets, ScriptWorld
+from .world import ScriptWorld
 
-__all__ = [
-    "BegunMove",
-    "Execution",
-    "MotionCommands",
-    "ProgramError",
-    "Script",
-    "ScriptSockets",
-    "ScriptWorld",
-    "compile_script",
-]
+__all__ = ["Execution", "ProgramError", "Script", "ScriptWorld", "compile_script"]

@@ -17,8 +17,6 @@ from __future__ import annotations
 
 from ...firmware import Firmware
 
-ANOTHER_THREAD = "Another thread is already controlling the robot"
-
 
 class ProgramError(Exception):
     """A compile error or run-time error of a program.

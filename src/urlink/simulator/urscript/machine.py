@@ -26,7 +26,6 @@ from typing import Any, Literal, NamedTuple
 
 from ..robot.generator import OutOfReach
 from .errors import (
-    ANOTHER_THREAD,
     MAX_CALL_DEPTH,
     MAX_INSTRUCTIONS,
     MAX_MEMORY,
@@ -341,7 +340,7 @@ class Machine:
             Fault: another thread's motion is not over.
         """
         if self._owner is not None and self._owner is not thread and self._move is not None and not self._move.is_over:
-            raise Fault(ANOTHER_THREAD)
+            raise Fault("Another thread is already controlling the robot")
         self._owner, self._move = thread, None
         self._is_aborted = False
         self.has_moved = True

@@ -76,7 +76,7 @@ def _size(matrix: Matrix) -> str:
 def _product(a: Any, b: Any, charge: Charge) -> Any:
     """Of two matrices; or of a matrix and a list, which is a list: a column on the right, a row on the left."""
     left = rows_of(a if is_matrix(a) else (a,), charge)
-    right = rows_of(b, charge) if is_matrix(b) else tuple(zip(*rows_of((b,), charge), strict=True))
+    right = rows_of(b, charge) if is_matrix(b) else transposed((b,), charge)
     if len(left[0]) != len(right):
         raise Fault(f"Matrix sizes differ: {_size(left)} * {_size(right)}")
     elements = len(left) * len(right[0])

@@ -7,7 +7,7 @@ function. One that takes time is a generator that yields once for every cycle th
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -153,6 +153,11 @@ def joints(value: Any, what: str) -> list[float]:
     if value.__class__ is PoseValue:
         raise type_error(f"{what} is a list, not a pose")
     return vector(value, what, 6)
+
+
+def joints_or(value: Any, present: Sequence[float], what: str) -> list[float]:
+    """A list of six numbers; `present` where none is given."""
+    return list(present) if value is None else joints(value, what)
 
 
 def six(value: Any, what: str) -> list[float]:

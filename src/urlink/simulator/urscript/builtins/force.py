@@ -12,7 +12,6 @@ are left out of the mass matrix unless they are asked for.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,7 @@ from urlink.simulator.robot.generator import ForceTask
 
 from ..errors import Fault
 from ..machine import ScriptThread, Waiting
-from .declaration import boolean, declare, integer, joints, number, number_within, pose, six, vector
+from .declaration import boolean, declare, integer, joints, joints_or, number, number_within, pose, six, vector
 from .poses import tcp_of
 
 _NOWHERE = (0.0, 0.0, 0.0)
@@ -156,28 +155,21 @@ def _rows(matrix: Any) -> _Rows:
     return tuple(map(tuple, matrix.tolist()))
 
 
-def _positions(thread: ScriptThread, q: Any, what: str) -> Sequence[float]:
-    return list(thread.world.q_actual) if q is None else joints(q, f"{what}: q")
-
-
-def _speeds(thread: ScriptThread, qd: Any, what: str) -> Sequence[float]:
-    return list(thread.world.qd_actual) if qd is None else joints(qd, f"{what}: qd")
-
-
 @declare(since="5.23/10.11")
 def get_jacobian(thread: ScriptThread, q: Any = None, tcp: Any = "active_tcp") -> _Rows:
     """The matrix from joint speeds to the velocity of the TCP in the base frame."""
     thread.machine.spend(_COST)
-    at, tool = _positions(thread, q, "get_jacobian"), tcp_of(thread, tcp, "get_jacobian: tcp")
-    return _rows(thread.world.kinematics.jacobian(at, tool))
+    at = joints_or(q, thread.world.q_actual, "get_jacobian: q")
+    return _rows(thread.world.kinematics.jacobian(at, tcp_of(thread, tcp, "get_jacobian: tcp")))
 
 
 @declare(since="5.23/10.11")
 def get_jacobian_time_derivative(thread: ScriptThread, q: Any = None, qd: Any = None, tcp: Any = "active_tcp") -> _Rows:
     """The time derivative of the Jacobian at these joint speeds, per second."""
     thread.machine.spend(2 * _COST)
-    what = "get_jacobian_time_derivative"
-    at, speeds, tool = _positions(thread, q, what), _speeds(thread, qd, what), tcp_of(thread, tcp, f"{what}: tcp")
+    at = joints_or(q, thread.world.q_actual, "get_jacobian_time_derivative: q")
+    speeds = joints_or(qd, thread.world.qd_actual, "get_jacobian_time_derivative: qd")
+    tool = tcp_of(thread, tcp, "get_jacobian_time_derivative: tcp")
     before, after = (
         thread.world.kinematics.jacobian([p + t * v for p, v in zip(at, speeds, strict=True)], tool)
         for t in (-_MOMENT, _MOMENT)
@@ -189,7 +181,7 @@ def get_jacobian_time_derivative(thread: ScriptThread, q: Any = None, qd: Any = 
 def get_mass_matrix(thread: ScriptThread, q: Any = None, include_rotors_inertia: Any = False) -> _Rows:
     """The matrix from joint accelerations to torques, kg m²."""
     thread.machine.spend(_COST)
-    matrix = thread.world.dynamics.mass_matrix(_positions(thread, q, "get_mass_matrix"))
+    matrix = thread.world.dynamics.mass_matrix(joints_or(q, thread.world.q_actual, "get_mass_matrix: q"))
     if not boolean(include_rotors_inertia, "get_mass_matrix: include_rotors_inertia"):
         matrix = matrix - np.diag(thread.world.motors.rotor_inertias)
     return _rows(matrix)
@@ -199,8 +191,8 @@ def get_mass_matrix(thread: ScriptThread, q: Any = None, include_rotors_inertia:
 def get_coriolis_and_centrifugal_torques(thread: ScriptThread, q: Any = None, qd: Any = None) -> tuple[float, ...]:
     """Torques at constant joint speeds, without gravity, Nm."""
     thread.machine.spend(_COST)
-    what = "get_coriolis_and_centrifugal_torques"
-    at, speeds = _positions(thread, q, what), _speeds(thread, qd, what)
+    at = joints_or(q, thread.world.q_actual, "get_coriolis_and_centrifugal_torques: q")
+    speeds = joints_or(qd, thread.world.qd_actual, "get_coriolis_and_centrifugal_torques: qd")
     return tuple(thread.world.dynamics.coriolis_torque(at, speeds).tolist())
 
 

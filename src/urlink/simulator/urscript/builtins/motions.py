@@ -34,7 +34,7 @@ def _joints(thread: ScriptThread, target: Any, what: str) -> list[float]:
     """Joint positions, or those of a pose that are closest to the present target."""
     if is_list(target):
         return joints(target, what)
-    found = solution(thread, pose(target, what), list(thread.world.q_target), "active_tcp")
+    found = solution(thread, pose(target, what))
     if found is None:
         raise Fault(f"{what}: unable to find an inverse kinematics solution")
     return found

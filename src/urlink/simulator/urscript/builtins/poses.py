@@ -19,7 +19,7 @@ from ..errors import Fault, type_error
 from ..machine import ScriptThread
 from ..matrices import rows_of
 from ..values import PoseValue, list_of
-from .declaration import declare, is_list, joints, number, pose, vector
+from .declaration import declare, is_list, joints, joints_or, number, pose, vector
 
 # Work of each, in elements of a list.
 _TRANSFORMATION, _FORWARD, _INVERSE = 20, 40, 400
@@ -129,7 +129,7 @@ def get_inverse_kin_tcp(
     maxOrientationError: Any = 1e-10,
     tcp: Any = "active_tcp",
 ) -> tuple[float, ...]:
-    found = solution(thread, pose(x, "get_inverse_kin: x"), _near(thread, qnear), tcp)
+    found = solution(thread, pose(x, "get_inverse_kin: x"), qnear, tcp)
     if found is None:
         raise Fault("get_inverse_kin: unable to find an inverse kinematics solution")
     return tuple(found)
@@ -152,7 +152,7 @@ def get_inverse_kin_has_solution(
     maxOrientationError: Any = 1e-10,
     tcp: Any = "active_tcp",
 ) -> bool:
-    return solution(thread, _pose(pose, "get_inverse_kin_has_solution: pose"), _near(thread, qnear), tcp) is not None
+    return solution(thread, _pose(pose, "get_inverse_kin_has_solution: pose"), qnear, tcp) is not None
 
 
 _pose = pose
@@ -165,12 +165,15 @@ def is_within_safety_limits(thread: ScriptThread, pose: Any) -> bool:
     if is_list(pose):
         q = joints(pose, "is_within_safety_limits: q")
     else:
-        q = solution(thread, _pose(pose, "is_within_safety_limits: pose"), _near(thread, None), "active_tcp")
+        q = solution(thread, _pose(pose, "is_within_safety_limits: pose"))
     return q is not None and bool(thread.world.kinematics.within_limits(q))
 
 
-def solution(thread: ScriptThread, x: Sequence[float], near: Sequence[float], tcp: Any) -> list[float] | None:
-    """The joint positions for a pose that are closest to `near`; None if it is out of reach."""
+def solution(
+    thread: ScriptThread, x: Sequence[float], qnear: Any = None, tcp: Any = "active_tcp"
+) -> list[float] | None:
+    """The joint positions for a pose that are closest to `qnear`, or to the present target; None if out of reach."""
+    near = joints_or(qnear, thread.world.q_target, "qnear")
     thread.machine.spend(_INVERSE)
     try:
         # A controller takes any rotation vector; `Arm.inverse` takes those of up to one turn.
@@ -181,10 +184,6 @@ def solution(thread: ScriptThread, x: Sequence[float], near: Sequence[float], tc
     except Unreachable:
         return None
     return found
-
-
-def _near(thread: ScriptThread, qnear: Any) -> list[float]:
-    return list(thread.world.q_target) if qnear is None else joints(qnear, "qnear")
 
 
 def tcp_of(thread: ScriptThread, tcp: Any, what: str) -> list[float]:
