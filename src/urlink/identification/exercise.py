@@ -49,14 +49,13 @@ class Leg:
 
     Attributes:
         goal: (6,) rad.
-        speed, acceleration: of the joint that moves furthest, rad/s and rad/s².
+        speed: of the joint that moves furthest, rad/s.
         seconds: that it takes at a slider of 100 %.
         rest: s at rest after it.
     """
 
     goal: FloatArray
     speed: float
-    acceleration: float
     seconds: float
     rest: float
 
@@ -172,7 +171,7 @@ def plan(arm: Arm, start: FloatArray, tcp: FloatArray, swing: float = SWING, joi
         speed = min(fastest, _TIP / max(lever, 1e-9))
         ramps = min(speed / _ACCELERATION, math.sqrt(far / _ACCELERATION))
         seconds = far / (ramps * _ACCELERATION) + ramps
-        legs.append(Leg(goal, speed, _ACCELERATION, seconds, rest))
+        legs.append(Leg(goal, speed, seconds, rest))
         where.append(points.reshape(-1, 3))
         at = goal
     swept = np.concatenate(where)
@@ -217,7 +216,7 @@ def exercise(
         for number, leg in enumerate(planned.legs):
             guard.check()
             began(number)
-            motion = robot.motion.move_joints(leg.goal, leg.speed, leg.acceleration)
+            motion = robot.motion.move_joints(leg.goal, leg.speed, _ACCELERATION)
             try:
                 motion.wait(leg.seconds / slider + _SPARE)
             except LinkTimeout:
