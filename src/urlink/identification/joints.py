@@ -91,19 +91,15 @@ def fit_joints(model: Model, columns: Mapping[str, FloatArray]) -> JointFit:
 def _fit_moments(
     model: Model, q: FloatArray, qd: FloatArray, qdd: FloatArray, moments: FloatArray
 ) -> tuple[Estimate, tuple[Estimate, ...], tuple[Estimate, ...], FloatArray]:
+    def with_kg(at: FloatArray) -> FloatArray:
+        return Dynamics(model, payload=1.0, payload_cog=at).torque(q, qd, qdd)
+
     bare = Dynamics(model).torque(q, qd, qdd)
     # The moments per kg at the flange, and per kg m along each of its axes: without the terms of second order in the
     # distance, which are the payload's inertia about the flange.
-    at_flange = Dynamics(model, payload=1.0).torque(q, qd, qdd) - bare
+    at_flange = with_kg(np.zeros(3)) - bare
     step = 1e-3
-    per_way = [
-        (
-            Dynamics(model, payload=1.0, payload_cog=step * axis).torque(q, qd, qdd)
-            - Dynamics(model, payload=1.0, payload_cog=-step * axis).torque(q, qd, qdd)
-        )
-        / (2.0 * step)
-        for axis in np.eye(3)
-    ]
+    per_way = [(with_kg(step * axis) - with_kg(-step * axis)) / (2.0 * step) for axis in np.eye(3)]
     moved = np.abs(qdd).max(axis=0) >= _ACCELERATION
     shared = np.stack([at_flange, *per_way], axis=-1)
     rotor_columns = qdd[:, :, np.newaxis] * np.eye(6)
@@ -123,16 +119,16 @@ def _fit_moments(
         covariance[np.ix_(known, known)] = spread
         mass, first = factors[0], factors[1:4]
         cog = first / mass if mass > 1e-3 else np.zeros(3)
-        modelled = Dynamics(model, payload=max(mass, 0.0), payload_cog=cog, rotors=np.maximum(factors[4:], 0.0)).torque(
-            q, qd, qdd
-        )
+        fitted = Dynamics(model, payload=max(mass, 0.0), payload_cog=cog, rotors=np.maximum(factors[4:], 0.0))
+        modelled = fitted.torque(q, qd, qdd)
         # What the mass at its distance adds to its first moment, from the fit before.
         linear = bare + shared @ factors[:4] + rotor_columns @ factors[4:]
         second = modelled - linear
         deviation = np.sqrt(np.mean((moments - modelled) ** 2, axis=0))
         weight = 1.0 / np.maximum(deviation, max(deviation.max() * 1e-3, 1e-12))
     deviations = np.sqrt(np.diag(covariance))
-    payload = Estimate.around(float(factors[0]), float(deviations[0]))
+    estimates = list(map(Estimate.around, factors.tolist(), deviations.tolist()))
+    payload, of_rotors = estimates[0], estimates[4:]
     centre: tuple[Estimate, ...]
     if deviations[0] * SIDES > _MASS:
         needs = "postures in which the weight of the tool turns the wrists differently"
@@ -140,14 +136,11 @@ def _fit_moments(
     elif factors[0] < 0.05:
         centre = (Estimate.unknown("a payload"),) * 3
     else:
-        centre = tuple(
-            Estimate.around(float(factors[1 + i] / factors[0]), float(deviations[1 + i] / factors[0])) for i in range(3)
-        )
+        place, unsure = factors[1:4] / factors[0], deviations[1:4] / factors[0]
+        centre = tuple(map(Estimate.around, place.tolist(), unsure.tolist()))
     rotors = tuple(
-        Estimate.around(float(factors[4 + i]), float(deviations[4 + i]))
-        if moved[i]
-        else Estimate.unknown(f"{joint} to accelerate by {_ACCELERATION} rad/s² or more")
-        for i, joint in enumerate(JOINTS)
+        found if has_moved else Estimate.unknown(f"{joint} to accelerate by {_ACCELERATION} rad/s² or more")
+        for joint, found, has_moved in zip(JOINTS, of_rotors, moved, strict=True)
     )
     return payload, centre, rotors, modelled
 
