@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..arm_file import SIDES, Estimate
 from ..dynamics import Dynamics
 from ..models import Model
-from ..motors import FULL_SPEED, Motors, motors_of
+from ..motors import FULL_SPEED, motors_of
 from ..vectors import JOINTS, FloatArray
 
 #: rad/s²: a joint that never accelerates by as much does not show its rotor.
@@ -37,8 +37,8 @@ class JointFit:
         payload: kg.
         payload_cog: (3,) in the frame of the flange, m.
         rotor_inertias, torque_constants, coulomb, viscous: of the six joints, kg m², Nm/A, A, A s/rad.
-        torque_r2, current_r2: (6,) the part of the variance that the fit explains, in these rows.
-        motors: those of the model, of which is taken what is not known.
+        torque_r2, current_r2: (6,) the part of the variance that the fit explains, in these rows; of what is not known
+            is taken that of the model.
     """
 
     payload: Estimate
@@ -49,13 +49,6 @@ class JointFit:
     viscous: tuple[Estimate, ...]
     torque_r2: tuple[float, ...]
     current_r2: tuple[float, ...]
-    motors: Motors
-
-    def current(self, torque: FloatArray, qd: FloatArray) -> FloatArray:
-        """(n, 6) A, as fitted."""
-        constants = _or(self.torque_constants, self.motors.torque_constants)
-        coulomb, viscous = _or(self.coulomb, self.motors.coulomb), _or(self.viscous, self.motors.viscous)
-        return np.asarray(torque / constants + coulomb * _saturated(qd) + viscous * qd)
 
 
 def fit_joints(model: Model, columns: Mapping[str, FloatArray]) -> JointFit:
@@ -74,7 +67,7 @@ def fit_joints(model: Model, columns: Mapping[str, FloatArray]) -> JointFit:
     currents = columns.get("target_current", columns.get("actual_current"))
     if currents is None:
         unknown = (Estimate.unknown("target_current or actual_current in the recording"),) * 6
-        return JointFit(payload, cog, rotors, unknown, unknown, unknown, torque_r2, (np.nan,) * 6, motors)
+        return JointFit(payload, cog, rotors, unknown, unknown, unknown, torque_r2, (np.nan,) * 6)
     # Stiction hides the friction of a standing joint in the actual current.
     rows = np.ones(len(q), dtype=bool) if "target_current" in columns else (np.abs(qd) > FULL_SPEED).any(axis=1)
     found = [
@@ -82,10 +75,13 @@ def fit_joints(model: Model, columns: Mapping[str, FloatArray]) -> JointFit:
         for i, joint in enumerate(JOINTS)
     ]
     constants, coulomb, viscous = (tuple(each[part] for each in found) for part in range(3))
-    fitted = JointFit(payload, cog, rotors, constants, coulomb, viscous, torque_r2, (np.nan,) * 6, motors)
-    explained = fitted.current(modelled[rows], qd[rows])
-    r2 = tuple(_r2(currents[rows, i], explained[:, i]) for i in range(6))
-    return replace(fitted, current_r2=r2)
+    explained = (
+        modelled[rows] / _or(constants, motors.torque_constants)
+        + _or(coulomb, motors.coulomb) * _saturated(qd[rows])
+        + _or(viscous, motors.viscous) * qd[rows]
+    )
+    current_r2 = tuple(_r2(currents[rows, i], explained[:, i]) for i in range(6))
+    return JointFit(payload, cog, rotors, constants, coulomb, viscous, torque_r2, current_r2)
 
 
 def _fit_moments(
