@@ -150,8 +150,7 @@ def _sleep(evidence: Evidence, said: Told) -> Measured:
 
 def _program_state(evidence: Evidence, said: Told) -> Measured:
     begin, end = span(evidence, "sleep")
-    came = zip(evidence.primary.arrivals, evidence.primary.states, strict=True)
-    modes = [state.robot_mode_data for at, state in came if begin <= at <= end + 0.5]
+    modes = [state.robot_mode_data for state in evidence.primary.between(begin, end + 0.5).states]
     shown = [mode for mode in modes if mode is not None and mode.is_program_running]
     wrong = [] if shown else ["no robot state said that the program ran"]
     states = evidence.realtime.column(lambda state: state.program_state)
