@@ -81,8 +81,7 @@ class ControlTool(RtdeInterface):
     def getForwardKinematics(self, q: Sequence[float] = (), tcp_offset: Sequence[float] = ()) -> list[float]:
         """The pose of the tool at joint positions; without arguments, of the present positions and TCP."""
         values = q or self._robot.realtime.wait(STATE_TIMEOUT).q_actual
-        pose: list[float] = self._robot.kinematics.forward(values, tcp_offset or self.getTCPOffset()).tolist()
-        return pose
+        return list(map(float, self._robot.kinematics.forward(values, tcp_offset or self.getTCPOffset())))
 
     def getInverseKinematics(
         self,
@@ -99,8 +98,7 @@ class ControlTool(RtdeInterface):
             Unreachable: the pose is out of reach.
         """
         near = qnear or self._robot.realtime.wait(STATE_TIMEOUT).q_target
-        q: list[float] = self._robot.kinematics.inverse(x, near, self.getTCPOffset()).tolist()
-        return q
+        return list(map(float, self._robot.kinematics.inverse(x, near, self.getTCPOffset())))
 
     def getInverseKinematicsHasSolution(
         self,
@@ -118,13 +116,11 @@ class ControlTool(RtdeInterface):
 
     def getActualToolFlangePose(self) -> list[float]:
         """The pose of the flange."""
-        pose: list[float] = self._robot.kinematics.forward(self._robot.realtime.wait(STATE_TIMEOUT).q_actual).tolist()
-        return pose
+        return list(map(float, self._robot.kinematics.forward(self._robot.realtime.wait(STATE_TIMEOUT).q_actual)))
 
     def poseTrans(self, p_from: Sequence[float], p_from_to: Sequence[float]) -> list[float]:
         """The pose `p_from_to`, which is given in the frame `p_from`, in the frame that `p_from` is given in."""
-        pose: list[float] = compose(p_from, p_from_to).tolist()
-        return pose
+        return list(map(float, compose(p_from, p_from_to)))
 
     def isPoseWithinSafetyLimits(self, pose: Sequence[float]) -> bool:
         """Whether the safety configuration allows this pose of the tool; computed by the controller."""
