@@ -108,9 +108,8 @@ def _ask(robot: Robot, place: RobotAddress, book: Logbook) -> None:
     interface = "robot_api" if firmware.is_polyscope_x else "dashboard"
     if interface not in place.ports:
         return
-    dialogue = Dialogue(
-        TcpTransport(place.host, place.ports[interface], silence=_TIMEOUT), DashboardProtocol, interface, _TIMEOUT
-    )
+    transport = TcpTransport(place.host, place.ports[interface], silence=_TIMEOUT)
+    dialogue = Dialogue(transport, DashboardProtocol, interface, _TIMEOUT)
     api = RobotApi(HttpClient(place.host, place.ports[interface]), _TIMEOUT)
     try:
         for command in COMMANDS.values():

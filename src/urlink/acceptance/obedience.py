@@ -142,9 +142,8 @@ def _sleep(evidence: Evidence, said: Told) -> Measured:
         return Measured(math.inf, "the program did not say when it began and ended")
     (a, first), (b, last) = times[begin], times[end]
     if first is not None and last is not None and last > first:
-        return Measured(
-            abs(last - first - SLEEP), f"{last - first:.3f} s by the controller's clock, {b - a:.3f} s here"
-        )
+        took = last - first
+        return Measured(abs(took - SLEEP), f"{took:.3f} s by the controller's clock, {b - a:.3f} s here")
     return Measured(abs(b - a - SLEEP), f"{b - a:.3f} s by the clock of this computer")
 
 

@@ -139,9 +139,8 @@ def _where_it_stands(robot: Robot) -> FloatArray:
     """(6,) rad, when nothing moves the arm and no program could go on."""
     robot.realtime.wait(_SOON)
     try:
-        robot.primary.of(RobotModeData).wait_until(
-            lambda mode: not (mode.is_program_running or mode.is_program_paused), _SOON
-        )
+        modes = robot.primary.of(RobotModeData)
+        modes.wait_until(lambda mode: not (mode.is_program_running or mode.is_program_paused), _SOON)
         return robot.realtime.wait_until(lambda state: not state.qd_target.any(), _SOON).q_target.copy()
     except LinkTimeout as error:
         raise Cancelled(f"a program runs or is paused, or the arm moves: stop it first ({error})") from None
