@@ -178,17 +178,17 @@ class Evidence:
 
     @cached_property
     def realtime(self) -> Came:
-        """What came of the real-time interface."""
+        """What came on the real-time interface."""
         return _read(((wire, RealtimeProtocol()) for wire in self._alone("realtime")), RealtimeState)
 
     @cached_property
     def primary(self) -> Came:
-        """What came of the primary interface."""
+        """What came on the primary interface."""
         return _read(((wire, PrimaryProtocol()) for wire in self._alone("primary")), RobotState)
 
     @cached_property
     def secondary(self) -> Came:
-        """What came of the secondary interface."""
+        """What came on the secondary interface."""
         return _read(((wire, PrimaryProtocol()) for wire in self._alone("secondary")), RobotState)
 
     @cached_property

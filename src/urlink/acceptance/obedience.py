@@ -41,10 +41,10 @@ def held_up(evidence: Evidence, step: str) -> float:
 
 
 def unless_held_up(evidence: Evidence, step: str, found: Measured, most: float) -> Measured:
-    """What was found of a step, if that is not more than `most`, or nothing was late for another reason.
+    """What was found of a step.
 
     Raises:
-        NotTried: it may be more because this computer, or the network, was held up.
+        NotTried: it is more than `most`, and this computer, or the network, was held up meanwhile.
     """
     if found.value > most and (silent := held_up(evidence, step)) > HELD_UP:
         raise NotTried(f"for {silent * 1e3:.0f} ms nothing came from the controller; {found.seen}")
