@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from tests import real_captures
+from urlink.arm_file import MOTORS, ArmFile
 from urlink.dynamics import GRAVITY, Dynamics
 from urlink.identification.calibration import Calibration, fit_calibration
 from urlink.identification.joints import fit_joints
@@ -120,7 +121,9 @@ def test_joints_are_identified_on_one_half_for_the_other(log: Log) -> None:
     dynamics = Dynamics(MODEL, payload=fitted.payload.value, payload_cog=known[0], rotors=known[1])
     torque = dynamics.torque(*(log[name][half:] for name in names[:3]))
     assert (r2(log["target_moment"][half:], torque) > 0.999).all()
-    current = fitted.current(torque, log["target_qd"][half:])
+    own = ArmFile(MODEL.name, {in_file: getattr(fitted, field) for field, in_file in MOTORS.items()}).motors
+    rows = zip(torque, log["target_qd"][half:], strict=True)
+    current = np.array([own.current(moment, qd) for moment, qd in rows])
     assert (r2(log["target_current"][half:], current) > 0.99).all()
     # It hardly bears anything, so its torque constant does not show.
     assert "wrist 3" in fitted.torque_constants[5].needs

@@ -79,12 +79,7 @@ _FIELDS = (
 )
 
 #: What is asked for by RTDE while a controller is listened to.
-RTDE_NAMES: tuple[str, ...] = (
-    "timestamp",
-    *(each.rtde for each in _FIELDS),
-    "target_speed_fraction",
-    "time_scale_source",
-)
+RTDE_NAMES = ("timestamp", *(each.rtde for each in _FIELDS), "target_speed_fraction", "time_scale_source")
 
 #: By which packets of one cycle are known again: noisy values.
 _KEYS = ("q_actual", "I_actual", "qd_actual", "tcp_force", "motor_temperatures", "tool_vector_actual")

@@ -75,13 +75,10 @@ def _versions(evidence: Evidence) -> Measured:
     if first is None:
         raise NotTried("the controller does not say its firmware")
     said: dict[str, tuple[int, ...]] = {}
-    for name, packets in (("primary", evidence.primary), ("secondary", evidence.secondary)):
-        for _, packet in packets.others:
-            if isinstance(packet, VersionMessage):
+    for name in ("primary", "secondary", "rtde"):
+        for _, packet in getattr(evidence, name).others:
+            if isinstance(packet, (VersionMessage, ControllerVersionReply)):
                 said[name] = (packet.major, packet.minor)
-    for _, packet in evidence.rtde.others:
-        if isinstance(packet, ControllerVersionReply):
-            said["rtde"] = (packet.major, packet.minor)
     for _, _, answer in evidence.said("dashboard"):
         numbers = answer["reply"].removeprefix("URSoftware ").split(".")
         if answer["asked"] in ("PolyscopeVersion", "version") and len(numbers) > 1 and numbers[1].isdigit():

@@ -188,9 +188,8 @@ def _hide(data: bytes, hidden: list[str], is_text: bool) -> bytes:
 
 def _note(payload: bytes, hidden: list[str]) -> bytes:
     said = json.loads(payload)
-    return strict_json(
-        {key: value if key == "step" else _in_texts(value, hidden) for key, value in said.items()}
-    ).encode()
+    clean = {key: value if key == "step" else _in_texts(value, hidden) for key, value in said.items()}
+    return strict_json(clean).encode()
 
 
 def _in_texts(value: Any, hidden: list[str]) -> Any:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from linkcore.clock import Stamp
 from linkcore.errors import LinkError, PacketError
 from linkcore.recording.file import Kind, RecordingFile
+from linkcore.wire.framing import Framer
 
 from ..firmware import Firmware
 from ..identity import Identity, described_identity
@@ -24,6 +25,7 @@ from ..interfaces.primary.protocol import PrimaryProtocol
 from ..interfaces.primary.robot_state import RobotState
 from ..interfaces.realtime.packets import RealtimeState
 from ..interfaces.realtime.protocol import RealtimeProtocol
+from ..interfaces.rtde.framing import REQUEST_SIZES, RtdeBoundary
 from ..interfaces.rtde.packets import OutputsRequest, decode_request, split_names
 from ..interfaces.rtde.protocol import Requests, RtdeProtocol
 from ..interfaces.rtde.recipes import Outputs
@@ -176,17 +178,17 @@ class Evidence:
 
     @cached_property
     def realtime(self) -> Came:
-        """What came of the real-time interface."""
+        """What came on the real-time interface."""
         return _read(((wire, RealtimeProtocol()) for wire in self._alone("realtime")), RealtimeState)
 
     @cached_property
     def primary(self) -> Came:
-        """What came of the primary interface."""
+        """What came on the primary interface."""
         return _read(((wire, PrimaryProtocol()) for wire in self._alone("primary")), RobotState)
 
     @cached_property
     def secondary(self) -> Came:
-        """What came of the secondary interface."""
+        """What came on the secondary interface."""
         return _read(((wire, PrimaryProtocol()) for wire in self._alone("secondary")), RobotState)
 
     @cached_property
@@ -205,18 +207,15 @@ class Evidence:
 
 def _names(sent: Wire) -> tuple[str, ...]:
     """The outputs that were asked for first, and started, on a connection to RTDE."""
-    data, at, is_started = sent.data, 0, False
+    is_started = False
     names: tuple[str, ...] = ()
-    while at + 3 <= len(data):
-        size = int.from_bytes(data[at : at + 2], "big")
-        frame = data[at : at + max(size, 3)]
+    for frame in Framer(RtdeBoundary(REQUEST_SIZES)).feed(sent.data):
         is_started = is_started or frame[2:3] == b"S"
         if frame[2:3] == b"O" and not names:
             # Under protocol 2 a frequency comes first, whose first byte is not a letter.
             request = decode_request(frame, 1 if frame[3:4].isalpha() else 2)
             assert isinstance(request, OutputsRequest)
             names = split_names(request.names)
-        at += max(size, 3)
     return names if is_started else ()
 
 

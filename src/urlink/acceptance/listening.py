@@ -5,10 +5,9 @@ The answers are the names of RTDE, and the words of the dashboard or the Robot A
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping
-
-import numpy as np
 
 from linkcore.errors import LinkError, PacketError
 from linkcore.net.dialogue import Dialogue
@@ -109,9 +108,8 @@ def _ask(robot: Robot, place: RobotAddress, book: Logbook) -> None:
     interface = "robot_api" if firmware.is_polyscope_x else "dashboard"
     if interface not in place.ports:
         return
-    dialogue = Dialogue(
-        TcpTransport(place.host, place.ports[interface], silence=_TIMEOUT), DashboardProtocol, interface, _TIMEOUT
-    )
+    transport = TcpTransport(place.host, place.ports[interface], silence=_TIMEOUT)
+    dialogue = Dialogue(transport, DashboardProtocol, interface, _TIMEOUT)
     api = RobotApi(HttpClient(place.host, place.ports[interface]), _TIMEOUT)
     try:
         for command in COMMANDS.values():
@@ -185,7 +183,7 @@ def _words(evidence: Evidence) -> Measured:
 def _dashboard_modes(evidence: Evidence) -> Measured:
     answers = {said["asked"]: said["reply"] for _, _, said in evidence.said("dashboard") if not said["error"]}
     # Later stages run programs.
-    states = evidence.primary.states[: np.searchsorted(evidence.primary.arrivals, evidence.stage(0)[1])]
+    states = evidence.primary.between(-math.inf, evidence.stage(0)[1]).states
     if not answers or not states or evidence.firmware is None:
         raise NotTried("there is no dashboard, or no robot state")
     modes, board = states[-1].robot_mode_data, states[-1].masterboard_data

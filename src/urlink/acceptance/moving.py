@@ -116,9 +116,8 @@ class _Wrist:
 
     def follow(self, slider: float) -> Told:
         self._robot.set_speed_slider(slider, confirm=_SOON)
-        there = Trajectory.from_arrays(
-            [0.0, 0.5 * FOLLOWED, FOLLOWED], [self._goal(0.0), self._goal(0.5), self._goal()]
-        )
+        goals = [self._goal(0.0), self._goal(0.5), self._goal()]
+        there = Trajectory.from_arrays([0.0, 0.5 * FOLLOWED, FOLLOWED], goals)
         self._robot.motion.follow(there, goal_tolerance=0.005).wait(FOLLOWED / slider + _LONG)
         time.sleep(0.3)
         return {"goal": self._goal(), "slider": slider}

@@ -41,10 +41,10 @@ def held_up(evidence: Evidence, step: str) -> float:
 
 
 def unless_held_up(evidence: Evidence, step: str, found: Measured, most: float) -> Measured:
-    """What was found of a step, if that is not more than `most`, or nothing was late for another reason.
+    """What was found of a step.
 
     Raises:
-        NotTried: it may be more because this computer, or the network, was held up.
+        NotTried: it is more than `most`, and this computer, or the network, was held up meanwhile.
     """
     if found.value > most and (silent := held_up(evidence, step)) > HELD_UP:
         raise NotTried(f"for {silent * 1e3:.0f} ms nothing came from the controller; {found.seen}")
@@ -142,16 +142,14 @@ def _sleep(evidence: Evidence, said: Told) -> Measured:
         return Measured(math.inf, "the program did not say when it began and ended")
     (a, first), (b, last) = times[begin], times[end]
     if first is not None and last is not None and last > first:
-        return Measured(
-            abs(last - first - SLEEP), f"{last - first:.3f} s by the controller's clock, {b - a:.3f} s here"
-        )
+        took = last - first
+        return Measured(abs(took - SLEEP), f"{took:.3f} s by the controller's clock, {b - a:.3f} s here")
     return Measured(abs(b - a - SLEEP), f"{b - a:.3f} s by the clock of this computer")
 
 
 def _program_state(evidence: Evidence, said: Told) -> Measured:
     begin, end = span(evidence, "sleep")
-    came = zip(evidence.primary.arrivals, evidence.primary.states, strict=True)
-    modes = [state.robot_mode_data for at, state in came if begin <= at <= end + 0.5]
+    modes = [state.robot_mode_data for state in evidence.primary.between(begin, end + 0.5).states]
     shown = [mode for mode in modes if mode is not None and mode.is_program_running]
     wrong = [] if shown else ["no robot state said that the program ran"]
     states = evidence.realtime.column(lambda state: state.program_state)

@@ -164,17 +164,11 @@ def _kinematics(evidence: Evidence) -> Measured:
     some = np.linspace(0, len(q) - 1, min(len(q), 200)).astype(int)
     expected = known.kinematics.forward(q[some], tcp)
     apart = np.linalg.norm(expected[:, :3] - pose[some, :3], axis=1)
-    turned = np.array([_turn(a, b) for a, b in zip(expected[:, 3:], pose[some, 3:], strict=True)])
+    turned = np.linalg.norm(poses.compose(poses.invert(expected), pose[some])[:, 3:], axis=1)
     which = "its own calibration" if known.dh_table is not None else "the published lengths"
     seen = f"at most {apart.max() * 1e3:.3f} mm and {turned.max() * 1e3:.3f} mrad, by {which}"
     # A turn counts as the way of a point at 1 m from the tool.
     return Measured(float(max(apart.max(), turned.max())), seen)
-
-
-def _turn(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
-    """The angle between two orientations, rad."""
-    first, second = np.concatenate([np.zeros(3), one]), np.concatenate([np.zeros(3), other])
-    return float(np.linalg.norm(poses.compose(poses.invert(first), second)[3:]))
 
 
 def _gravity(evidence: Evidence) -> Measured:

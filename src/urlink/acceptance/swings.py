@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import lru_cache
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -193,7 +194,7 @@ def _identified(evidence: Evidence) -> tuple[_Swings, ArmFile]:
     _, arm = known_arm(evidence)
     columns = {}
     for ours, theirs in COLUMNS.items():
-        column = swings.packets.column(lambda state, name=theirs: getattr(state, name))  # type: ignore[misc]
+        column = swings.packets.column(attrgetter(theirs))
         if column is not None:
             columns[ours] = column
     columns["timestamp"] = moments("realtime", swings.packets)

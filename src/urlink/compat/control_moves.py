@@ -1,4 +1,4 @@
-"""Movements of ur_rtde's control interface, one by one or along a path."""
+"""Movements of ur_rtde's control interface, one by one or along a path, and the kinematics that they need."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ from typing import Any, overload
 from linkcore.errors import BadValue
 from linkcore.handle import Motion
 
+from ..kinematics import Unreachable
 from ..motion import PathMotion
 from ..motion.path import Joint, Linear, Waypoint
+from ..packets import CartesianInfo
 from ..urscript import text
 from ..vectors import six
-from .control_tool import STATE_TIMEOUT, ControlTool
-from .interface import Blocks, NotOffered, succeeds
+from .interface import Blocks, NotOffered, RtdeInterface, succeeds
 
-__all__ = ["LONGEST", "AsyncOperationStatus", "ControlMoves", "Path", "PathEntry"]
+__all__ = ["LONGEST", "STATE_TIMEOUT", "AsyncOperationStatus", "ControlMoves", "Path", "PathEntry"]
 
 
 class _MoveType(IntEnum):
@@ -98,6 +99,8 @@ class Path:
 
 #: Seconds to wait for the end of a motion, as the other client does.
 LONGEST = 300.0
+#: Seconds to wait for a state.
+STATE_TIMEOUT = 5.0
 
 
 class AsyncOperationStatus:
@@ -136,8 +139,8 @@ class AsyncOperationStatus:
         return self._value == other._value
 
 
-class ControlMoves(ControlTool):
-    """Movements that end by themselves, and stops.
+class ControlMoves(RtdeInterface):
+    """Kinematics, movements that end by themselves, and stops.
 
     Args:
         hostname: address of the robot.
@@ -159,6 +162,55 @@ class ControlMoves(ControlTool):
         self._last: tuple[list[float], float, float] | None = None
         self._operation: Motion | None = None
         self._operations = 0
+
+    def getTCPOffset(self) -> list[float]:
+        """The TCP, a pose in the frame of the flange, m and rad; from 3.2 on."""
+        feed = self._robot.primary.of(CartesianInfo)
+        info = feed.latest or feed.wait(STATE_TIMEOUT)
+        if info.tcp_offset_X is None:
+            raise NotOffered("a controller before 3.2 does not send the offset of its tool")
+        turn = (info.tcp_offset_Rx, info.tcp_offset_Ry, info.tcp_offset_Rz)
+        return [float(each or 0.0) for each in (info.tcp_offset_X, info.tcp_offset_Y, info.tcp_offset_Z, *turn)]
+
+    def getForwardKinematics(self, q: Sequence[float] = (), tcp_offset: Sequence[float] = ()) -> list[float]:
+        """The pose of the tool at joint positions; without arguments, of the present positions and TCP."""
+        values = q or self._robot.realtime.wait(STATE_TIMEOUT).q_actual
+        return list(map(float, self._robot.kinematics.forward(values, tcp_offset or self.getTCPOffset())))
+
+    def getInverseKinematics(
+        self,
+        x: Sequence[float],
+        qnear: Sequence[float] = (),
+        max_position_error: float = 1e-10,
+        max_orientation_error: float = 1e-10,
+    ) -> list[float]:
+        """The joint positions for a pose of the tool that are closest to `qnear`, or to the target joint positions.
+
+        The largest errors have no effect: the result is exact to 1e-12 m and rad.
+
+        Raises:
+            Unreachable: the pose is out of reach.
+        """
+        near = qnear or self._robot.realtime.wait(STATE_TIMEOUT).q_target
+        return list(map(float, self._robot.kinematics.inverse(x, near, self.getTCPOffset())))
+
+    def getInverseKinematicsHasSolution(
+        self,
+        x: Sequence[float],
+        qnear: Sequence[float] = (),
+        max_position_error: float = 1e-10,
+        max_orientation_error: float = 1e-10,
+    ) -> bool:
+        """Whether a pose of the tool is within reach."""
+        try:
+            self.getInverseKinematics(x, qnear)
+        except Unreachable:
+            return False
+        return True
+
+    def getActualToolFlangePose(self) -> list[float]:
+        """The pose of the flange."""
+        return list(map(float, self._robot.kinematics.forward(self._robot.realtime.wait(STATE_TIMEOUT).q_actual)))
 
     @overload
     def moveJ(

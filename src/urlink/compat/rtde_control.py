@@ -6,24 +6,30 @@ script to upload, and nothing on the robot that an installation or another clien
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from enum import IntFlag
 from pathlib import Path as FilePath
+from queue import Empty, SimpleQueue
 from typing import Any, NoReturn
 
-from linkcore.errors import BadValue
-from urlink.packets import RobotModeData
+from linkcore.errors import BadValue, LinkTimeout
+from urlink.packets import RobotModeData, TextMessage
+from urlink.poses import compose
 from urlink.urscript import text
 
 from .control_blocks import ControlBlocks, Feature
-from .control_moves import LONGEST, AsyncOperationStatus, Path, PathEntry
-from .control_tool import STATE_TIMEOUT, ask
+from .control_moves import LONGEST, STATE_TIMEOUT, AsyncOperationStatus, Path, PathEntry
 from .interface import NotOffered, succeeds
 
 __all__ = ["AsyncOperationStatus", "Path", "PathEntry", "RTDEControlInterface"]
 
 #: Seconds to wait until a stop is over.
 _CLEAR_TIMEOUT = 5.0
+#: Seconds to wait for an answer.
+_ANSWER_TIMEOUT = 5.0
+
+_numbers = itertools.count(1)
 
 
 def _not_offered(name: str, instead: str) -> Callable[..., NoReturn]:
@@ -89,11 +95,29 @@ class RTDEControlInterface(ControlBlocks):
                 raise NotOffered(f"{each.name}: there is no control script here, each call is a motion of its own")
         super().__init__(hostname, frequency)
 
+    # -- tool and payload --------------------------------------------------------------------------------
+
+    def setTcp(self, tcp_offset: Sequence[float]) -> bool:
+        """Set the TCP: a pose in the frame of the flange, m and rad."""
+        return succeeds(lambda: self._robot.set_tcp(tcp_offset))
+
+    def setPayload(self, mass: float, cog: Sequence[float] = ()) -> bool:
+        """Set the payload: mass in kg, centre of gravity in m."""
+        return succeeds(lambda: self._robot.set_payload(mass, cog or None))
+
+    def setTargetPayload(self, mass: float, cog: Sequence[float] = (), inertia: Sequence[float] = (0.0,) * 6) -> bool:
+        """Set the payload with its inertia, (6,) kg m²; from 5.10 on."""
+        return succeeds(lambda: self._robot.set_payload(mass, cog or None, inertia))
+
+    def poseTrans(self, p_from: Sequence[float], p_from_to: Sequence[float]) -> list[float]:
+        """The pose `p_from_to`, which is given in the frame `p_from`, in the frame that `p_from` is given in."""
+        return list(map(float, compose(p_from, p_from_to)))
+
     # -- state of the robot ------------------------------------------------------------------------------
 
     def isSteady(self) -> bool:
         """Whether the arm stands fully still; computed by the controller."""
-        return ask(self._robot, "is_steady()") == "True"
+        return self._ask("is_steady()") == "True"
 
     def getStepTime(self) -> float:
         """Seconds from one cycle of the controller to the next."""
@@ -101,7 +125,7 @@ class RTDEControlInterface(ControlBlocks):
 
     def getJointTorques(self) -> list[float]:
         """Torques of the joints, Nm, without those that move the arm itself; computed by the controller."""
-        return [float(each) for each in ask(self._robot, "get_joint_torques()").strip("[]").split(",")]
+        return [float(each) for each in self._ask("get_joint_torques()").strip("[]").split(",")]
 
     def isProgramRunning(self) -> bool:
         """Whether motions are allowed now; there is no control script that could have ended."""
@@ -112,6 +136,39 @@ class RTDEControlInterface(ControlBlocks):
         modes = self._robot.primary.of(RobotModeData)
         mode = modes.latest or modes.wait(STATE_TIMEOUT)
         return int(mode.is_power_on) | int(mode.is_program_running) << 1
+
+    def isPoseWithinSafetyLimits(self, pose: Sequence[float]) -> bool:
+        """Whether the safety configuration allows this pose of the tool; computed by the controller."""
+        return self._ask(f"is_within_safety_limits({text.pose(pose, 'pose')})") == "True"
+
+    def isJointsWithinSafetyLimits(self, q: Sequence[float]) -> bool:
+        """Whether the safety configuration allows these joint positions; computed by the controller."""
+        return self._ask(f"is_within_safety_limits({text.vector(q, 6, 'q')})") == "True"
+
+    def _ask(self, expression: str) -> str:
+        """The value of an expression, as text that the controller makes of it.
+
+        It comes from a program that runs beside the one that moves the arm.
+
+        Raises:
+            SafetyStop, NotRunning: the controller accepts no programs now.
+            CompileError: a function does not exist on this controller.
+            LinkTimeout: no answer within 5 s.
+        """
+        mark = f"urlink answer {next(_numbers)} "
+        answers: SimpleQueue[str] = SimpleQueue()
+
+        def on_message(message: TextMessage) -> None:
+            if message.text.startswith(mark):
+                answers.put(message.text[len(mark) :])
+
+        # Subscribed to the stream and not to the program: a line of text does not say which program sent it.
+        with self._robot.primary.subscribe(on_message, TextMessage, inline=True):
+            self._robot.script.run(f'sec urlink_question():\n  textmsg("{mark}", {expression})\nend')
+            try:
+                return answers.get(timeout=_ANSWER_TIMEOUT)
+            except Empty:
+                raise LinkTimeout(f"no answer to {expression} within {_ANSWER_TIMEOUT:g} s") from None
 
     def zeroFtSensor(self) -> bool:
         """Zero the force sensor: the present force at the tool is the new zero."""

@@ -64,18 +64,15 @@ class Robot:
 
     def getj(self, wait: bool = False) -> list[float]:
         """Joint positions, rad; with `wait`, of the next state."""
-        q: list[float] = _newest(self._robot.realtime, wait).q_actual.tolist()
-        return q
+        return list(map(float, _newest(self._robot.realtime, wait).q_actual))
 
     def getl(self, wait: bool = False, _log: bool = True) -> list[float]:
         """Pose of the tool in the base frame: m, and rotation vector in rad; with `wait`, of the next state."""
-        pose: list[float] = _newest(self._robot.realtime, wait).tool_vector_actual.tolist()
-        return pose
+        return list(map(float, _newest(self._robot.realtime, wait).tool_vector_actual))
 
     def get_tcp_force(self, wait: bool = True) -> list[float]:
         """Force at the tool, N and Nm."""
-        force: list[float] = _newest(self._robot.realtime, wait).tcp_force.tolist()
-        return force
+        return list(map(float, _newest(self._robot.realtime, wait).tcp_force))
 
     def get_force(self, wait: bool = True) -> float:
         """Length of the six numbers of `get_tcp_force`, as urx has it."""

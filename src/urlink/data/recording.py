@@ -184,9 +184,8 @@ class Recording:
         plan = recorded_plan(self._info("rtde"), Outputs)
         channel = self._channel("rtde", lambda: RtdeProtocol(plan), Outputs)
         number = None if plan.recorded is None else plan.recorded.number
-        return self._table(
-            "rtde", channel, PeerClock(CLOCK, 1.0, package_periods(plan.frequency, self.firmware, number))
-        )
+        periods = package_periods(plan.frequency, self.firmware, number)
+        return self._table("rtde", channel, PeerClock(CLOCK, 1.0, periods))
 
     @property
     def tables(self) -> dict[str, Table]:

@@ -84,9 +84,6 @@ def topics_of(name: str, table: Table, arm: Arm | None = None) -> Iterator[Topic
     """
     wall = table.wall
 
-    def topic(path: str, kind: str, message: Message) -> Topic:
-        return Topic(path, kind, _DEFINITIONS[kind], wall, message.encoded())
-
     def column(names: Sequence[str]) -> NDArray[np.float64] | None:
         found = next((each for each in names if each in table), None)
         return None if found is None else table[found]
@@ -97,22 +94,22 @@ def topics_of(name: str, table: Table, arm: Arm | None = None) -> Iterator[Topic
         message = Message(len(table)).header(wall, "").texts(JOINTS).sequence(position)
         message.sequence(nothing if velocity is None else velocity)
         message.sequence(nothing if current is None else current)
-        yield topic("/joint_states", "sensor_msgs/msg/JointState", message)
+        yield _topic("/joint_states", "sensor_msgs/msg/JointState", wall, message.encoded())
     if position is not None and arm is not None:
         frames = list(link_poses(arm, position))
         message = Message(len(table)).length(len(frames))
         for parent, child, poses in frames:
             message.header(wall, parent).text(child).numbers(poses[:, :3]).numbers(_orientation(poses))
-        yield topic("/tf", "tf2_msgs/msg/TFMessage", message)
+        yield _topic("/tf", "tf2_msgs/msg/TFMessage", wall, message.encoded())
     if (pose := column(_TCP_POSE)) is not None:
         message = Message(len(table)).header(wall, _FRAME).numbers(pose[:, :3]).numbers(_orientation(pose))
-        yield topic("/tcp_pose", "geometry_msgs/msg/PoseStamped", message)
+        yield _topic("/tcp_pose", "geometry_msgs/msg/PoseStamped", wall, message.encoded())
     for path, kind, names in (
         ("/tcp_speed", "geometry_msgs/msg/TwistStamped", _TCP_SPEED),
         ("/wrench", "geometry_msgs/msg/WrenchStamped", _TCP_FORCE),
     ):
         if (six := column(names)) is not None:
-            yield topic(path, kind, Message(len(table)).header(wall, _FRAME).numbers(six))
+            yield _topic(path, kind, wall, Message(len(table)).header(wall, _FRAME).numbers(six).encoded())
     if table.fields:
         yield table_topic(name, table, "urlink_msgs")
 
@@ -126,14 +123,13 @@ def _orientation(poses: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def log_topic(messages: Sequence[State], wall: NDArray[np.datetime64]) -> Topic:
     """The messages of the controller as a log."""
-    kind = "rcl_interfaces/msg/Log"
     encoded = []
     for message, stamp in zip(messages, wall, strict=True):
         one = Message(1).stamp(np.array([stamp])).numbers(np.array([_level(message)], np.uint8))
         source = getattr(getattr(message, "source", None), "name", "")
         one.text(str(source)).text(_words(message)).text("").text("").numbers(np.zeros(1, np.uint32))
         encoded += one.encoded()
-    return Topic("/log", kind, _DEFINITIONS[kind], wall, encoded)
+    return _topic("/log", "rcl_interfaces/msg/Log", wall, encoded)
 
 
 def _level(message: State) -> int:
@@ -157,6 +153,9 @@ def _words(message: State) -> str:
 
 def description_topic(arm: Arm, wall: np.datetime64) -> Topic:
     """The arm as URDF, in one message, for viewers that draw it."""
-    urdf = to_urdf(arm, shapes=True)
-    kind = "std_msgs/msg/String"
-    return Topic("/robot_description", kind, _DEFINITIONS[kind], np.array([wall]), Message(1).text(urdf).encoded())
+    message = Message(1).text(to_urdf(arm, shapes=True))
+    return _topic("/robot_description", "std_msgs/msg/String", np.array([wall]), message.encoded())
+
+
+def _topic(path: str, kind: str, wall: NDArray[np.datetime64], messages: list[bytes]) -> Topic:
+    return Topic(path, kind, _DEFINITIONS[kind], wall, messages)

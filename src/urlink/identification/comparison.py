@@ -8,6 +8,7 @@ neither fits, such as one with blends or by set-points, is counted and left out.
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -29,13 +30,12 @@ class Movement:
     """One movement of a recording.
 
     Attributes:
-        begin, end: rows of the rests before and after it.
+        begin: row of the rest before it.
         command: the line of URScript that it was run as; "" if none fits.
         late: s by which the simulator takes longer for it; nan if none fits.
     """
 
     begin: int
-    end: int
     command: str
     late: float
 
@@ -60,21 +60,13 @@ def compare(samples: Samples, like: ArmFile) -> Disagreement:
         like: which arm it is; of `identify`, or read from its file. An `ArmFile(model, {})` is that of the model.
     """
     movements = []
-    left: dict[str, list[FloatArray]] = {name: [] for name in QUANTITIES if name in samples}
+    left: dict[str, list[FloatArray]] = defaultdict(list)
     for begin, end in _movements(samples):
-        found = _run(samples, like, begin, end)
-        if found is None:
-            movements.append(Movement(begin, end, "", math.nan))
-            continue
-        command, late, rows, simulated = found
-        movements.append(Movement(begin, end, command, late))
-        for name, parts in left.items():
-            parts.append(simulated[name] - samples[name][rows])
-    rms = {
-        name: tuple(np.sqrt((np.concatenate(parts) ** 2).mean(axis=0)).tolist())
-        for name, parts in left.items()
-        if parts
-    }
+        movement, differences = _run(samples, like, begin, end)
+        movements.append(movement)
+        for name, difference in differences.items():
+            left[name].append(difference)
+    rms = {name: tuple(np.sqrt((np.concatenate(parts) ** 2).mean(axis=0)).tolist()) for name, parts in left.items()}
     return Disagreement(tuple(movements), rms)
 
 
@@ -87,17 +79,17 @@ def _movements(samples: Samples) -> Iterator[tuple[int, int]]:
             yield begin, begin + 1 + int(after[0])
 
 
-def _run(
-    samples: Samples, like: ArmFile, begin: int, end: int
-) -> tuple[str, float, FloatArray, dict[str, FloatArray]] | None:
+def _run(samples: Samples, like: ArmFile, begin: int, end: int) -> tuple[Movement, dict[str, FloatArray]]:
+    """A movement, and by how much each quantity of its rows differs in the simulator; none of them if none fits."""
+    best = _SAME
+    found: tuple[Movement, dict[str, FloatArray]] = (Movement(begin, "", math.nan), {})
     q, times = samples["target_q"], samples["timestamp"]
     lead = int(np.argmax(np.abs(q[end] - q[begin])))
     way = math.copysign(1.0, q[end, lead] - q[begin, lead])
     rows = np.arange(begin + 1, end)
     rows = rows[np.abs(samples["target_qd"][rows, lead]) > 0.02 * np.abs(samples["target_qd"][rows, lead]).max()]
     if len(rows) < 4:
-        return None
-    best, found = _SAME, None
+        return found
     for command in _commands(samples, like, begin, end, lead):
         controller = Controller(motion=Still(q[begin].tolist()), like=like, noise=False)
         controller.take(f"def p():\n  {command}\nend\n")
@@ -122,7 +114,8 @@ def _run(
         apart = np.abs(columns["target_q"][at] - q[rows]).max()
         off = float(max(apart, np.abs(late).max() * np.abs(samples["target_qd"][rows, lead]).max()))
         if off < best:
-            best, found = off, (command, float(late[-1]), rows, {name: each[at] for name, each in columns.items()})
+            differences = {name: each[at] - samples[name][rows] for name, each in columns.items() if name in samples}
+            best, found = off, (Movement(begin, command, float(late[-1])), differences)
         if best < 0.001 * _SAME:
             break
     return found

@@ -49,14 +49,13 @@ class Leg:
 
     Attributes:
         goal: (6,) rad.
-        speed, acceleration: of the joint that moves furthest, rad/s and rad/s².
+        speed: of the joint that moves furthest, rad/s.
         seconds: that it takes at a slider of 100 %.
         rest: s at rest after it.
     """
 
     goal: FloatArray
     speed: float
-    acceleration: float
     seconds: float
     rest: float
 
@@ -140,9 +139,8 @@ def _where_it_stands(robot: Robot) -> FloatArray:
     """(6,) rad, when nothing moves the arm and no program could go on."""
     robot.realtime.wait(_SOON)
     try:
-        robot.primary.of(RobotModeData).wait_until(
-            lambda mode: not (mode.is_program_running or mode.is_program_paused), _SOON
-        )
+        modes = robot.primary.of(RobotModeData)
+        modes.wait_until(lambda mode: not (mode.is_program_running or mode.is_program_paused), _SOON)
         return robot.realtime.wait_until(lambda state: not state.qd_target.any(), _SOON).q_target.copy()
     except LinkTimeout as error:
         raise Cancelled(f"a program runs or is paused, or the arm moves: stop it first ({error})") from None
@@ -172,7 +170,7 @@ def plan(arm: Arm, start: FloatArray, tcp: FloatArray, swing: float = SWING, joi
         speed = min(fastest, _TIP / max(lever, 1e-9))
         ramps = min(speed / _ACCELERATION, math.sqrt(far / _ACCELERATION))
         seconds = far / (ramps * _ACCELERATION) + ramps
-        legs.append(Leg(goal, speed, _ACCELERATION, seconds, rest))
+        legs.append(Leg(goal, speed, seconds, rest))
         where.append(points.reshape(-1, 3))
         at = goal
     swept = np.concatenate(where)
@@ -217,7 +215,7 @@ def exercise(
         for number, leg in enumerate(planned.legs):
             guard.check()
             began(number)
-            motion = robot.motion.move_joints(leg.goal, leg.speed, leg.acceleration)
+            motion = robot.motion.move_joints(leg.goal, leg.speed, _ACCELERATION)
             try:
                 motion.wait(leg.seconds / slider + _SPARE)
             except LinkTimeout:

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..arm_file import SIDES, Estimate
 from ..dynamics import Dynamics
 from ..models import Model
-from ..motors import FULL_SPEED, Motors, motors_of
+from ..motors import FULL_SPEED, motors_of
 from ..vectors import JOINTS, FloatArray
 
 #: rad/s²: a joint that never accelerates by as much does not show its rotor.
@@ -37,8 +37,8 @@ class JointFit:
         payload: kg.
         payload_cog: (3,) in the frame of the flange, m.
         rotor_inertias, torque_constants, coulomb, viscous: of the six joints, kg m², Nm/A, A, A s/rad.
-        torque_r2, current_r2: (6,) the part of the variance that the fit explains, in these rows.
-        motors: those of the model, of which is taken what is not known.
+        torque_r2, current_r2: (6,) the part of the variance that the fit explains, in these rows; of what is not known
+            is taken that of the model.
     """
 
     payload: Estimate
@@ -49,13 +49,6 @@ class JointFit:
     viscous: tuple[Estimate, ...]
     torque_r2: tuple[float, ...]
     current_r2: tuple[float, ...]
-    motors: Motors
-
-    def current(self, torque: FloatArray, qd: FloatArray) -> FloatArray:
-        """(n, 6) A, as fitted."""
-        constants = _or(self.torque_constants, self.motors.torque_constants)
-        coulomb, viscous = _or(self.coulomb, self.motors.coulomb), _or(self.viscous, self.motors.viscous)
-        return np.asarray(torque / constants + coulomb * _saturated(qd) + viscous * qd)
 
 
 def fit_joints(model: Model, columns: Mapping[str, FloatArray]) -> JointFit:
@@ -74,7 +67,7 @@ def fit_joints(model: Model, columns: Mapping[str, FloatArray]) -> JointFit:
     currents = columns.get("target_current", columns.get("actual_current"))
     if currents is None:
         unknown = (Estimate.unknown("target_current or actual_current in the recording"),) * 6
-        return JointFit(payload, cog, rotors, unknown, unknown, unknown, torque_r2, (np.nan,) * 6, motors)
+        return JointFit(payload, cog, rotors, unknown, unknown, unknown, torque_r2, (np.nan,) * 6)
     # Stiction hides the friction of a standing joint in the actual current.
     rows = np.ones(len(q), dtype=bool) if "target_current" in columns else (np.abs(qd) > FULL_SPEED).any(axis=1)
     found = [
@@ -82,28 +75,27 @@ def fit_joints(model: Model, columns: Mapping[str, FloatArray]) -> JointFit:
         for i, joint in enumerate(JOINTS)
     ]
     constants, coulomb, viscous = (tuple(each[part] for each in found) for part in range(3))
-    fitted = JointFit(payload, cog, rotors, constants, coulomb, viscous, torque_r2, (np.nan,) * 6, motors)
-    explained = fitted.current(modelled[rows], qd[rows])
-    r2 = tuple(_r2(currents[rows, i], explained[:, i]) for i in range(6))
-    return replace(fitted, current_r2=r2)
+    explained = (
+        modelled[rows] / _or(constants, motors.torque_constants)
+        + _or(coulomb, motors.coulomb) * _saturated(qd[rows])
+        + _or(viscous, motors.viscous) * qd[rows]
+    )
+    current_r2 = tuple(_r2(currents[rows, i], explained[:, i]) for i in range(6))
+    return JointFit(payload, cog, rotors, constants, coulomb, viscous, torque_r2, current_r2)
 
 
 def _fit_moments(
     model: Model, q: FloatArray, qd: FloatArray, qdd: FloatArray, moments: FloatArray
 ) -> tuple[Estimate, tuple[Estimate, ...], tuple[Estimate, ...], FloatArray]:
+    def with_kg(at: FloatArray) -> FloatArray:
+        return Dynamics(model, payload=1.0, payload_cog=at).torque(q, qd, qdd)
+
     bare = Dynamics(model).torque(q, qd, qdd)
     # The moments per kg at the flange, and per kg m along each of its axes: without the terms of second order in the
     # distance, which are the payload's inertia about the flange.
-    at_flange = Dynamics(model, payload=1.0).torque(q, qd, qdd) - bare
+    at_flange = with_kg(np.zeros(3)) - bare
     step = 1e-3
-    per_way = [
-        (
-            Dynamics(model, payload=1.0, payload_cog=step * axis).torque(q, qd, qdd)
-            - Dynamics(model, payload=1.0, payload_cog=-step * axis).torque(q, qd, qdd)
-        )
-        / (2.0 * step)
-        for axis in np.eye(3)
-    ]
+    per_way = [(with_kg(step * axis) - with_kg(-step * axis)) / (2.0 * step) for axis in np.eye(3)]
     moved = np.abs(qdd).max(axis=0) >= _ACCELERATION
     shared = np.stack([at_flange, *per_way], axis=-1)
     rotor_columns = qdd[:, :, np.newaxis] * np.eye(6)
@@ -123,16 +115,16 @@ def _fit_moments(
         covariance[np.ix_(known, known)] = spread
         mass, first = factors[0], factors[1:4]
         cog = first / mass if mass > 1e-3 else np.zeros(3)
-        modelled = Dynamics(model, payload=max(mass, 0.0), payload_cog=cog, rotors=np.maximum(factors[4:], 0.0)).torque(
-            q, qd, qdd
-        )
+        fitted = Dynamics(model, payload=max(mass, 0.0), payload_cog=cog, rotors=np.maximum(factors[4:], 0.0))
+        modelled = fitted.torque(q, qd, qdd)
         # What the mass at its distance adds to its first moment, from the fit before.
         linear = bare + shared @ factors[:4] + rotor_columns @ factors[4:]
         second = modelled - linear
         deviation = np.sqrt(np.mean((moments - modelled) ** 2, axis=0))
         weight = 1.0 / np.maximum(deviation, max(deviation.max() * 1e-3, 1e-12))
     deviations = np.sqrt(np.diag(covariance))
-    payload = Estimate.around(float(factors[0]), float(deviations[0]))
+    estimates = list(map(Estimate.around, factors.tolist(), deviations.tolist()))
+    payload, of_rotors = estimates[0], estimates[4:]
     centre: tuple[Estimate, ...]
     if deviations[0] * SIDES > _MASS:
         needs = "postures in which the weight of the tool turns the wrists differently"
@@ -140,14 +132,11 @@ def _fit_moments(
     elif factors[0] < 0.05:
         centre = (Estimate.unknown("a payload"),) * 3
     else:
-        centre = tuple(
-            Estimate.around(float(factors[1 + i] / factors[0]), float(deviations[1 + i] / factors[0])) for i in range(3)
-        )
+        place, unsure = factors[1:4] / factors[0], deviations[1:4] / factors[0]
+        centre = tuple(map(Estimate.around, place.tolist(), unsure.tolist()))
     rotors = tuple(
-        Estimate.around(float(factors[4 + i]), float(deviations[4 + i]))
-        if moved[i]
-        else Estimate.unknown(f"{joint} to accelerate by {_ACCELERATION} rad/s² or more")
-        for i, joint in enumerate(JOINTS)
+        found if has_moved else Estimate.unknown(f"{joint} to accelerate by {_ACCELERATION} rad/s² or more")
+        for joint, found, has_moved in zip(JOINTS, of_rotors, moved, strict=True)
     )
     return payload, centre, rotors, modelled
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -39,7 +39,7 @@ COLUMNS = {
 _NEEDED = ("timestamp", "target_q", "target_qd", "target_qdd")
 
 
-class Samples(Mapping[str, FloatArray]):
+class Samples(dict[str, FloatArray]):
     """Columns by their RTDE names: (n,) or (n, k), finite, in the order of time.
 
     Attributes:
@@ -51,22 +51,13 @@ class Samples(Mapping[str, FloatArray]):
     def __init__(
         self, path: Path, columns: Mapping[str, FloatArray], model: str | None = None, arrival: FloatArray | None = None
     ) -> None:
+        super().__init__(columns)
         for name in _NEEDED:
-            if name not in columns:
-                raise BadRecording(f"{path}: no column {name}; there are {', '.join(columns) or 'none'}")
+            if name not in self:
+                raise BadRecording(f"{path}: no column {name}; there are {', '.join(self) or 'none'}")
         self.path, self.model, self.arrival = path, model, arrival
-        self._columns = dict(columns)
-        if len(columns["timestamp"]) < 30:
-            raise BadRecording(f"{path}: {len(columns['timestamp'])} rows; 30 or more are expected")
-
-    def __getitem__(self, name: str) -> FloatArray:
-        return self._columns[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._columns)
-
-    def __len__(self) -> int:
-        return len(self._columns)
+        if len(self["timestamp"]) < 30:
+            raise BadRecording(f"{path}: {len(self['timestamp'])} rows; 30 or more are expected")
 
     @property
     def is_rest(self) -> NDArray[np.bool_]:

@@ -17,7 +17,7 @@ from ..models import Model
 from ..models import model as model_called
 from ..rigid import FLOATS, ROWS, MathFunctions, Number, Rigid
 from ..vectors import FloatArray
-from .closed_form import BRANCHES, wrapped
+from .closed_form import BRANCHES, wrapped, wrist_place
 from .geometry import Angles, DenavitHartenberg, Geometry, calibrated, chain, flange, jacobian, nominal, velocity
 from .inverse import around, branches, branches_of_rows, closest, closest_of_rows, distance
 
@@ -376,19 +376,18 @@ class Arm:
         ]
 
     def _unreachable(self, target: Rigid[float], pose: ArrayLike, row: str = "") -> Unreachable:
-        d1, a2, a3, d4, d5, d6 = self._geometry.lengths
-        wrist = target[9] - d6 * target[2], target[10] - d6 * target[5], target[11] - d6 * target[8]
+        d1, a2, a3, d4, d5, _ = self._geometry.lengths
+        wrist = wrist_place(self._geometry.lengths, target)
         distance, furthest = math.dist(wrist, (0.0, 0.0, d1)), math.hypot(abs(a2) + abs(a3) + d5, d4)
+        aside = math.hypot(wrist[0], wrist[1])
         if distance > furthest:
             # Nothing is closer to the base than a centimetre: 1.5 m are not meant as 1.5 mm.
             asked = other_unit(distance, "m", 0.01, furthest)
             why = (
                 f"its wrist would be {distance:.3f} m from the shoulder, and comes {furthest:.3f} m far at most{asked}"
             )
-        elif math.hypot(*wrist[:2]) < d4:
-            why = (
-                f"its wrist would be {math.hypot(*wrist[:2]):.3f} m from the axis of the base, and comes to {d4:.3f} m"
-            )
+        elif aside < d4:
+            why = f"its wrist would be {aside:.3f} m from the axis of the base, and comes to {d4:.3f} m"
         else:
             why = "in that orientation its elbow cannot be bent or stretched enough"
         numbers = np.asarray(pose, dtype=np.float64).round(4).tolist()

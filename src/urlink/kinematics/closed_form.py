@@ -55,7 +55,7 @@ def solve(
     d1, a2, a3, d4, d5, _ = lengths
     r00, r01, _, r10, r11, _, r20, r21, _, _, _, _ = target
     found: list[Angles[float] | None] = []
-    x5, y5, z5 = _wrist(lengths, target)
+    x5, y5, z5 = wrist_place(lengths, target)
     margin, straight = (_LOOSE_EDGE, _ALMOST_STRAIGHT) if is_loose else (_EDGE, 1.0)
     if x5 * x5 + y5 * y5 < d4 * d4 * (1.0 - margin):
         return [None] * BRANCHES  # the wrist is too close to the axis of the base
@@ -107,7 +107,7 @@ def solve_rows(lengths: Lengths, targets: Rigid[FloatArray], is_loose: bool = Fa
     d1, a2, a3, d4, d5, _ = lengths
     r00, r01, _, r10, r11, _, r20, r21, _, _, _, _ = targets
     margin, straight = (_LOOSE_EDGE, _ALMOST_STRAIGHT) if is_loose else (_EDGE, 1.0)
-    x5, y5, z5 = _wrist(lengths, targets)
+    x5, y5, z5 = wrist_place(lengths, targets)
     found = np.empty((BRANCHES, 6, len(x5)))
     near = x5 * x5 + y5 * y5 < d4 * d4 * (1.0 - margin)
     sines = np.empty((BRANCHES, len(x5)))
@@ -136,7 +136,7 @@ def solve_rows(lengths: Lengths, targets: Rigid[FloatArray], is_loose: bool = Fa
     return found, sines
 
 
-def _wrist(lengths: Lengths, target: Rigid[Number]) -> tuple[Number, Number, Number]:
+def wrist_place(lengths: Lengths, target: Rigid[Number]) -> tuple[Number, Number, Number]:
     """The origin of frame 5 in the base frame, m."""
     d6 = lengths[5]
     _, _, r02, _, _, r12, _, _, r22, px, py, pz = target

@@ -68,11 +68,8 @@ def branches(geometry: Geometry, target: Rigid[float], free_q6: float = 0.0) -> 
 def closest(geometry: Geometry, target: Rigid[float], near: Angles[float]) -> Angles[float] | None:
     """The branch that is closest to `near`, rad, not wrapped; None if there is none."""
     if geometry.is_nominal:
-        return min(
-            (q for q in solve(geometry.lengths, target, near[5]) if q is not None),
-            key=lambda q: distance(q, near),
-            default=None,
-        )
+        solutions = [q for q in solve(geometry.lengths, target, near[5]) if q is not None]
+        return min(solutions, key=lambda q: distance(q, near), default=None)
     found = refine(geometry, near, target, _ALMOST)
     if found is None and max(map(abs, error_at(geometry, near, FLOATS, target))) < _ALMOST:
         found = refine_anywhere(geometry, near, target)
