@@ -27,8 +27,9 @@ Stamps = NDArray[np.int64]
 _WIRE = np.dtype(">i4")
 _LOW = 0xFFFFFFFF
 #: Selections that are remembered. Working one out takes ten times as long as using it, and a robot whose plugins set
-#: things at different rates has a few kinds of packages that come again and again.
-_REMEMBERED = 8
+#: things at different rates has a few kinds of packages that come again and again: eight of them, and the empty package
+#: of either direction. Where one kind more comes round, each of them is worked out anew.
+_REMEMBERED = 10
 
 K = TypeVar("K")
 
