@@ -199,14 +199,15 @@ class Subscribers:
         """Hand out what changed, to each the variables that it wants; nothing to those who want none of them.
 
         Args:
-            changes_of: what changed of the variables that anybody wants, of all for None; called if anybody wants any.
+            changes_of: gives what changed of these variables, of all for None; called only if somebody has subscribed.
             received: when it came.
         """
         wanting = [each for each in self._subscribers if each.event_type is Update]
         if not wanting:
             return
         is_for_all = any(each.names is None for each in wanting)
-        changes = changes_of(None if is_for_all else frozenset().union(*(each.names or () for each in wanting)))
+        wanted = {name for each in wanting if each.names is not None for name in each.names}
+        changes = changes_of(None if is_for_all else frozenset(wanted))
         for each in wanting:
             names = each.names
             own = changes if names is None else {name: changes[name] for name in changes if name in names}

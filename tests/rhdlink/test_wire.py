@@ -388,12 +388,12 @@ def test_a_package_that_is_going_to_be_too_large_is_refused_before_it_has_come()
 def test_a_package_of_the_same_variables_is_taken_by_what_is_known_of_the_one_before(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Nine kinds of packages: the first is forgotten when the ninth comes."""
-    layout = TableLayout([1] * 9)
+    """Eleven kinds of packages, the empty one among them: the first is forgotten when the eleventh comes."""
+    layout = TableLayout([1] * 10)
     decoder = ClientDecoder(layout)
     decoder.feed(b"aw")
     decoder.take_access()
-    values, times = np.zeros(9, np.int32), np.zeros((9, 2), np.int64)
+    values, times = np.zeros(10, np.int32), np.zeros((10, 2), np.int64)
 
     def send(count: int) -> Selection:
         decoder.feed(encode_data("w", Selection(layout, np.arange(count), 2), values, times) + b"ee")
@@ -401,13 +401,13 @@ def test_a_package_of_the_same_variables_is_taken_by_what_is_known_of_the_one_be
         assert request is not None
         return request.data[0].selection
 
-    kinds = [send(count) for count in range(1, 9)]
+    kinds = [send(count) for count in range(10)]
     with monkeypatch.context() as patched:
         patched.setattr(decoder_module, "Cursor", None)  # nobody looks at single entries
-        assert [send(count) for count in range(1, 9)] == kinds
-    send(9)
-    assert send(1) is not kinds[0]
-    assert send(8) is kinds[7]
+        assert [send(count) for count in range(10)] == kinds
+    send(10)
+    assert send(0) is not kinds[0]
+    assert send(9) is kinds[9]
 
 
 @pytest.mark.parametrize("name", ["variables", "length", "words", "batch"])

@@ -25,6 +25,7 @@ from .options import WORLD, port, tell, world
 
 def _service(args: argparse.Namespace, limits: Limits) -> dict[str, Any]:
     """The arguments of `Host` that were given, and the limits: those that were not given are those of `limits`."""
+    # `turtle` has no option for the address.
     names = ("port", "address", "width", "resend", "client_timeout", "inactivity_timeout")
     given = {name: value for name in names if (value := getattr(args, name, None)) is not None}
     return {**given, "limits": replace(limits, **dict(args.limit))}

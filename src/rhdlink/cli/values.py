@@ -60,6 +60,8 @@ def _list(args: argparse.Namespace) -> int:
                 print(strict_json(as_json(variable)))
             return 0
         print(printable(f"{robot.address}: {len(found)} variables, time stamps of {robot.width} words"))
+        if not found:
+            return 0  # no columns either
         rows = [as_columns(variable) for variable in found]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         # A long array must not push the columns after it off the screen.

@@ -91,7 +91,7 @@ def typed(name: str, words: Words, type_name: str, order: Order) -> list[int | f
     return found
 
 
-def words_text(words: Sequence[int] | Words, most: int | None = _MOST_WORDS) -> str:
+def words_text(words: Words, most: int | None = _MOST_WORDS) -> str:
     """The words of a variable, on one line."""
     shown = [str(int(word)) for word in words[:most]]
     left = len(words) - len(shown)

@@ -156,10 +156,13 @@ class Service:
     def is_asked(self) -> bool:
         """Whether the sole writer asks for the next tick; or any client, while there is none."""
         sole = self._sole_writer
-        return any(client.is_asking for client in self.clients) if sole is None else sole.is_asking
+        if sole is not None:
+            return sole.is_asking
+        return any(client.is_asking for client in self.clients)
 
     @property
     def _sole_writer(self) -> Client | None:
+        """The client that may write, if no other one may."""
         writers = [client for client in self.clients if client.access == "w"]
         return writers[0] if len(writers) == 1 else None
 

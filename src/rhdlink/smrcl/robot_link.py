@@ -19,6 +19,7 @@ from ..host.config import Element
 from ..host.plugin import Plugin
 from ..variables.database import Database, TimeStamp
 from ..variables.declarations import bind, create_variables
+from ..variables.value_types import wrapped
 
 if TYPE_CHECKING:
     from ..host.host import Host
@@ -172,7 +173,7 @@ class PluginLink:
         micros = round(self.tick * self.period * 1e6)
         self._now = TimeStamp(micros // 1_000_000, micros % 1_000_000)
         read, write = self.database.read, self.database.write
-        read.set(0, self.tick)
+        read.set(0, wrapped(self.tick))
         write.updated[:] = False
         for name, words in written.items():
             identity = write.find(name)

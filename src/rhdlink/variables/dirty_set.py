@@ -9,7 +9,7 @@ from ..wire.data import Ids, read_only
 #: So many ids are sorted in a list; beyond it, looking at the flag of every variable is quicker.
 _FEW = 64
 
-
+#: Read only, as all that is taken from a set: several parties hold the same array.
 _NONE = read_only(np.empty(0, np.int64))
 
 

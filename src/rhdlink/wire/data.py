@@ -27,14 +27,15 @@ Stamps = NDArray[np.int64]
 _WIRE = np.dtype(">i4")
 _LOW = 0xFFFFFFFF
 #: Selections that are remembered. Working one out takes ten times as long as using it, and a robot whose plugins set
-#: things at different rates has a few kinds of packages that come again and again.
-_REMEMBERED = 8
+#: things at different rates has a few kinds of packages that come again and again: eight of them, and the empty package
+#: of either direction. Where one kind more comes round, each of them is worked out anew.
+_REMEMBERED = 10
 
 K = TypeVar("K")
 
 
 def read_only(array: NDArray[Any]) -> NDArray[Any]:
-    """The same array, which nobody can change any more by it."""
+    """The same array, read only from here on; other views of its memory are as they were."""
     array.flags.writeable = False
     return array
 
@@ -156,7 +157,7 @@ class Selection:
 
 
 def remember(known: dict[K, Selection], key: K, selection: Selection) -> None:
-    """Keep a selection as the newest one; of more than eight, the one that was kept first goes."""
+    """Keep a selection as the newest one; where there are `_REMEMBERED` already, the oldest one goes."""
     known.pop(key, None)  # so that it becomes the newest: a dict keeps the order of insertion
     if len(known) >= _REMEMBERED:
         del known[next(iter(known))]

@@ -8,7 +8,7 @@ import pytest
 
 import rhdlink
 from rhdlink import Bool, Float64, Host, Plugin, Read
-from tests.fakes.rhd import Peer, ScriptedServer
+from tests.fakes.rhd import Peer, Robot, ScriptedServer, serving
 from tests.harm import HOSTILE, assert_harmless, strict
 from tests.waiting import until
 
@@ -31,6 +31,14 @@ def test_vars(run: Run, address: str) -> None:
     assert line.split()[-4:] == ["0", "0", "0", "0.000000"]
     (line,) = (line for line in lines if " big " in line)
     assert "… 24 more" in line
+
+
+@pytest.mark.parametrize("option", [(), ("--json",)])
+def test_vars_of_a_robot_that_has_none(run: Run, option: tuple[str, ...]) -> None:
+    with ScriptedServer(serving(Robot(read=(), write=()))) as server:
+        status, out, err = run("vars", server.address, *option)
+    assert (status, err) == (0, "")
+    assert out == ("" if option else f"{server.address}: 0 variables, time stamps of 2 words\n")
 
 
 def test_vars_as_json(run: Run, address: str) -> None:

@@ -463,6 +463,15 @@ def test_a_robot_in_this_process_may_take_its_time() -> None:
         link.exchange({})
 
 
+def test_the_tick_of_a_robot_in_this_process_wraps_as_that_of_a_host() -> None:
+    link = PluginLink([turtle()])
+    link.tick = 2**31 - 2
+    ticks = [link.exchange({})["tick"] for _ in range(3)]
+    assert ticks == [[2**31 - 1], [-(2**31)], [-(2**31) + 1]]
+    # The link's own goes on.
+    assert link.tick == 2**31 + 1
+
+
 def test_a_link_that_was_given_is_left_open() -> None:
     robot = turtle()
     link = PluginLink([robot])
