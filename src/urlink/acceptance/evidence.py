@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from linkcore.clock import Stamp
 from linkcore.errors import LinkError, PacketError
 from linkcore.recording.file import Kind, RecordingFile
-from linkcore.wire.framing import Framer
 
 from ..firmware import Firmware
 from ..identity import Identity, described_identity
@@ -25,7 +24,6 @@ from ..interfaces.primary.protocol import PrimaryProtocol
 from ..interfaces.primary.robot_state import RobotState
 from ..interfaces.realtime.packets import RealtimeState
 from ..interfaces.realtime.protocol import RealtimeProtocol
-from ..interfaces.rtde.framing import REQUEST_SIZES, RtdeBoundary
 from ..interfaces.rtde.packets import OutputsRequest, decode_request, split_names
 from ..interfaces.rtde.protocol import Requests, RtdeProtocol
 from ..interfaces.rtde.recipes import Outputs
@@ -207,15 +205,18 @@ class Evidence:
 
 def _names(sent: Wire) -> tuple[str, ...]:
     """The outputs that were asked for first, and started, on a connection to RTDE."""
-    is_started = False
+    data, at, is_started = sent.data, 0, False
     names: tuple[str, ...] = ()
-    for frame in Framer(RtdeBoundary(REQUEST_SIZES)).feed(sent.data):
+    while at + 3 <= len(data):
+        size = int.from_bytes(data[at : at + 2], "big")
+        frame = data[at : at + max(size, 3)]
         is_started = is_started or frame[2:3] == b"S"
         if frame[2:3] == b"O" and not names:
             # Under protocol 2 a frequency comes first, whose first byte is not a letter.
             request = decode_request(frame, 1 if frame[3:4].isalpha() else 2)
             assert isinstance(request, OutputsRequest)
             names = split_names(request.names)
+        at += max(size, 3)
     return names if is_started else ()
 
 
