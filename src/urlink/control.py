@@ -76,7 +76,8 @@ class Control:
         who: KnownIdentity,
         rtde: Callable[[], Rtde],
     ) -> None:
-        self._host, self._ports = host, ports = place.host, place.ports
+        self._host = host = place.host
+        self._ports = ports = place.ports
         self._timeout = timeout = options.timeout
         self._is_closed = False
         self._dashboard: MadeOnce[Dashboard] = MadeOnce()
@@ -181,9 +182,12 @@ class Control:
         Raises:
             Closed: the robot was closed before.
         """
-        if part.made is None and self._is_closed:
+        known = part.made
+        if known is not None:
+            return known
+        if self._is_closed:
             raise Closed("the robot was closed")
-        return part.made or part.keep(make())
+        return part.keep(make())
 
     def settle(self, timeout: float) -> None:
         """Wait until nothing is left that was given up and is to be taken back, for at most `timeout` seconds."""

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any, Literal, overload
 
-from linkcore.errors import BadValue, PacketError
+from linkcore.errors import BadValue, BadVersion, PacketError
 from linkcore.wire.framing import check_explained, is_strict, strictly
 from linkcore.wire.packet import State
 
@@ -66,7 +66,10 @@ def decode(
     """
     if interface not in INTERFACES:
         raise BadValue(f"no interface {interface!r}; expected one of {', '.join(INTERFACES)}")
-    version = None if firmware is None else _known(firmware)
+    try:
+        version = None if firmware is None else _known(firmware)
+    except TypeError:  # cannot be hashed, or compared with versions
+        raise BadVersion(f"{firmware!r} is not a firmware; expected something like '5.11'") from None
     data = bytes(data)
     end = len(data)
     boundary: RealtimeBoundary | PackageBoundary

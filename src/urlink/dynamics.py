@@ -24,6 +24,7 @@ from itertools import accumulate
 import numpy as np
 from numpy.typing import ArrayLike
 
+from linkcore.arguments import check_number
 from linkcore.errors import BadValue
 
 from . import rigid
@@ -89,8 +90,7 @@ class Dynamics:
                 raise BadValue(f"a rotor inertia is zero or more, not {min(self._rotors)!r} kg m²")
         x, y, z = rigid.floats(gravity, 3, "a gravity")
         self._gravity = x, y, z
-        if not 0.0 <= payload < np.inf:
-            raise BadValue(f"a payload is zero or more kilograms, not {payload!r}")
+        payload = check_number(payload, "payload", 0.0, unit="kg")
         cog = np.array(rigid.floats(payload_cog, 3, "a centre of mass"))
         xx, yy, zz, xy, xz, yz = rigid.floats(payload_inertia, 6, "an inertia")
         model = self._arm.model

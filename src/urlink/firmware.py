@@ -43,7 +43,7 @@ class Firmware(NamedTuple):
             BadVersion: it is neither.
         """
         numbers = parse_version(text)
-        if not 2 <= len(numbers) <= 4:
+        if not isinstance(numbers, tuple) or not 2 <= len(numbers) <= 4:
             raise BadVersion(f"{text!r} is not a firmware; expected something like '5.11' or '3.4.3'")
         return cls(*numbers)
 

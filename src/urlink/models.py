@@ -222,7 +222,7 @@ def model(name: str) -> Model:
     """
     try:
         return _BY_FOLDED_NAME[name.casefold()]
-    except KeyError:
+    except (AttributeError, KeyError):  # not a text, or not one of these
         raise UnknownModel(f"no arm is called {name!r}; known are {', '.join(MODELS)}") from None
 
 

@@ -108,7 +108,7 @@ def connect(options: ConnectOptions) -> Robot:
         if owes(robot, place):
             take_back(robot, options.timeout)
     except BaseException:
-        opened = robot or controller
+        opened = controller if robot is None else robot
         if opened is not None:
             opened.close()
         raise

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -149,8 +150,8 @@ def test_rotors_are_on_the_diagonal(of: Model) -> None:
         Dynamics(of, rotors=[1, 1, 1, 1, 1, -1])
 
 
-@pytest.mark.parametrize("bad", [-1.0, float("nan"), float("inf")])
-def test_a_payload_is_a_mass(bad: float) -> None:
+@pytest.mark.parametrize("bad", [-1.0, float("nan"), float("inf"), "2", True, None])
+def test_a_payload_is_a_mass(bad: Any) -> None:
     with pytest.raises(BadValue, match="payload"):
         Dynamics("UR5e", payload=bad)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -158,8 +159,8 @@ def test_lookup_ignores_case(spelling: str) -> None:
     assert model(spelling) is MODELS["UR5e"]
 
 
-@pytest.mark.parametrize("name", ["UR6", "", "UR5 e", "ur"])
-def test_unknown_name_is_told_what_is_known(name: str) -> None:
+@pytest.mark.parametrize("name", ["UR6", "", "UR5 e", "ur", 5, None, b"UR5", ["UR5"]])
+def test_unknown_name_is_told_what_is_known(name: Any) -> None:
     with pytest.raises(UnknownModel) as failure:
         model(name)
     assert isinstance(failure.value, LocalError)

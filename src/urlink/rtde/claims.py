@@ -177,7 +177,8 @@ class BriefClaims:
             if claims is not None and (claims.is_over or claims._connection.failure is not None):
                 claims = self._standing = None
             if wait:
-                claims = claims or self._open(names)
+                if claims is None:
+                    claims = self._open(names)
                 claims.claim(names)
             elif claims is None or not claims.has(names):
                 return None

@@ -8,7 +8,7 @@ import weakref
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args, overload
 
-from linkcore.arguments import check_choice
+from linkcore.arguments import check_choice, check_number
 from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import Backoff
@@ -133,7 +133,7 @@ class Rtde:
         if self.is_recorded:
             return self._recorded(wanted, optional, kind)
         most = self._check_there().rate
-        if frequency is not None and not _LEAST_FREQUENCY <= frequency <= most:
+        if frequency is not None and not _LEAST_FREQUENCY <= check_number(frequency, "frequency") <= most:
             raise BadValue(f"frequency={frequency!r}; this controller sends 1 to {most} packages a second")
         plan = Requests(wanted, frequency, optional, kind=kind)
         connection, transport = self._connection(plan, "rtde")

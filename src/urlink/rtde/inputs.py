@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from linkcore.arguments import check_whole
 from linkcore.errors import BadValue, Closed, ConnectionLost, LinkTimeout
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import ConnectionState
@@ -252,8 +253,7 @@ def _bits(name: str, value: Any, all: int) -> tuple[int, int]:
         return all, bits
     mask = bits = 0
     for number, state in value.items():
-        if not isinstance(number, int) or not 0 <= number < 8 or not all >> number & 1:
-            raise BadValue(f"{name}={value!r}; expected outputs 0 to {all.bit_length() - 1}")
+        check_whole(number, f"output of {name}", 0, all.bit_length() - 1)
         mask |= 1 << number
         bits |= checked(f"{name}[{number}]", "BOOL", state) << number
     return mask, bits

@@ -120,6 +120,18 @@ def test_firmware_that_nothing_is_known_of(version: str) -> None:
         decode(b"", "realtime", version)
 
 
+@pytest.mark.parametrize("version", [[5, 11], 5, {"5": "11"}, ("5", "11"), ([5], 11)])
+def test_what_is_no_version_is_said_to_be_none(version: Any) -> None:
+    with pytest.raises(BadVersion, match="is not a firmware"):
+        decode(b"", "realtime", version)
+
+
+@pytest.mark.parametrize("version", [[5, 11], 5, {5: 11, 3: 2}, (5,)])
+def test_a_version_is_a_text_or_a_tuple(version: Any) -> None:
+    with pytest.raises(BadVersion, match="is not a firmware"):
+        Firmware.parse(version)
+
+
 def test_releases_stand_in_order_and_say_what_backs_them() -> None:
     assert [row.since for row in RELEASES] == sorted(row.since for row in RELEASES)
     assert all(row.evidence for row in RELEASES)

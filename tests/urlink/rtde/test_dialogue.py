@@ -95,6 +95,19 @@ def test_the_most_that_the_controller_sends(firmware: tuple[int, int, int], freq
     assert desk.asked[2].frequency == frequency
 
 
+def test_a_connection_that_is_interrupted_as_it_begins_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    desk = ScriptedRtde()
+
+    def interrupted(transport: RtdeTransport, dialogue: object) -> None:
+        assert not desk._closed
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(RtdeTransport, "_begin", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        RtdeTransport(desk, Requests(("timestamp",))).open(5.0)
+    assert desk._closed
+
+
 def test_what_the_controller_lacks_is_left_out_and_asked_again(caplog: pytest.LogCaptureFixture) -> None:
     desk = ScriptedRtde()
     desk.lacks = {"payload", "payload_cog"}

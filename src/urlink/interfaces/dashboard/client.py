@@ -458,8 +458,9 @@ class Dashboard:
         take_back = None
         if name == "play":
             recall = Recall(self._name)  # with it, `stop` waits for nothing that is to be taken back
-            another = partial(Dashboard, self._host, self._port, self._firmware, api_port=self._api_port)
-            take_back = TakeBack(partial(another, timeout=self._timeout, recall=recall), _stop_what_plays)
+            host, port, api = self._host, self._port, self._api_port
+            another = partial(Dashboard, host, port, self._firmware, api_port=api, timeout=self._timeout, recall=recall)
+            take_back = TakeBack(another, _stop_what_plays)
         return self._recall.command(name, self._timeout, take_back)
 
 

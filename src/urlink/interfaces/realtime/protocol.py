@@ -31,7 +31,7 @@ _SIZE = re.compile(
 )
 _SIZE_BYTES = 4
 _HEAD = struct.Struct(">id")  # size and time
-_TIME = struct.Struct(">4xd")  # alone
+_TIME = struct.Struct(">4xd")  # the time, without the size before it
 
 # Seconds that the controller's clock may have gone on while the boundary was lost, and between two packets.
 _LONGEST_LOSS = 1.0
@@ -134,7 +134,7 @@ class RealtimeBoundary:
         if not self.last:
             return None
         (latest,) = _TIME.unpack_from(self.last)
-        until = max(len(buffer) - _TIME.size + _SIZE_BYTES, 0)
+        until = max(len(buffer) - _TIME.size + _SIZE_BYTES, 0)  # of the size, which the time follows
         at = buffer.find(self.head, start, until)
         while at >= 0:
             (time,) = _TIME.unpack_from(buffer, at)

@@ -1,5 +1,4 @@
-"""The packages of RTDE (TCP 30004): one class for each, in its layouts under protocol 1 and protocol 2; and where a
-package ends.
+"""The packages of RTDE (TCP 30004): one class for each, in its layouts under protocol 1 and 2, and where they end.
 
 A request and its reply have the same type byte, so what a package is depends on who sent it: `decode_request` reads
 what a client sends, `decode_reply` what a controller sends. The *version* of these layouts is that of the protocol,

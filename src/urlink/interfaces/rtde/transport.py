@@ -107,10 +107,10 @@ class RtdeTransport:
                     raise dialogue.unanswered(self.name, timeout) from None
                 if time.monotonic() > until and not dialogue.protocol.is_ready:
                     raise dialogue.unanswered(self.name, timeout)
+            self._begin(dialogue)
         except BaseException:
             self._transport.abort()
             raise
-        self._begin(dialogue)
 
     def _begin(self, dialogue: RtdeDialogue) -> None:
         """All is answered: give what has come, and then what comes."""
