@@ -13,10 +13,11 @@ from linkcore.arguments import check_choice, check_number, check_wait
 from linkcore.errors import BadValue, LocalError
 from linkcore.handle import Motion
 
-from ..bounds import TOOL_ACCELERATION, TOOL_SPEED, check_pose, check_speeds
+from ..bounds import JOINT_ACCELERATION, JOINT_SPEED, TOOL_ACCELERATION, TOOL_SPEED, check_pose, check_speeds
 from ..firmware import Firmware
 from ..foreign_names import AnswersForeignNames
 from ..interfaces.realtime.packets import RealtimeState
+from ..models import Model
 from ..urscript import commands, yielding
 from ..urscript.wrapping import HAS_REGISTERS
 from ..vectors import FloatArray, Numbers, numbers, six
@@ -34,7 +35,7 @@ from .register_link import RegisterPort
 from .servo import Servo
 from .setpoints import Servoing
 from .softness import Softness
-from .speed_limit import check_joint_acceleration, check_joint_rates, check_joint_speeds, largest_speeds
+from .speed_limit import check_joint_speeds, largest_speeds
 from .trajectory import Trajectory
 from .waypoints import WaypointServer
 from .yielding import ContactMotion, ForceMode, Freedrive, Torque, axes_of, frame_of
@@ -101,7 +102,7 @@ class Motions(AnswersForeignNames):
         model = self._context.who.identity.arm
         if model is not None:
             model.check_joints(goal)
-        body = commands.move_joints(goal.tolist(), *check_joint_rates(model, speed, acceleration), _time(time))
+        body = commands.move_joints(goal.tolist(), *_joint_rates(model, speed, acceleration), _time(time))
         return _waited(
             self._upload("move_joints", body, _arriving(goal, lambda state: state.q_actual), has_goal=True), seconds
         )
@@ -189,7 +190,7 @@ class Motions(AnswersForeignNames):
         context = self._context
         identity = context.who.identity
         arm = None if identity.arm is None else identity.kinematics
-        joint_rates = Rates(*check_joint_rates(identity.arm, joint_speed, joint_acceleration, "joint_"))
+        joint_rates = Rates(*_joint_rates(identity.arm, joint_speed, joint_acceleration, "joint_"))
         tool_rates = Rates(*_tool_rates(speed, acceleration))
         planned = plan(list(waypoints), joint_rates, tool_rates, arm, context.state())
         life = context.programs.life("path")
@@ -227,7 +228,7 @@ class Motions(AnswersForeignNames):
         """
         seconds = check_wait(wait)
         arm = self._context.who.identity.arm
-        speeds, hardest = check_joint_speeds(qd, "qd", arm), check_joint_acceleration(arm, acceleration)
+        speeds, hardest = check_joint_speeds(qd, "qd", arm), _joint_acceleration(arm, acceleration)
         motion = self._speed("speed_joints", commands.speed_joints, speeds, hardest, duration, link)
         return _waited(motion, seconds)
 
@@ -261,7 +262,7 @@ class Motions(AnswersForeignNames):
         `safety.enable()` was called. While a safety stop holds it is refused; the arm stands still then.
         """
         seconds = check_wait(wait)
-        body = commands.stop(check_joint_acceleration(self._context.who.identity.arm, acceleration))
+        body = commands.stop(_joint_acceleration(self._context.who.identity.arm, acceleration))
         return _waited(self._upload("stop", body, is_stop=True), seconds)
 
     # -- motions that last, linked to a program on the robot ---------------------------------------------
@@ -476,7 +477,7 @@ class Motions(AnswersForeignNames):
         return Jog(
             self._context,
             frame,
-            check_joint_acceleration(arm, acceleration)
+            _joint_acceleration(arm, acceleration)
             if frame == "joints"
             else TOOL_ACCELERATION.check(acceleration, "acceleration"),
             check_number(timeout, "timeout", 0.01, 60.0),
@@ -837,6 +838,16 @@ def _delay(delay: float | None) -> float | None:
 
 def _tool_rates(speed: float, acceleration: float) -> tuple[float, float]:
     return TOOL_SPEED.check(speed, "speed"), TOOL_ACCELERATION.check(acceleration, "acceleration")
+
+
+def _joint_rates(arm: Model | None, speed: float, acceleration: float, prefix: str = "") -> tuple[float, float]:
+    most, whose = (None, "") if arm is None else (float(arm.max_speed.max()), f"a {arm.name}")
+    return JOINT_SPEED.check(speed, f"{prefix}speed", most, whose), _joint_acceleration(arm, acceleration, prefix)
+
+
+def _joint_acceleration(arm: Model | None, value: float, prefix: str = "") -> float:
+    most, whose = (None, "") if arm is None else (float(arm.max_acceleration.max()), f"a {arm.name}")
+    return JOINT_ACCELERATION.check(value, f"{prefix}acceleration", most, whose)
 
 
 def _time(time: float | None) -> float | None:

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from linkcore.arguments import check_number
 
-from ..bounds import JOINT_ACCELERATION, JOINT_SPEED
+from ..bounds import JOINT_SPEED
 from ..models import Model
 from ..vectors import JOINTS, FloatArray, six
 
@@ -52,27 +52,6 @@ def check_joint_speeds(values: ArrayLike, name: str, model: Model | None) -> Flo
         whose = "the fastest arm" if model is None else f"a {model.name}"
         check_number(value, f"{name}[{joint}] ({JOINTS[joint]})", -limit, limit, "rad/s", whose)
     return speeds
-
-
-def check_joint_rates(model: Model | None, speed: float, acceleration: float, prefix: str = "") -> tuple[float, float]:
-    """A speed and an acceleration of the leading joint, rad/s and rad/s².
-
-    Args:
-        model: whose fastest joint bounds them; None if it is not known: then the joints of the fastest arm do.
-        prefix: of their names, for messages.
-
-    Raises:
-        BadValue: out of range.
-    """
-    most, whose = (None, "") if model is None else (float(model.max_speed.max()), f"a {model.name}")
-    checked = JOINT_SPEED.check(speed, f"{prefix}speed", most, whose)
-    return checked, check_joint_acceleration(model, acceleration, prefix)
-
-
-def check_joint_acceleration(model: Model | None, value: float, prefix: str = "") -> float:
-    """The acceleration of `check_joint_rates` by itself."""
-    most, whose = (None, "") if model is None else (float(model.max_acceleration.max()), f"a {model.name}")
-    return JOINT_ACCELERATION.check(value, f"{prefix}acceleration", most, whose)
 
 
 class SpeedLimit:
