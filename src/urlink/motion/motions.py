@@ -347,7 +347,7 @@ class Motions(AnswersForeignNames):
             following: Following = WaypointServer(trajectory, tolerances, firmware, lookahead_time, gain)
         else:
             clock = ProgramClock(1.0 / firmware.rate, scaling)
-            following = Follower(trajectory, tolerances, servoing, model, _delay(delay), clock)
+            following = Follower(trajectory, tolerances, servoing, _delay(delay), clock)
         life = context.programs.life("follow")
         motion = Motion(life, lambda: following.progress)
         LinkedProgram(life, context, following, open_link, tolerance=tolerances.start).begin()

@@ -123,9 +123,7 @@ class Servo(LinkedBlock):
         self._schedule: Schedule | None = None
         self._delay = AHEAD * cycle if delay is None else delay
         self._targets = None if limits is None else FilteredTargets(limits, cycle)
-        self._dialogue = _Leading(
-            servoing, None if self._targets is None else PacedSetpoints(servoing, model, self._targets)
-        )
+        self._dialogue = _Leading(servoing, None if self._targets is None else PacedSetpoints(servoing, self._targets))
         super().__init__(context, "servo", self._dialogue, open_link)
         self.rate = rate
         self._last: list[float] | None = None
@@ -136,7 +134,7 @@ class Servo(LinkedBlock):
         self._count = self._late = 0
         self._intervals: deque[float] = deque(maxlen=_REMEMBERED)
         self._model = model
-        self._limit = SpeedLimit(model, 1.0 / rate)
+        self._limit = SpeedLimit(servoing.speeds, 1.0 / rate)
         self._cycle = cycle
 
     def send(self, q: Numbers) -> None:
@@ -204,7 +202,7 @@ class Servo(LinkedBlock):
         if self._schedule is None:
             model = self._context.who.identity.arm
             schedule = Schedule(model, self._cycle, self._delay, self._context.section)
-            self._dialogue.paced = PacedSetpoints(self._servoing, model, schedule)
+            self._dialogue.paced = PacedSetpoints(self._servoing, schedule)
             self._schedule = schedule
         schedule = self._schedule
         here = state.q_target.tolist()

@@ -58,15 +58,15 @@ class SpeedLimit:
     """The seconds for which each joint may still be led at full speed.
 
     Args:
-        model: the arm; None if it is not known: then the speed of the fastest arm holds.
+        speeds: (6,) rad/s of the joints.
         period: seconds between two set-points.
         late: seconds of lateness that may be made up for at once.
 
     The argument `now` of its methods is in monotonic seconds.
     """
 
-    def __init__(self, model: Model | None, period: float, late: float = LATE) -> None:
-        self._speeds = largest_speeds(model)
+    def __init__(self, speeds: Sequence[float], period: float, late: float = LATE) -> None:
+        self._speeds = speeds
         self._period = min(period, LONGEST_PERIOD)
         self._even = self._period + EARLY
         self._late = late
