@@ -229,7 +229,7 @@ class Motions(AnswersForeignNames):
         seconds = check_wait(wait)
         arm = self._context.who.identity.arm
         speeds, hardest = check_joint_speeds(qd, "qd", arm), _joint_acceleration(arm, acceleration)
-        motion = self._speed("speed_joints", commands.speed_joints, speeds, hardest, duration, link)
+        motion = self._speed("speed_joints", speeds, hardest, duration, link)
         return _waited(motion, seconds)
 
     def speed_linear(
@@ -252,7 +252,7 @@ class Motions(AnswersForeignNames):
         """
         seconds = check_wait(wait)
         speeds, hardest = check_speeds(xd, "xd"), TOOL_ACCELERATION.check(acceleration, "acceleration")
-        motion = self._speed("speed_linear", commands.speed_linear, speeds, hardest, duration, link)
+        motion = self._speed("speed_linear", speeds, hardest, duration, link)
         return _waited(motion, seconds)
 
     def stop(self, acceleration: float = 2.0, *, wait: bool | float = False) -> Motion:
@@ -738,16 +738,9 @@ class Motions(AnswersForeignNames):
             end_where_moved(life, context.realtime)
         return motion
 
-    def _speed(
-        self,
-        name: str,
-        write: Callable[[Firmware, Sequence[float], float, float], list[str]],
-        speeds: FloatArray,
-        acceleration: float,
-        duration: float,
-        link: LinkName,
-    ) -> Motion:
+    def _speed(self, name: str, speeds: FloatArray, acceleration: float, duration: float, link: LinkName) -> Motion:
         context = self._context
+        is_tool = name == "speed_linear"
         duration = check_number(duration, "duration", _LEAST, _HOUR, "s")
         open_link = self._opener(link)
         held = self.current
@@ -756,11 +749,12 @@ class Motions(AnswersForeignNames):
             if held.change(name, speeds, acceleration, duration):
                 return held
         if duration > UNLED:
-            return HeldSpeed(context, name, name == "speed_linear", speeds, acceleration, duration, open_link)
+            return HeldSpeed(context, name, is_tool, speeds, acceleration, duration, open_link)
         # A speed that follows another one asks for no start permission: that would make the arm stutter, and if calls
         # come faster than permissions, none would ever move it. A call that the controller reads too late moves the arm
         # for no longer than `duration`.
         goes_on = any(life.name.startswith("speed_") for life in context.programs.permitted)
+        write = commands.speed_linear if is_tool else commands.speed_joints
         clock = context.clock
         began = clock()
         return self._upload(

@@ -120,11 +120,7 @@ class Step:
 
     def at(self, t: float) -> JointMoment:
         """The moment `t` s after its beginning."""
-        powers = t**_POWERS
-        c = self.rows
-        qd = (_POWERS[1:] * powers[:-1]) @ c[1:]
-        qdd = (_POWERS[2:] * _POWERS[1:-1] * powers[:-2]) @ c[2:]
-        return JointMoment(powers @ c, qd, qdd)
+        return JointMoment(*_derivatives(self.rows, t**_POWERS))
 
     @property
     def begin(self) -> JointMoment:
@@ -156,14 +152,19 @@ class Step:
         return Step(rows, self.length - t, self.degree)
 
 
+def _derivatives(rows: FloatArray, powers: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Positions, speeds and accelerations, from the coefficients and the powers of the time."""
+    qd = (_POWERS[1:] * powers[..., :-1]) @ rows[..., 1:, :]
+    qdd = (_POWERS[2:] * _POWERS[1:-1] * powers[..., :-2]) @ rows[..., 2:, :]
+    return powers @ rows, qd, qdd
+
+
 def _sampled(rows: FloatArray, lengths: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """(n, places, joints) positions, speeds, accelerations and jerks of n steps, rows (n, 6, 6)."""
     t = lengths[:, None] * _PLACES
     powers = t[..., None] ** _POWERS
-    qd = (_POWERS[1:] * powers[..., :-1]) @ rows[:, 1:]
-    qdd = (_POWERS[2:] * _POWERS[1:-1] * powers[..., :-2]) @ rows[:, 2:]
     qddd = (_POWERS[3:] * _POWERS[2:-1] * _POWERS[1:-2] * powers[..., :-3]) @ rows[:, 3:]
-    return powers @ rows, qd, qdd, qddd
+    return *_derivatives(rows, powers), qddd
 
 
 class Bounds:
