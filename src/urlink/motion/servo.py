@@ -200,10 +200,8 @@ class Servo(LinkedBlock):
         time = check_number(at, "at")
         state = self._context.state()
         if self._schedule is None:
-            model = self._context.who.identity.arm
-            schedule = Schedule(model, self._cycle, self._delay, self._context.section)
-            self._dialogue.paced = PacedSetpoints(self._servoing, schedule)
-            self._schedule = schedule
+            self._schedule = Schedule(self._model, self._cycle, self._delay, self._context.section)
+            self._dialogue.paced = PacedSetpoints(self._servoing, self._schedule)
         schedule = self._schedule
         here = state.q_target.tolist()
         q = self._joints_of(target, state, schedule.last or here)

@@ -546,7 +546,7 @@ class StreamFeed(LinkDialogue):
                 raise ToleranceExceeded(
                     f"no way within the limits leads from where the arm has braked to onto the point at {aim.time:g} s"
                 )
-            self._queue[0] = dataclasses.replace(aim, step=way, degree=5, moment=landing)
+            self._queue[0] = dataclasses.replace(aim, step=way, moment=landing)
         kept = self._kept(None)
         self._open(report.base, t, 5, here, kept)
         step = self._brake.cut(t)
@@ -609,7 +609,7 @@ class StreamFeed(LinkDialogue):
                 if t > 0.5 * self._cycle:
                     begin, time = aim.step.at(t), since
                     step = aim.step.cut(t)
-                    kept.append(Aim(since, step.degree, begin, step, aim.handed))
+                    kept.append(Aim(since, begin, step, aim.handed))
                 break
         aims = self._onto(request, begin, time)
 

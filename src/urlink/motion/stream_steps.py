@@ -290,17 +290,20 @@ class Aim:
 
     Attributes:
         time: on the clock of the stream, s.
-        degree: of the step to it: 1, 3 or 5.
         moment: in which the arm passes it.
         step: from the point before; None if it is where the arm rests.
         handed: with which points it came; None if it was computed here.
     """
 
     time: float
-    degree: int
     moment: JointMoment
     step: Step | None
     handed: Handed | None = None
+
+    @property
+    def degree(self) -> int:
+        """Of the step to it; 5 where there is none, since the moment is a whole one."""
+        return 5 if self.step is None else self.step.degree
 
 
 def onto(bounds: Bounds, curve: Sequence[Aim], here: JointMoment, time: float, shortest: float) -> list[Aim]:
@@ -333,7 +336,7 @@ def onto(bounds: Bounds, curve: Sequence[Aim], here: JointMoment, time: float, s
             f"the acceleration and jerk of the stream; expected points closer to it, or later ones"
         )
     aim, rest = places[found]
-    return [dataclasses.replace(aim, step=ways[found], degree=5), *rest]
+    return [dataclasses.replace(aim, step=ways[found]), *rest]
 
 
 def _landing(curve: Sequence[Aim], at: float, shortest: float) -> tuple[Aim, list[Aim]]:
@@ -344,5 +347,5 @@ def _landing(curve: Sequence[Aim], at: float, shortest: float) -> tuple[Aim, lis
         return aim, list(curve[following + 1 :])
     t = aim.step.length - (aim.time - at)
     rest = aim.step.rest(t)
-    begin = Aim(at, 5, rest.begin, None)
+    begin = Aim(at, rest.begin, None)
     return begin, [dataclasses.replace(aim, step=rest), *curve[following + 1 :]]

@@ -323,7 +323,6 @@ EQUIVALENT: tuple[Equivalent, ...] = (
     ),
     Equivalent("urlink/motion/stream_steps.py", "way", "5", "6", FIFTH),
     Equivalent("urlink/motion/stream_steps.py", "onto", "5", "6", FIFTH),
-    Equivalent("urlink/motion/stream_steps.py", "_landing", "5", "6", FIFTH),
     Equivalent(
         "urlink/motion/stream_feed.py",
         "step",
@@ -499,13 +498,10 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "urlink/motion/stream_steps.py", "_landing", "aim.time - at < shortest", "aim.time - at <= shortest", LAST
     ),
     Equivalent(
-        "urlink/motion/stream_points.py", "curve", "5", "6", "no step leads to the first point, so it has no degree"
-    ),
-    Equivalent(
         "urlink/motion/stream_points.py",
-        "_check_time",
-        "before + self._shortest * (1.0 - 1e-06) <= time <= before + _LONGEST",
-        "before + self._shortest * (1.0 - 1e-06) < time <= before + _LONGEST",
+        "_reached",
+        "since + self._shortest * (1.0 - 1e-06) <= point.time <= since + _LONGEST",
+        "since + self._shortest * (1.0 - 1e-06) < point.time <= since + _LONGEST",
         LAST,
     ),
     Equivalent("urlink/motion/stream_points.py", "_joints", "leaps[joint] > _LEAP", "leaps[joint] >= _LEAP", LAST),
