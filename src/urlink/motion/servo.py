@@ -25,11 +25,10 @@ from .path import Joint, Linear, Waypoint, check_joint_positions, shown_tcp
 from .servo_delay import measure
 from .setpoints import WAIT_MESSAGE, LinkDialogue, Servoing, setpoint
 from .speed_limit import LONGEST_PERIOD, SpeedLimit
+from .trajectory import LEAP
 
 #: Intervals that the statistics keep: a minute and a half at 500 Hz.
 _REMEMBERED = 50_000
-#: rad that a joint may turn from one pose to the next; more means a singularity.
-_LEAP = 1.5
 #: rad between the first set-point and the target position of the arm, at most.
 _NEAR = 0.05
 
@@ -221,7 +220,7 @@ class Servo(LinkedBlock):
         arm = self._context.who.identity.kinematics
         q = arm.inverse(target.pose, near, shown_tcp(arm, state))
         for joint, (value, before) in enumerate(zip(q.tolist(), near, strict=True)):
-            if abs(value - before) > _LEAP:
+            if abs(value - before) > LEAP:
                 raise BadValue(
                     f"q[{joint}] ({JOINTS[joint]}) would have to go from {before:.4f} to {value:.4f} rad: the pose is "
                     "beyond a singularity, or too far from the last one"

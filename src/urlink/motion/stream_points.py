@@ -15,12 +15,10 @@ from linkcore.errors import BadValue
 from ..bounds import check_pose
 from ..vectors import JOINTS, FloatArray
 from .stream_steps import Aim, Bounds, JointMoment, Mark, Step
-from .trajectory import Trajectory, TrajectoryPoint
+from .trajectory import LEAP, Trajectory, TrajectoryPoint
 
 #: rad between the place where the arm rests and a first point for the same time.
 _NEAR = 0.05
-#: rad that a joint may turn from one pose to the next; more means a singularity.
-_LEAP = 1.5
 #: s between two points, at most: a message holds its microseconds.
 _LONGEST = 1000.0
 
@@ -176,10 +174,10 @@ class PointReader:
         q = self._inverse(point.pose, near)
         leaps = np.abs(q - near)
         joint = int(leaps.argmax())
-        if leaps[joint] > _LEAP:
+        if leaps[joint] > LEAP:
             raise BadValue(
                 f"point {number} (t = {point.time:g} s): {JOINTS[joint]} (joint {joint}) would leap from "
-                f"{near[joint]:.4f} to {q[joint]:.4f} rad; expected at most {_LEAP:g} rad: the pose is beyond a "
+                f"{near[joint]:.4f} to {q[joint]:.4f} rad; expected at most {LEAP:g} rad: the pose is beyond a "
                 "singularity, or too far away"
             )
         return q

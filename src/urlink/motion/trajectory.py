@@ -46,7 +46,7 @@ _SLACK = 1e-6
 #: rad/s below which an arm counts as standing still, where a trajectory begins and ends.
 _STANDING = 0.05
 #: rad that a joint may turn between two poses; more means a singularity.
-_LEAP = 1.5
+LEAP = 1.5
 
 _QUANTITIES = (("q", "rad"), ("qd", "rad/s"), ("qdd", "rad/s²"))
 
@@ -154,7 +154,7 @@ class Trajectory:
             Unreachable: a pose is out of reach; the message names its row.
         """
         q = arm.inverse_path(poses, near, tcp)
-        leaps = np.abs(np.diff(q, axis=0)) > _LEAP
+        leaps = np.abs(np.diff(q, axis=0)) > LEAP
         if leaps.any():
             point, joint = (int(index) for index in np.argwhere(leaps)[0])
             raise BadValue(

@@ -303,8 +303,8 @@ EQUIVALENT: tuple[Equivalent, ...] = (
     Equivalent(
         "urlink/motion/servo.py",
         "_joints_of",
-        "abs(value - before) > _LEAP",
-        "abs(value - before) >= _LEAP",
+        "abs(value - before) > LEAP",
+        "abs(value - before) >= LEAP",
         "an angle that was computed equals the bound to the last bit",
     ),
     Equivalent(
@@ -504,7 +504,7 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "since + self._shortest * (1.0 - 1e-06) < point.time <= since + _LONGEST",
         LAST,
     ),
-    Equivalent("urlink/motion/stream_points.py", "_joints", "leaps[joint] > _LEAP", "leaps[joint] >= _LEAP", LAST),
+    Equivalent("urlink/motion/stream_points.py", "_joints", "leaps[joint] > LEAP", "leaps[joint] >= LEAP", LAST),
     Equivalent(
         "urlink/motion/common_time.py",
         "__init__",
@@ -612,8 +612,8 @@ EQUIVALENT: tuple[Equivalent, ...] = (
     Equivalent(
         "urlink/motion/trajectory.py",
         "from_poses",
-        "np.abs(np.diff(q, axis=0)) > _LEAP",
-        "np.abs(np.diff(q, axis=0)) >= _LEAP",
+        "np.abs(np.diff(q, axis=0)) > LEAP",
+        "np.abs(np.diff(q, axis=0)) >= LEAP",
         LAST,
     ),
     Equivalent(
