@@ -23,8 +23,7 @@ from .commanding.programs import Programs
 from .commanding.safety import Safety
 from .commanding.scripts import Scripts
 from .commanding.section import Section
-from .commanding.setting_channel import SettingChannel
-from .commanding.settings import Settings
+from .commanding.settings import SettingChannel, Settings
 from .connect_options import ConnectOptions
 from .identity import KnownIdentity
 from .interfaces.dashboard.client import Dashboard

@@ -112,12 +112,11 @@ class Group:
             if not isinstance(trajectory, Trajectory):
                 raise BadValue(f"{trajectory!r} is no Trajectory")
             motions = robot.motion
-            model = robot.identity.arm
-            trajectory.check(model)
+            trajectory.check(robot.identity.arm)
             trajectory.check(near=motions._context.state().q_target, within=tolerances.start)
             clock = common.member(robot.clock.to_local, 1.0 / robot.firmware.rate)
             servoing = motions._servoing(watchdog, lookahead_time, gain)
-            parts.append((motions, Follower(trajectory, tolerances, servoing, model, clock=clock), clock))
+            parts.append((motions, Follower(trajectory, tolerances, servoing, clock=clock), clock))
         begun: list[Motion] = []
         try:
             for motions, follower, clock in parts:

@@ -520,20 +520,17 @@ class Robot(AnswersForeignNames):
             BadValue: there is no such input, or as `freedrive`.
             LocalError: as `freedrive`; or with `button`, the firmware has no RTDE.
         """
-        from .motion.teaching import Teaching, Triggers
+        from .motion.teaching import Teaching
         from .urscript import commands
 
         banks = {each.name: each for each in (commands.STANDARD, commands.CONFIGURABLE, commands.TOOL)}
         check_choice(bank, "bank", tuple(banks))
         if on_point is not None:
             check_callable(on_point, "on_point")
-        triggers = Triggers(
-            None if digital_input is None else banks[bank].bit(self.firmware, digital_input, "input"),
-            self.rtde.outputs("robot_status_bits") if button else None,
-            on_point or (lambda point: None),
-        )
+        bit = None if digital_input is None else banks[bank].bit(self.firmware, digital_input, "input")
+        buttons = self.rtde.outputs("robot_status_bits") if button else None
         mode = None if button else self.freedrive(axes, frame=frame, watchdog=watchdog, link=link)
-        return Teaching(self.realtime, self.model, mode, triggers)
+        return Teaching(self.realtime, self.model, mode, bit, buttons, on_point or (lambda point: None))
 
     def zero_force_sensor(self) -> None:
         """Take what the force at the TCP is now for zero, from 3.0 on. Nothing should touch the tool then; nothing

@@ -19,8 +19,7 @@ from urlink.commanding.programs import Programs
 from urlink.commanding.safety import Safety
 from urlink.commanding.scripts import Scripts
 from urlink.commanding.section import Section
-from urlink.commanding.setting_channel import BriefInputs, SettingChannel
-from urlink.commanding.settings import Settings
+from urlink.commanding.settings import BriefInputs, SettingChannel, Settings
 from urlink.firmware import Firmware
 from urlink.identity import Identity, KnownIdentity
 from urlink.interfaces.enums import MasterSafetyState, RobotMode, RobotModeCB2, SafetyMode

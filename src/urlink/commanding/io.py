@@ -1,7 +1,7 @@
 """`robot.io`: the inputs and outputs of control box and tool.
 
 Outputs are set over RTDE, or by programs that run beside the one that moves the arm
-(`urlink.commanding.setting_channel`). They are read back from the robot state, which comes ten times a second: a new
+(`urlink.commanding.settings`). They are read back from the robot state, which comes ten times a second: a new
 value shows after a tenth of a second or so, and is waited for.
 """
 

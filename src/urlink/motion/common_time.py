@@ -68,14 +68,14 @@ class CommonTime:
         """Go on until `local`, the time of a state that has come `now`, both monotonic s of this computer."""
         with self._lock:
             running = self._members
+            wanted = min((member.own_rate(now) for member in running), default=0.0)
             if self.began is None:
                 if not all(member.is_ready for member in running):
                     return
                 self.began = self._local = max(local, now) + _LEAD
-                self.rate = min((member.own_rate(now) for member in running), default=0.0)
+                self.rate = wanted
             seconds = local - self._local
             if seconds > 0.0:
-                wanted = min((member.own_rate(now) for member in running), default=0.0)
                 change = min(max(wanted - self.rate, -RAMP * seconds), RAMP * seconds)
                 time = self._time + (self.rate + 0.5 * change) * seconds
                 self._local, self._time, self.rate = local, time, self.rate + change

@@ -23,6 +23,7 @@ class MotionContext:
 
     Attributes:
         programs: uploads programs.
+        channel: sends what moves the arm, through the interlock.
         realtime: the stream with the joint positions and the controller's clock.
         who: returns the identity of the controller.
         reverse: the port to which its programs connect.

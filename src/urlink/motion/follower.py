@@ -21,7 +21,6 @@ from collections.abc import Sequence
 
 from ..errors import ToleranceExceeded
 from ..interfaces.realtime.packets import RealtimeState
-from ..models import Model
 from .controller_clock import ProgramClock
 from .following import AHEAD, Following, Tolerances
 from .setpoints import WAIT_MESSAGE, Servoing, SetpointStream
@@ -93,7 +92,6 @@ class Follower(Following):
 
     Args:
         servoing: how its set-points are followed.
-        model: the arm; None if it is not known.
         delay: s from a state to the one in which the arm is at the set-point that answered it; None for the cycles that
             a set-point takes to arrive. What exceeds these is the lag of ``servoj``, which lasts longer while motion is
             scaled down (a guess: docs/protocols/urscript.md, Speed scaling).
@@ -105,11 +103,10 @@ class Follower(Following):
         trajectory: Trajectory,
         tolerances: Tolerances,
         servoing: Servoing,
-        model: Model | None,
         delay: float | None = None,
         clock: ProgramClock | None = None,
     ) -> None:
-        self._stream = SetpointStream(servoing, model)
+        self._stream = SetpointStream(servoing)
         self._cycle = self._stream.cycle
         super().__init__(servoing.body, trajectory, tolerances, clock or ProgramClock(self._cycle))
         self._lag = 0.0 if delay is None else delay - AHEAD * self._cycle

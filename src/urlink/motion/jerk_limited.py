@@ -221,9 +221,7 @@ def _way(v: float, a: float, segments: Sequence[_Segment]) -> float:
     """The distance that the segments lead, rad."""
     x = 0.0
     for t, jerk in segments:
-        x += t * (v + t * (0.5 * a + t * jerk / 6.0))
-        v += t * (a + 0.5 * t * jerk)
-        a += t * jerk
+        x, v, a = _after(x, v, a, jerk, t)
     return x
 
 

@@ -13,10 +13,11 @@ from linkcore.arguments import check_choice, check_number, check_wait
 from linkcore.errors import BadValue, LocalError
 from linkcore.handle import Motion
 
-from ..bounds import TOOL_ACCELERATION, TOOL_SPEED, check_pose, check_speeds
+from ..bounds import JOINT_ACCELERATION, JOINT_SPEED, TOOL_ACCELERATION, TOOL_SPEED, check_pose, check_speeds
 from ..firmware import Firmware
 from ..foreign_names import AnswersForeignNames
 from ..interfaces.realtime.packets import RealtimeState
+from ..models import Model
 from ..urscript import commands, yielding
 from ..urscript.wrapping import HAS_REGISTERS
 from ..vectors import FloatArray, Numbers, numbers, six
@@ -34,7 +35,7 @@ from .register_link import RegisterPort
 from .servo import Servo
 from .setpoints import Servoing
 from .softness import Softness
-from .speed_limit import check_joint_acceleration, check_joint_rates, check_joint_speeds, largest_speeds
+from .speed_limit import check_joint_speeds, largest_speeds
 from .trajectory import Trajectory
 from .waypoints import WaypointServer
 from .yielding import ContactMotion, ForceMode, Freedrive, Torque, axes_of, frame_of
@@ -101,7 +102,7 @@ class Motions(AnswersForeignNames):
         model = self._context.who.identity.arm
         if model is not None:
             model.check_joints(goal)
-        body = commands.move_joints(goal.tolist(), *check_joint_rates(model, speed, acceleration), _time(time))
+        body = commands.move_joints(goal.tolist(), *_joint_rates(model, speed, acceleration), _time(time))
         return _waited(
             self._upload("move_joints", body, _arriving(goal, lambda state: state.q_actual), has_goal=True), seconds
         )
@@ -189,7 +190,7 @@ class Motions(AnswersForeignNames):
         context = self._context
         identity = context.who.identity
         arm = None if identity.arm is None else identity.kinematics
-        joint_rates = Rates(*check_joint_rates(identity.arm, joint_speed, joint_acceleration, "joint_"))
+        joint_rates = Rates(*_joint_rates(identity.arm, joint_speed, joint_acceleration, "joint_"))
         tool_rates = Rates(*_tool_rates(speed, acceleration))
         planned = plan(list(waypoints), joint_rates, tool_rates, arm, context.state())
         life = context.programs.life("path")
@@ -227,8 +228,8 @@ class Motions(AnswersForeignNames):
         """
         seconds = check_wait(wait)
         arm = self._context.who.identity.arm
-        speeds, hardest = check_joint_speeds(qd, "qd", arm), check_joint_acceleration(arm, acceleration)
-        motion = self._speed("speed_joints", commands.speed_joints, speeds, hardest, duration, link)
+        speeds, hardest = check_joint_speeds(qd, "qd", arm), _joint_acceleration(arm, acceleration)
+        motion = self._speed("speed_joints", speeds, hardest, duration, link)
         return _waited(motion, seconds)
 
     def speed_linear(
@@ -251,7 +252,7 @@ class Motions(AnswersForeignNames):
         """
         seconds = check_wait(wait)
         speeds, hardest = check_speeds(xd, "xd"), TOOL_ACCELERATION.check(acceleration, "acceleration")
-        motion = self._speed("speed_linear", commands.speed_linear, speeds, hardest, duration, link)
+        motion = self._speed("speed_linear", speeds, hardest, duration, link)
         return _waited(motion, seconds)
 
     def stop(self, acceleration: float = 2.0, *, wait: bool | float = False) -> Motion:
@@ -261,7 +262,7 @@ class Motions(AnswersForeignNames):
         `safety.enable()` was called. While a safety stop holds it is refused; the arm stands still then.
         """
         seconds = check_wait(wait)
-        body = commands.stop(check_joint_acceleration(self._context.who.identity.arm, acceleration))
+        body = commands.stop(_joint_acceleration(self._context.who.identity.arm, acceleration))
         return _waited(self._upload("stop", body, is_stop=True), seconds)
 
     # -- motions that last, linked to a program on the robot ---------------------------------------------
@@ -346,7 +347,7 @@ class Motions(AnswersForeignNames):
             following: Following = WaypointServer(trajectory, tolerances, firmware, lookahead_time, gain)
         else:
             clock = ProgramClock(1.0 / firmware.rate, scaling)
-            following = Follower(trajectory, tolerances, servoing, model, _delay(delay), clock)
+            following = Follower(trajectory, tolerances, servoing, _delay(delay), clock)
         life = context.programs.life("follow")
         motion = Motion(life, lambda: following.progress)
         LinkedProgram(life, context, following, open_link, tolerance=tolerances.start).begin()
@@ -476,7 +477,7 @@ class Motions(AnswersForeignNames):
         return Jog(
             self._context,
             frame,
-            check_joint_acceleration(arm, acceleration)
+            _joint_acceleration(arm, acceleration)
             if frame == "joints"
             else TOOL_ACCELERATION.check(acceleration, "acceleration"),
             check_number(timeout, "timeout", 0.01, 60.0),
@@ -737,16 +738,9 @@ class Motions(AnswersForeignNames):
             end_where_moved(life, context.realtime)
         return motion
 
-    def _speed(
-        self,
-        name: str,
-        write: Callable[[Firmware, Sequence[float], float, float], list[str]],
-        speeds: FloatArray,
-        acceleration: float,
-        duration: float,
-        link: LinkName,
-    ) -> Motion:
+    def _speed(self, name: str, speeds: FloatArray, acceleration: float, duration: float, link: LinkName) -> Motion:
         context = self._context
+        is_tool = name == "speed_linear"
         duration = check_number(duration, "duration", _LEAST, _HOUR, "s")
         open_link = self._opener(link)
         held = self.current
@@ -755,11 +749,12 @@ class Motions(AnswersForeignNames):
             if held.change(name, speeds, acceleration, duration):
                 return held
         if duration > UNLED:
-            return HeldSpeed(context, name, name == "speed_linear", speeds, acceleration, duration, open_link)
+            return HeldSpeed(context, name, is_tool, speeds, acceleration, duration, open_link)
         # A speed that follows another one asks for no start permission: that would make the arm stutter, and if calls
         # come faster than permissions, none would ever move it. A call that the controller reads too late moves the arm
         # for no longer than `duration`.
         goes_on = any(life.name.startswith("speed_") for life in context.programs.permitted)
+        write = commands.speed_linear if is_tool else commands.speed_joints
         clock = context.clock
         began = clock()
         return self._upload(
@@ -837,6 +832,16 @@ def _delay(delay: float | None) -> float | None:
 
 def _tool_rates(speed: float, acceleration: float) -> tuple[float, float]:
     return TOOL_SPEED.check(speed, "speed"), TOOL_ACCELERATION.check(acceleration, "acceleration")
+
+
+def _joint_rates(arm: Model | None, speed: float, acceleration: float, prefix: str = "") -> tuple[float, float]:
+    most, whose = (None, "") if arm is None else (float(arm.max_speed.max()), f"a {arm.name}")
+    return JOINT_SPEED.check(speed, f"{prefix}speed", most, whose), _joint_acceleration(arm, acceleration, prefix)
+
+
+def _joint_acceleration(arm: Model | None, value: float, prefix: str = "") -> float:
+    most, whose = (None, "") if arm is None else (float(arm.max_acceleration.max()), f"a {arm.name}")
+    return JOINT_ACCELERATION.check(value, f"{prefix}acceleration", most, whose)
 
 
 def _time(time: float | None) -> float | None:

@@ -64,13 +64,12 @@ class PacedSetpoints:
 
     Args:
         servoing: how set-points are followed.
-        model: the arm; None if it is not known.
         source: makes the set-points.
     """
 
-    def __init__(self, servoing: Servoing, model: Model | None, source: PacedSource) -> None:
+    def __init__(self, servoing: Servoing, source: PacedSource) -> None:
         self._source = source
-        self._stream = SetpointStream(servoing, model)
+        self._stream = SetpointStream(servoing)
         self._clock = ProgramClock(self._stream.cycle)
         self._rest = Rest("the servo")
         self._has_begun = False

@@ -29,7 +29,6 @@ from ..interfaces.realtime.packets import RealtimeState
 from ..models import Model
 from ..urscript import commands
 from ..vectors import JOINTS, FloatArray, Numbers, six
-from .speed_limit import check_joint_rates
 
 if TYPE_CHECKING:
     from ..curves import Curve
@@ -302,7 +301,10 @@ class _Planner:
     def _joint(self, waypoint: Joint, rate: Rates, blend: float) -> PathSection:
         model = self._arm.model
         model.check_joints(waypoint.q)
-        check_joint_rates(model, rate.speed, rate.acceleration)
+        JOINT_SPEED.check(rate.speed, "speed", float(model.max_speed.max()), f"a {model.name}")
+        JOINT_ACCELERATION.check(
+            rate.acceleration, "acceleration", float(model.max_acceleration.max()), f"a {model.name}"
+        )
         start, way = self._q, waypoint.q - self._q
         places = self._arm.forward(np.stack([start, waypoint.q]), self._tcp)
         _check_blends(blend, waypoint.blend, math.dist(places[0, :3].tolist(), places[1, :3].tolist()))

@@ -25,11 +25,10 @@ from .path import Joint, Linear, Waypoint, check_joint_positions, shown_tcp
 from .servo_delay import measure
 from .setpoints import WAIT_MESSAGE, LinkDialogue, Servoing, setpoint
 from .speed_limit import LONGEST_PERIOD, SpeedLimit
+from .trajectory import LEAP
 
 #: Intervals that the statistics keep: a minute and a half at 500 Hz.
 _REMEMBERED = 50_000
-#: rad that a joint may turn from one pose to the next; more means a singularity.
-_LEAP = 1.5
 #: rad between the first set-point and the target position of the arm, at most.
 _NEAR = 0.05
 
@@ -123,9 +122,7 @@ class Servo(LinkedBlock):
         self._schedule: Schedule | None = None
         self._delay = AHEAD * cycle if delay is None else delay
         self._targets = None if limits is None else FilteredTargets(limits, cycle)
-        self._dialogue = _Leading(
-            servoing, None if self._targets is None else PacedSetpoints(servoing, model, self._targets)
-        )
+        self._dialogue = _Leading(servoing, None if self._targets is None else PacedSetpoints(servoing, self._targets))
         super().__init__(context, "servo", self._dialogue, open_link)
         self.rate = rate
         self._last: list[float] | None = None
@@ -136,7 +133,7 @@ class Servo(LinkedBlock):
         self._count = self._late = 0
         self._intervals: deque[float] = deque(maxlen=_REMEMBERED)
         self._model = model
-        self._limit = SpeedLimit(model, 1.0 / rate)
+        self._limit = SpeedLimit(servoing.speeds, 1.0 / rate)
         self._cycle = cycle
 
     def send(self, q: Numbers) -> None:
@@ -202,10 +199,8 @@ class Servo(LinkedBlock):
         time = check_number(at, "at")
         state = self._context.state()
         if self._schedule is None:
-            model = self._context.who.identity.arm
-            schedule = Schedule(model, self._cycle, self._delay, self._context.section)
-            self._dialogue.paced = PacedSetpoints(self._servoing, model, schedule)
-            self._schedule = schedule
+            self._schedule = Schedule(self._model, self._cycle, self._delay, self._context.section)
+            self._dialogue.paced = PacedSetpoints(self._servoing, self._schedule)
         schedule = self._schedule
         here = state.q_target.tolist()
         q = self._joints_of(target, state, schedule.last or here)
@@ -225,7 +220,7 @@ class Servo(LinkedBlock):
         arm = self._context.who.identity.kinematics
         q = arm.inverse(target.pose, near, shown_tcp(arm, state))
         for joint, (value, before) in enumerate(zip(q.tolist(), near, strict=True)):
-            if abs(value - before) > _LEAP:
+            if abs(value - before) > LEAP:
                 raise BadValue(
                     f"q[{joint}] ({JOINTS[joint]}) would have to go from {before:.4f} to {value:.4f} rad: the pose is "
                     "beyond a singularity, or too far from the last one"

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 from ..firmware import Firmware
 from ..interfaces.realtime.packets import RealtimeState
-from ..models import Model
 from ..urscript.links import FOLLOW, SCALE, STOP, WAIT, InputRegisters, ReverseSocket, Writer, missable
 from ..urscript.streaming import COASTING, streaming
 from .speed_limit import SpeedLimit
@@ -165,7 +164,6 @@ class SetpointStream:
 
     Args:
         servoing: how set-points are followed.
-        model: the arm, whose joint speeds bound every set-point; None if it is not known.
 
     Attributes:
         cycle: s of the controller.
@@ -173,10 +171,10 @@ class SetpointStream:
         qd: (6,) rad/s with which the program goes on from there; empty before `begin`.
     """
 
-    def __init__(self, servoing: Servoing, model: Model | None) -> None:
+    def __init__(self, servoing: Servoing) -> None:
         self._servoing = servoing
         self.cycle = 1.0 / servoing.firmware.rate
-        self._limit = SpeedLimit(model, self.cycle, late=servoing.late)
+        self._limit = SpeedLimit(servoing.speeds, self.cycle, late=servoing.late)
         self.q: list[float] = []
         self.qd: list[float] = []
         #: s since the last set-point, on the controller's clock and for the program; from `begin` on

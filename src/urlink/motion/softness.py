@@ -25,11 +25,10 @@ from ..urscript.links import Writer
 from ..urscript.springs import Springs, ToolSprings, admittance, impedance
 from ..vectors import JOINTS, FloatArray, six
 from .jog import FULL_SPEED, FrameName
-from .yielding import DIRECT_TORQUE
+from .yielding import AXES, DIRECT_TORQUE
 
 #: The first firmware of arms whose wrist measures force that computes with whole lists.
 _MEASURED_FORCE = Since("5.10/10.0")
-_AXES = ("x", "y", "z", "rx", "ry", "rz")
 #: Nm/rad of a joint at most, N/m and Nm/rad of the tool: with its inertia more would swing faster than a cycle lets
 #: it be damped.
 _STIFFEST, _STIFFEST_TOOL = (10_000.0,) * 6, (5_000.0,) * 3 + (200.0,) * 3
@@ -99,7 +98,7 @@ class Softness:
         else:
             given = _or(self.stiffness, _TOOL_STIFFNESS)
             rates = np.minimum(_TURNING, model.max_speed)
-            stretch = _within(_or(self.error, _TOOL_ERROR), "error", _AXES, 0.0, _FURTHEST_TOOL)
+            stretch = _within(_or(self.error, _TOOL_ERROR), "error", AXES, 0.0, _FURTHEST_TOOL)
         stiffness = stiffness_of(self.frame, given)
         if tool is not None and not has_torque:
             return (
@@ -159,8 +158,8 @@ class Softness:
         bending = _or(self.posture_stiffness, _POSTURE)
         return ToolSprings(
             in_tool=self.frame == "tool",
-            speed=_within(speed, "speed", _AXES, _SLOWEST, fastest).tolist(),
-            force=_within(_or(self.force, _TOOL_FORCE), "force", _AXES, 0.0, _STRONGEST).tolist(),
+            speed=_within(speed, "speed", AXES, _SLOWEST, fastest).tolist(),
+            force=_within(_or(self.force, _TOOL_FORCE), "force", AXES, 0.0, _STRONGEST).tolist(),
             posture=_within(bending, "posture_stiffness", JOINTS, 0.0, _TIGHTEST, "Nm/rad").tolist(),
         )
 
@@ -173,7 +172,7 @@ def stiffness_of(frame: FrameName, values: ArrayLike) -> FloatArray:
     """
     if frame == "joints":
         return _within(values, "stiffness", JOINTS, 0.0, _STIFFEST, "Nm/rad")
-    return _within(values, "stiffness", _AXES, 0.0, _STIFFEST_TOOL)
+    return _within(values, "stiffness", AXES, 0.0, _STIFFEST_TOOL)
 
 
 def damping_of(frame: FrameName, values: ArrayLike) -> FloatArray:
@@ -182,7 +181,7 @@ def damping_of(frame: FrameName, values: ArrayLike) -> FloatArray:
     Raises:
         BadValue: out of range.
     """
-    return _within(values, "damping", JOINTS if frame == "joints" else _AXES, 0.0, _DAMPEST)
+    return _within(values, "damping", JOINTS if frame == "joints" else AXES, 0.0, _DAMPEST)
 
 
 def _or(given: ArrayLike | None, default: ArrayLike) -> ArrayLike:

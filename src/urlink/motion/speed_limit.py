@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from linkcore.arguments import check_number
 
-from ..bounds import JOINT_ACCELERATION, JOINT_SPEED
+from ..bounds import JOINT_SPEED
 from ..models import Model
 from ..vectors import JOINTS, FloatArray, six
 
@@ -54,40 +54,19 @@ def check_joint_speeds(values: ArrayLike, name: str, model: Model | None) -> Flo
     return speeds
 
 
-def check_joint_rates(model: Model | None, speed: float, acceleration: float, prefix: str = "") -> tuple[float, float]:
-    """A speed and an acceleration of the leading joint, rad/s and rad/s².
-
-    Args:
-        model: whose fastest joint bounds them; None if it is not known: then the joints of the fastest arm do.
-        prefix: of their names, for messages.
-
-    Raises:
-        BadValue: out of range.
-    """
-    most, whose = (None, "") if model is None else (float(model.max_speed.max()), f"a {model.name}")
-    checked = JOINT_SPEED.check(speed, f"{prefix}speed", most, whose)
-    return checked, check_joint_acceleration(model, acceleration, prefix)
-
-
-def check_joint_acceleration(model: Model | None, value: float, prefix: str = "") -> float:
-    """The acceleration of `check_joint_rates` by itself."""
-    most, whose = (None, "") if model is None else (float(model.max_acceleration.max()), f"a {model.name}")
-    return JOINT_ACCELERATION.check(value, f"{prefix}acceleration", most, whose)
-
-
 class SpeedLimit:
     """The seconds for which each joint may still be led at full speed.
 
     Args:
-        model: the arm; None if it is not known: then the speed of the fastest arm holds.
+        speeds: (6,) rad/s of the joints.
         period: seconds between two set-points.
         late: seconds of lateness that may be made up for at once.
 
     The argument `now` of its methods is in monotonic seconds.
     """
 
-    def __init__(self, model: Model | None, period: float, late: float = LATE) -> None:
-        self._speeds = largest_speeds(model)
+    def __init__(self, speeds: Sequence[float], period: float, late: float = LATE) -> None:
+        self._speeds = speeds
         self._period = min(period, LONGEST_PERIOD)
         self._even = self._period + EARLY
         self._late = late

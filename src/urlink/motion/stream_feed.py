@@ -346,7 +346,9 @@ class StreamFeed(LinkDialogue):
             if self.mark is None:
                 # Done where another thread has ended it since this one began to look.
                 if not self.begun.done() and self._begin.is_reached(state, now):
-                    self._rest_at(0.0, JointMoment.at_rest(state.q_target))
+                    self.mark = Mark(0.0, JointMoment.at_rest(state.q_target))
+                    self._brake = Step.braking(self.mark.moment, self._bounds.limits)
+                    self._last = _Sent(0, 0, self._brake, 0.0, 0.0, 0.0, None)
                     self.begun.set_result(None)
                 return self._wait_message()
             for handed in {aim.handed for aim in self._queue if aim.handed is not None}:
@@ -368,11 +370,6 @@ class StreamFeed(LinkDialogue):
     def _wait_message(self) -> bytes:
         self._pace_sent, self._has_sent_pace = self._paces[-1], True
         return _MESSAGE.pack(WAIT, 0, round(SCALE * self._pace_sent), *[0] * (MESSAGE - 3))
-
-    def _rest_at(self, time: float, moment: JointMoment) -> None:
-        self.mark = Mark(time, moment)
-        still = Step.braking(moment, self._bounds.limits)
-        self._last, self._brake = _Sent(0, 0, still, time, time, 0.0, None), still
 
     def _next(self) -> bytes:
         while self._cut is None and self._requests:
@@ -549,7 +546,7 @@ class StreamFeed(LinkDialogue):
                 raise ToleranceExceeded(
                     f"no way within the limits leads from where the arm has braked to onto the point at {aim.time:g} s"
                 )
-            self._queue[0] = dataclasses.replace(aim, step=way, degree=5, moment=landing)
+            self._queue[0] = dataclasses.replace(aim, step=way, moment=landing)
         kept = self._kept(None)
         self._open(report.base, t, 5, here, kept)
         step = self._brake.cut(t)
@@ -612,7 +609,7 @@ class StreamFeed(LinkDialogue):
                 if t > 0.5 * self._cycle:
                     begin, time = aim.step.at(t), since
                     step = aim.step.cut(t)
-                    kept.append(Aim(since, step.degree, begin, step, aim.handed))
+                    kept.append(Aim(since, begin, step, aim.handed))
                 break
         aims = self._onto(request, begin, time)
 

@@ -15,12 +15,10 @@ from linkcore.errors import BadValue
 from ..bounds import check_pose
 from ..vectors import JOINTS, FloatArray
 from .stream_steps import Aim, Bounds, JointMoment, Mark, Step
-from .trajectory import Trajectory, TrajectoryPoint
+from .trajectory import LEAP, Trajectory, TrajectoryPoint
 
 #: rad between the place where the arm rests and a first point for the same time.
 _NEAR = 0.05
-#: rad that a joint may turn from one pose to the next; more means a singularity.
-_LEAP = 1.5
 #: s between two points, at most: a message holds its microseconds.
 _LONGEST = 1000.0
 
@@ -86,11 +84,9 @@ class PointReader:
                 continue
             if is_here and begin.rests:
                 self._check_near(name, point.q, begin.q)
-                aims.append(Aim(time, 5, _moment(point), None))
+                aims.append(Aim(time, _moment(point), None))
             else:
-                self._check_time(name, point.time, time)
-                step, degree = _step(begin, point, point.time - time)
-                aims.append(Aim(point.time, degree, step.end, step))
+                aims.append(self._reached(name, point, begin, time))
                 names.append(name)
             begin, time = aims[-1].moment, point.time
         self._check(aims, names)
@@ -107,11 +103,9 @@ class PointReader:
         for number, point in enumerate(self._given(points, since, mark)):
             name = f"point {number} (t = {point.time:g} s)"
             if not aims:
-                aims.append(Aim(point.time, 5, _moment(point), None))
+                aims.append(Aim(point.time, _moment(point), None))
             else:
-                self._check_time(name, point.time, aims[-1].time)
-                step, degree = _step(aims[-1].moment, point, point.time - aims[-1].time)
-                aims.append(Aim(point.time, degree, step.end, step))
+                aims.append(self._reached(name, point, aims[-1].moment, aims[-1].time))
                 names.append(name)
         self._check(aims, names)
         return aims
@@ -123,12 +117,17 @@ class PointReader:
         if steps:
             self._bounds.check(steps, names)
 
-    def _check_time(self, name: str, time: float, before: float) -> None:
-        if not before + self._shortest * (1.0 - 1e-6) <= time <= before + _LONGEST:
+    def _reached(self, name: str, point: TrajectoryPoint, begin: JointMoment, since: float) -> Aim:
+        """A point, and the step to it from a moment at `since`, s; its degree is by what the point carries."""
+        length = point.time - since
+        if not since + self._shortest * (1.0 - 1e-6) <= point.time <= since + _LONGEST:
             raise BadValue(
-                f"{name}: its time is {time - before:.6g} s after the point before, or the end of the stream; expected "
+                f"{name}: its time is {length:.6g} s after the point before, or the end of the stream; expected "
                 f"{self._shortest:g} s, two cycles of the controller, to {_LONGEST:g} s"
             )
+        degree = 1 if point.qd is None else 3 if point.qdd is None else 5
+        step = Step.to(begin, _moment(point), length, degree)
+        return Aim(point.time, step.end, step)
 
     def _check_near(self, name: str, q: FloatArray, here: FloatArray) -> None:
         away = np.abs(q - here)
@@ -175,10 +174,10 @@ class PointReader:
         q = self._inverse(point.pose, near)
         leaps = np.abs(q - near)
         joint = int(leaps.argmax())
-        if leaps[joint] > _LEAP:
+        if leaps[joint] > LEAP:
             raise BadValue(
                 f"point {number} (t = {point.time:g} s): {JOINTS[joint]} (joint {joint}) would leap from "
-                f"{near[joint]:.4f} to {q[joint]:.4f} rad; expected at most {_LEAP:g} rad: the pose is beyond a "
+                f"{near[joint]:.4f} to {q[joint]:.4f} rad; expected at most {LEAP:g} rad: the pose is beyond a "
                 "singularity, or too far away"
             )
         return q
@@ -194,9 +193,3 @@ def _listed(points: Any) -> list[Any]:
 def _moment(point: TrajectoryPoint) -> JointMoment:
     rest = np.zeros(6)
     return JointMoment(point.q, rest if point.qd is None else point.qd, rest if point.qdd is None else point.qdd)
-
-
-def _step(begin: JointMoment, point: TrajectoryPoint, length: float) -> tuple[Step, int]:
-    """The step to a point, and its degree, by what the point carries."""
-    degree = 1 if point.qd is None else 3 if point.qdd is None else 5
-    return Step.to(begin, _moment(point), length, degree), degree

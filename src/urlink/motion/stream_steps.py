@@ -120,11 +120,7 @@ class Step:
 
     def at(self, t: float) -> JointMoment:
         """The moment `t` s after its beginning."""
-        powers = t**_POWERS
-        c = self.rows
-        qd = (_POWERS[1:] * powers[:-1]) @ c[1:]
-        qdd = (_POWERS[2:] * _POWERS[1:-1] * powers[:-2]) @ c[2:]
-        return JointMoment(powers @ c, qd, qdd)
+        return JointMoment(*_derivatives(self.rows, t**_POWERS))
 
     @property
     def begin(self) -> JointMoment:
@@ -156,14 +152,19 @@ class Step:
         return Step(rows, self.length - t, self.degree)
 
 
+def _derivatives(rows: FloatArray, powers: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Positions, speeds and accelerations, from the coefficients and the powers of the time."""
+    qd = (_POWERS[1:] * powers[..., :-1]) @ rows[..., 1:, :]
+    qdd = (_POWERS[2:] * _POWERS[1:-1] * powers[..., :-2]) @ rows[..., 2:, :]
+    return powers @ rows, qd, qdd
+
+
 def _sampled(rows: FloatArray, lengths: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """(n, places, joints) positions, speeds, accelerations and jerks of n steps, rows (n, 6, 6)."""
     t = lengths[:, None] * _PLACES
     powers = t[..., None] ** _POWERS
-    qd = (_POWERS[1:] * powers[..., :-1]) @ rows[:, 1:]
-    qdd = (_POWERS[2:] * _POWERS[1:-1] * powers[..., :-2]) @ rows[:, 2:]
     qddd = (_POWERS[3:] * _POWERS[2:-1] * _POWERS[1:-2] * powers[..., :-3]) @ rows[:, 3:]
-    return powers @ rows, qd, qdd, qddd
+    return *_derivatives(rows, powers), qddd
 
 
 class Bounds:
@@ -289,17 +290,20 @@ class Aim:
 
     Attributes:
         time: on the clock of the stream, s.
-        degree: of the step to it: 1, 3 or 5.
         moment: in which the arm passes it.
         step: from the point before; None if it is where the arm rests.
         handed: with which points it came; None if it was computed here.
     """
 
     time: float
-    degree: int
     moment: JointMoment
     step: Step | None
     handed: Handed | None = None
+
+    @property
+    def degree(self) -> int:
+        """Of the step to it; 5 where there is none, since the moment is a whole one."""
+        return 5 if self.step is None else self.step.degree
 
 
 def onto(bounds: Bounds, curve: Sequence[Aim], here: JointMoment, time: float, shortest: float) -> list[Aim]:
@@ -332,7 +336,7 @@ def onto(bounds: Bounds, curve: Sequence[Aim], here: JointMoment, time: float, s
             f"the acceleration and jerk of the stream; expected points closer to it, or later ones"
         )
     aim, rest = places[found]
-    return [dataclasses.replace(aim, step=ways[found], degree=5), *rest]
+    return [dataclasses.replace(aim, step=ways[found]), *rest]
 
 
 def _landing(curve: Sequence[Aim], at: float, shortest: float) -> tuple[Aim, list[Aim]]:
@@ -343,5 +347,5 @@ def _landing(curve: Sequence[Aim], at: float, shortest: float) -> tuple[Aim, lis
         return aim, list(curve[following + 1 :])
     t = aim.step.length - (aim.time - at)
     rest = aim.step.rest(t)
-    begin = Aim(at, 5, rest.begin, None)
+    begin = Aim(at, rest.begin, None)
     return begin, [dataclasses.replace(aim, step=rest), *curve[following + 1 :]]

@@ -199,36 +199,37 @@ class Taught:
 _BOUNCE = 0.2
 
 
-@dataclass(frozen=True)
-class Triggers:
-    """The events that record a waypoint, besides a call.
+class Teaching:
+    """Teaching of waypoints while a ``with`` block is open; made by `robot.teach`.
 
-    Attributes:
-        input_bit: of the digital inputs; switching it on records one. None for none.
+    Args:
+        realtime: the stream with the positions of the arm.
+        model: name of the arm; None if it is not known.
+        freedrive: to be open meanwhile; None if the arm is moved with its own button.
+        input_bit: of the digital inputs; switching it on records a waypoint. None for none.
         buttons: the stream with `robot_status_bits`; releasing the arm's own button, as these show it, records one.
             None for no button.
         on_point: called with each waypoint, in the thread that has recorded it.
-    """
-
-    input_bit: int | None
-    buttons: Stream[Any] | None
-    on_point: Callable[[TaughtPoint], object]
-
-
-class Teaching:
-    """Teaching of waypoints while a ``with`` block is open; made by `robot.teach`.
 
     Attributes:
         taught: the waypoints so far; they remain after the block.
     """
 
     def __init__(
-        self, realtime: Stream[RealtimeState], model: str | None, freedrive: Freedrive | None, triggers: Triggers
+        self,
+        realtime: Stream[RealtimeState],
+        model: str | None,
+        freedrive: Freedrive | None,
+        input_bit: int | None,
+        buttons: Stream[Any] | None,
+        on_point: Callable[[TaughtPoint], object],
     ) -> None:
         self.taught = Taught(model=model)
         self._realtime = realtime
         self._freedrive = freedrive
-        self._triggers = triggers
+        self._input_bit = input_bit
+        self._buttons = buttons
+        self._on_point = on_point
         #: closed when the block is left; None outside of it
         self._open: contextlib.ExitStack | None = None
         # An input that is on, or a button that is not held, in the first state is not an event.
@@ -251,12 +252,12 @@ class Teaching:
         with contextlib.ExitStack() as opened:
             if self._freedrive is not None:
                 opened.enter_context(self._freedrive)
-            if self._triggers.input_bit is not None:
+            if self._input_bit is not None:
                 subscription = self._realtime.subscribe(self._look_at_input)
                 opened.callback(subscription.close)
-            if self._triggers.buttons is not None:
-                opened.callback(self._triggers.buttons.close)
-                watch = self._triggers.buttons.subscribe(self._look_at_button)
+            if self._buttons is not None:
+                opened.callback(self._buttons.close)
+                watch = self._buttons.subscribe(self._look_at_button)
                 opened.callback(watch.close)
             self._open = opened.pop_all()
         return self
@@ -283,12 +284,12 @@ class Teaching:
     def _keep(self, state: RealtimeState) -> TaughtPoint:
         point = TaughtPoint(six(state.q_actual, "q_actual"), six(state.tool_vector_actual, "tool_vector_actual"))
         self.taught.add(point)
-        self._triggers.on_point(point)
+        self._on_point(point)
         return point
 
     def _look_at_input(self, state: RealtimeState) -> None:
-        assert self._triggers.input_bit is not None
-        is_on = bool(state.digital_input_bits >> self._triggers.input_bit & 1)
+        assert self._input_bit is not None
+        is_on = bool(state.digital_input_bits >> self._input_bit & 1)
         if is_on and not self._was_on and state.time - self._kept_at > _BOUNCE:
             self._kept_at = state.time
             self._keep(state)

@@ -46,7 +46,7 @@ _SLACK = 1e-6
 #: rad/s below which an arm counts as standing still, where a trajectory begins and ends.
 _STANDING = 0.05
 #: rad that a joint may turn between two poses; more means a singularity.
-_LEAP = 1.5
+LEAP = 1.5
 
 _QUANTITIES = (("q", "rad"), ("qd", "rad/s"), ("qdd", "rad/s²"))
 
@@ -72,7 +72,9 @@ class TrajectoryPoint:
 
     def __init__(self, q: ArrayLike, time: float, qd: ArrayLike | None = None, qdd: ArrayLike | None = None) -> None:
         object.__setattr__(self, "q", six(q, "q"))
-        object.__setattr__(self, "time", float(numbers(time, "time")) if np.ndim(time) == 0 else _no_time(time))
+        if np.ndim(time) != 0:
+            raise BadValue(f"time: {time!r} is not one number of seconds")
+        object.__setattr__(self, "time", float(numbers(time, "time")))
         object.__setattr__(self, "qd", None if qd is None else six(qd, "qd"))
         object.__setattr__(self, "qdd", None if qdd is None else six(qdd, "qdd"))
 
@@ -152,7 +154,7 @@ class Trajectory:
             Unreachable: a pose is out of reach; the message names its row.
         """
         q = arm.inverse_path(poses, near, tcp)
-        leaps = np.abs(np.diff(q, axis=0)) > _LEAP
+        leaps = np.abs(np.diff(q, axis=0)) > LEAP
         if leaps.any():
             point, joint = (int(index) for index in np.argwhere(leaps)[0])
             raise BadValue(
@@ -428,10 +430,6 @@ def refuse_beyond(
         f"{where(segment, place)}: {what} of {JOINTS[joint]} (joint {joint}) is {value:.4f} {unit}; the limit of "
         f"{whose} is {limit:.4f} {unit}" + other_unit(abs(value), unit, 0.0, abs(limit))
     )
-
-
-def _no_time(time: object) -> float:
-    raise BadValue(f"time: {time!r} is not one number of seconds")
 
 
 def _column(values: Sequence[FloatArray | None], name: str) -> FloatArray | None:

@@ -30,7 +30,8 @@ _LEAST = 1e-6
 #: The first releases with force mode, with damping (CB3), and with gain.
 _FORCE_MODE = Firmware(3, 0)
 _DAMPING_CB, _GAIN = Firmware(3, 5), Firmware(5, 0)
-_NAMES = ("x", "y", "z", "rx", "ry", "rz")
+#: The axes of a frame, along and about them.
+AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 
 def axes_of(values: Sequence[object], what: str) -> tuple[bool, ...]:
@@ -72,7 +73,7 @@ def _check_pressing(pressing: Pressing, firmware: Firmware) -> None:
         raise LocalError(f"force mode is used from firmware {_FORCE_MODE} on, not on {firmware}")
     if pressing.kind not in (1, 2, 3):
         raise BadValue(f"kind is {pressing.kind!r}; expected 1, 2 or 3")
-    for index, (name, limit, is_free) in enumerate(zip(_NAMES, pressing.limits, pressing.selection, strict=True)):
+    for index, (name, limit, is_free) in enumerate(zip(AXES, pressing.limits, pressing.selection, strict=True)):
         speed, deviation = (TOOL_SPEED, POSITION) if index < 3 else (TOOL_TURN, TURN)
         bound = speed if is_free else deviation
         check_number(limit, f"limits[{name}]", _LEAST, bound.most, bound.unit)
@@ -124,14 +125,14 @@ class ForceMode(LinkedBlock):
 
 def _wrench(wrench: Numbers) -> FloatArray:
     values = six(wrench, "wrench")
-    for name, value in zip(_NAMES, values.tolist(), strict=True):
+    for name, value in zip(AXES, values.tolist(), strict=True):
         check_number(value, f"wrench[{name}]", -_LARGEST, _LARGEST, "Nm" if name.startswith("r") else "N")
     return values
 
 
 _NOTHING = (0.0,) * 6
 #: The first releases that have freedrive in a program, and freedrive along selected axes.
-_FREEDRIVE, _AXES = Firmware(3, 0), Firmware(5, 10)
+_FREEDRIVE, _SOME_AXES = Firmware(3, 0), Firmware(5, 10)
 
 
 class Freedrive(LinkedBlock):
@@ -162,8 +163,8 @@ class Freedrive(LinkedBlock):
             raise LocalError(f"freedrive is used from firmware {_FREEDRIVE} on, not on {firmware}")
         if axes is not None and not any(axes):
             raise BadValue("no axis is free; expected one at least")
-        if axes is not None and firmware < _AXES:
-            raise LocalError(f"firmware {firmware} frees all axes or none; {_AXES} is the first that takes axes")
+        if axes is not None and firmware < _SOME_AXES:
+            raise LocalError(f"firmware {firmware} frees all axes or none; {_SOME_AXES} is the first that takes axes")
         seconds = check_number(watchdog, "watchdog", 0.05, 10.0)
         body = partial(yielding.freedrive, firmware, axes=axes, frame=frame, watchdog=seconds)
         super().__init__(context, "freedrive", KeptMessage(body, _NOTHING), open_link)

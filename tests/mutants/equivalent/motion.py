@@ -303,8 +303,8 @@ EQUIVALENT: tuple[Equivalent, ...] = (
     Equivalent(
         "urlink/motion/servo.py",
         "_joints_of",
-        "abs(value - before) > _LEAP",
-        "abs(value - before) >= _LEAP",
+        "abs(value - before) > LEAP",
+        "abs(value - before) >= LEAP",
         "an angle that was computed equals the bound to the last bit",
     ),
     Equivalent(
@@ -323,7 +323,6 @@ EQUIVALENT: tuple[Equivalent, ...] = (
     ),
     Equivalent("urlink/motion/stream_steps.py", "way", "5", "6", FIFTH),
     Equivalent("urlink/motion/stream_steps.py", "onto", "5", "6", FIFTH),
-    Equivalent("urlink/motion/stream_steps.py", "_landing", "5", "6", FIFTH),
     Equivalent(
         "urlink/motion/stream_feed.py",
         "step",
@@ -499,16 +498,13 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "urlink/motion/stream_steps.py", "_landing", "aim.time - at < shortest", "aim.time - at <= shortest", LAST
     ),
     Equivalent(
-        "urlink/motion/stream_points.py", "curve", "5", "6", "no step leads to the first point, so it has no degree"
-    ),
-    Equivalent(
         "urlink/motion/stream_points.py",
-        "_check_time",
-        "before + self._shortest * (1.0 - 1e-06) <= time <= before + _LONGEST",
-        "before + self._shortest * (1.0 - 1e-06) < time <= before + _LONGEST",
+        "_reached",
+        "since + self._shortest * (1.0 - 1e-06) <= point.time <= since + _LONGEST",
+        "since + self._shortest * (1.0 - 1e-06) < point.time <= since + _LONGEST",
         LAST,
     ),
-    Equivalent("urlink/motion/stream_points.py", "_joints", "leaps[joint] > _LEAP", "leaps[joint] >= _LEAP", LAST),
+    Equivalent("urlink/motion/stream_points.py", "_joints", "leaps[joint] > LEAP", "leaps[joint] >= LEAP", LAST),
     Equivalent(
         "urlink/motion/common_time.py",
         "__init__",
@@ -616,8 +612,8 @@ EQUIVALENT: tuple[Equivalent, ...] = (
     Equivalent(
         "urlink/motion/trajectory.py",
         "from_poses",
-        "np.abs(np.diff(q, axis=0)) > _LEAP",
-        "np.abs(np.diff(q, axis=0)) >= _LEAP",
+        "np.abs(np.diff(q, axis=0)) > LEAP",
+        "np.abs(np.diff(q, axis=0)) >= LEAP",
         LAST,
     ),
     Equivalent(

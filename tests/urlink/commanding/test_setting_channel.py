@@ -18,7 +18,7 @@ from tests.fakes.controller import ScriptedController
 from tests.fakes.line import Line
 from tests.waiting import until
 from urlink import InputInUse
-from urlink.commanding import setting_channel
+from urlink.commanding import settings
 from urlink.commanding.channel import CommandChannel
 from urlink.commanding.section import Section
 from urlink.errors import NotConfirmed, NotRunning
@@ -66,7 +66,7 @@ def inputs() -> Inputs:
 
 @pytest.fixture
 def robot(inputs: Inputs, monkeypatch: pytest.MonkeyPatch) -> Iterator[ScriptedController]:
-    monkeypatch.setattr(setting_channel, "_SETTLED", 0.0)
+    monkeypatch.setattr(settings, "_SETTLED", 0.0)
     with ScriptedController(inputs=inputs) as robot:
         robot.clear()
         yield robot
@@ -117,7 +117,7 @@ def test_without_waiting_nothing_is_claimed(robot: ScriptedController, inputs: I
 def test_no_package_overtakes_a_text(
     robot: ScriptedController, inputs: Inputs, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(setting_channel, "_SETTLED", 60.0)
+    monkeypatch.setattr(settings, "_SETTLED", 60.0)
     robot.io.set_digital_out(0, True, confirm=None)
     robot.io.set_digital_out(0, False, confirm=None)
     assert (len(inputs.asked), len(robot.sent)) == (1, 2)
@@ -181,7 +181,7 @@ class Desk:
         self.inputs = Inputs()
         self.line = Line()
         channel = SimpleNamespace(check_running=lambda: None, command=self.sent.append, beside=lambda send: send())
-        self.settings = setting_channel.SettingChannel(
+        self.settings = settings.SettingChannel(
             cast(CommandChannel, channel),
             cast(Connection, self.line),
             Section(),
@@ -306,7 +306,7 @@ def test_what_another_client_holds_goes_by_script(controller: Controller) -> Non
         controller.faults.cut("primary")
         until(lambda: robot.primary.stats.reconnects)
         robot.safety.wait_until_clear(5)
-        time.sleep(setting_channel._SETTLED)
+        time.sleep(settings._SETTLED)
         robot.set_speed_slider(0.9)
         assert len(texts(controller)) == 3
 

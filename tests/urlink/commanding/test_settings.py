@@ -17,8 +17,7 @@ from tests.fakes.line import Line
 from tests.waiting import until
 from urlink.commanding.io import IO
 from urlink.commanding.section import Section
-from urlink.commanding.setting_channel import SettingChannel
-from urlink.commanding.settings import Settings
+from urlink.commanding.settings import SettingChannel, Settings
 from urlink.errors import NotConfirmed, NotRunning
 from urlink.firmware import Firmware
 from urlink.identity import Identity, KnownIdentity

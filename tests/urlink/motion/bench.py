@@ -161,7 +161,7 @@ class Led:
     def __init__(self, firmware: Firmware, source: PacedSource) -> None:
         arm = model("UR5e" if firmware.is_e_series else "UR5")
         servoing = Servoing(firmware, largest_speeds(arm), 0.1, 0.03, 300.0)
-        self.paced = PacedSetpoints(servoing, arm, source)
+        self.paced = PacedSetpoints(servoing, source)
         self.bench = Bench(servoing.body(ReverseSocket("10.0.0.1", 50001, 7)), firmware)
         self.sent: list[list[float]] = []
 

@@ -46,7 +46,7 @@ def servoing(firmware: Firmware, watchdog: float = 0.1) -> Servoing:
 def follower(
     firmware: Firmware = NEWEST, trajectory: Trajectory = WAVE, tolerances: Tolerances = LOOSE, watchdog: float = 0.1
 ) -> Follower:
-    return Follower(trajectory, tolerances, servoing(firmware, watchdog), arm(firmware))
+    return Follower(trajectory, tolerances, servoing(firmware, watchdog))
 
 
 def state(time: float, q: list[float], qd: float = 0.0) -> RealtimeState:
@@ -102,7 +102,7 @@ class LateClock(ProgramClock):
 
 def test_one_that_begins_late_is_where_one_is_that_missed_as_much() -> None:
     """Of two arms that are to move as one, this computer may stand between the first set-points of both."""
-    late = Feeding(Follower(WAVE, LOOSE, servoing(NEWEST), arm(NEWEST), clock=LateClock(0.002)))
+    late = Feeding(Follower(WAVE, LOOSE, servoing(NEWEST), clock=LateClock(0.002)))
     missed = Feeding(follower())
     for feeding, cycles in ((late, 1), (missed, 10)):
         feeding.state(0)
@@ -111,7 +111,7 @@ def test_one_that_begins_late_is_where_one_is_that_missed_as_much() -> None:
             feeding.state()
     assert late.q == pytest.approx(missed.q, abs=5e-4)
     # Nine cycles of coasting, at 98 % and less of the speed, are 8.1; one before them, and one and a tenth after them.
-    begins = Feeding(Follower(WAVE, LOOSE, servoing(NEWEST), arm(NEWEST), clock=LateClock(0.002)))
+    begins = Feeding(Follower(WAVE, LOOSE, servoing(NEWEST), clock=LateClock(0.002)))
     begins.state(0)
     assert begins.follower._s == pytest.approx((1.0 + 8.1 + 1.0 + 1.1) * 0.002)
 
@@ -583,7 +583,7 @@ def test_both_ends_are_held_up_again_and_again(held: int, answered: tuple[int, .
     firmware = FIRMWARES[0]
     path = Trajectory.from_arrays([0, 1, 2, 3], [turned(0), turned(0.8), turned(0.3), turned(0.5)])
     how = servoing(firmware, watchdog=2.0)
-    led = Follower(path, Tolerances(path=None, goal=0.01, goal_time=1.0, start=0.05), how, arm(firmware))
+    led = Follower(path, Tolerances(path=None, goal=0.01, goal_time=1.0, start=0.05), how)
     bench = Bench(how.body(ReverseSocket("10.0.0.1", 50001, TOKEN)), firmware)
     bench.run(2)
 
@@ -740,7 +740,7 @@ def test_after_a_pause_the_place_is_looked_for_from_a_little_before_to_a_second_
 
 def test_an_arm_that_lags_is_compared_with_where_it_should_be_by_then() -> None:
     """The lag that was measured, without the cycles in it that a set-point takes to arrive."""
-    led = Follower(WAVE, LOOSE, servoing(NEWEST), arm(NEWEST), 0.1)
+    led = Follower(WAVE, LOOSE, servoing(NEWEST), 0.1)
     feeding = Feeding(led)
     for _ in range(100):
         feeding.state()

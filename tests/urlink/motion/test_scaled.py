@@ -250,7 +250,7 @@ def rehearsed(profile: list[tuple[float, float]], version: str, late: int) -> Fl
     firmware = Firmware.parse(version)
     arm = model("UR5e" if firmware.is_e_series else "UR5")
     path, how = curve(), Servoing(firmware, largest_speeds(arm), 0.1, 0.03, 300.0)
-    led = Follower(path, Tolerances(None, 0.01, 1.0, 0.05), how, arm)
+    led = Follower(path, Tolerances(None, 0.01, 1.0, 0.05), how)
     bench = Bench(led.body(ReverseSocket("10.0.0.1", 50001, 7)), firmware, READY)
     bench.run(2)
     fractions = [fraction for fraction, seconds in profile for _ in range(round(seconds * firmware.rate))]

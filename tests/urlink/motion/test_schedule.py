@@ -134,7 +134,7 @@ def test_a_trajectory_is_followed_without_the_lag() -> None:
         led = Scheduled(firmware, 0.0)
         tolerances = Tolerances(path=None, goal=0.001, goal_time=1.0, start=0.05)
         servoing = led.paced._stream._servoing
-        follower = Follower(path, tolerances, servoing, model("UR5"), delay)
+        follower = Follower(path, tolerances, servoing, delay)
         errors = []
         led.bench.run(2)
         while not follower.is_over:

@@ -61,7 +61,7 @@ def test_after_a_pause_a_set_point_says_how_many_there_were(last: float) -> None
 
 @pytest.fixture
 def stream() -> SetpointStream:
-    stream = SetpointStream(SERVOING, UR5E)
+    stream = SetpointStream(SERVOING)
     stream.begin(at(0.3))
     return stream
 
@@ -142,7 +142,7 @@ class Fed:
 
     def __init__(self) -> None:
         self.source = Source()
-        self.paced = PacedSetpoints(SERVOING, UR5E, self.source)
+        self.paced = PacedSetpoints(SERVOING, self.source)
 
     def state(self, passed: float, *, now: float | None = None, speed: float = 0.0) -> bytes:
         joints, speeds = np.zeros(6), np.array(at(speed))

@@ -22,7 +22,7 @@ class Loop:
     def __init__(self, period: float = 0.002, name: str | None = "UR5e") -> None:
         self.at = 100.0
         self.q = 0.0
-        self.limit = SpeedLimit(None if name is None else model(name), period)
+        self.limit = SpeedLimit(largest_speeds(None if name is None else model(name)), period)
         self.limit.take([0.0] * 6, [0.0] * 6, self.at)
 
     def step(self, way: float, seconds: float) -> str | None:
@@ -145,7 +145,7 @@ def test_an_arm_that_nobody_knows_is_as_fast_as_the_fastest_there_is() -> None:
 
 
 def test_says_which_joint_and_by_how_much() -> None:
-    limit = SpeedLimit(model("UR10e"), 0.002)
+    limit = SpeedLimit(largest_speeds(model("UR10e")), 0.002)
     said = limit.excess([0.0] * 6, [0.0, -0.5, 0.0, 0.0, 0.0, 0.0], 0.0)
     assert said is not None
     for part in ("q[1] (shoulder)", "-0.5000 rad", "0.5000 rad from the last", "at most 0.0063 rad", "2.09 rad/s"):

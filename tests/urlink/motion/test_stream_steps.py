@@ -301,7 +301,7 @@ def ramp(first: float, last: float, spacing: float = 0.1, rate: float = 0.2) -> 
         time = first + n * spacing
         here = only(5, rate, rate * time)
         step = None if not aims else Step.to(aims[-1].moment, here, time - aims[-1].time, 5)
-        aims.append(Aim(time, 5, here, step))
+        aims.append(Aim(time, here, step))
     return aims
 
 

@@ -22,7 +22,6 @@ from urlink import Joint, Taught
 from urlink.errors import SafetyStop
 from urlink.interfaces.enums import RobotStatusBits
 from urlink.motion import TaughtPoint, Teaching
-from urlink.motion.teaching import Triggers
 from urlink.robot import Robot
 from urlink.simulator import Controller, Still
 
@@ -149,8 +148,8 @@ def teaching_with(
     realtime: Said, mode: Mode | None = None, input_bit: int | None = None, buttons: Said | None = None
 ) -> tuple[Teaching, list[TaughtPoint]]:
     told: list[TaughtPoint] = []
-    triggers = Triggers(input_bit, cast("Any", buttons), told.append)
-    return Teaching(cast("Any", realtime), "UR5e", cast("Any", mode), triggers), told
+    said, freedrive, released = cast("Any", realtime), cast("Any", mode), cast("Any", buttons)
+    return Teaching(said, "UR5e", freedrive, input_bit, released, told.append), told
 
 
 def test_an_input_keeps_one_when_it_is_switched_on_and_not_when_it_bounces() -> None:
