@@ -51,7 +51,8 @@ def getter(kind: type[State], path: str) -> Callable[[Any], Any]:
 def _complaint(kind: type[State], path: str, names: list[str]) -> str:
     near = [name for name in names if name.rpartition(".")[2] == path]
     hint = f"; did you mean {' or '.join(near)}?" if near else ""
-    there = textwrap.indent(textwrap.fill(" ".join(names) or "nothing: choose a class with --type", 99), "  ")
+    words = " ".join(names) or "nothing: choose a class with --type"
+    there = textwrap.fill(words, 101, initial_indent="  ", subsequent_indent="  ")
     other = "" if near or kind is RealtimeState else "\nReal-time fields need --interface realtime."
     return f"{kind.__name__} has no field {path!r}{hint}\nIt has:\n{there}{other}"
 
@@ -73,7 +74,9 @@ def as_json(packet: State, getters: Mapping[str, Callable[[Any], Any]] | None = 
     """A packet as a JSON object: its type, when it arrived (seconds since 1970), all fields or those of `getters`."""
     received = packet.received
     head = {"type": type(packet).__name__, "received": None if received is None else received.wall}
-    return head | ({path: plain(get(packet)) for path, get in getters.items()} if getters else _content(packet))
+    if getters:
+        return head | {path: plain(get(packet)) for path, get in getters.items()}
+    return head | _content(packet)
 
 
 def _content(packet: State) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from bisect import bisect_right
 
 from .errors import MAX_TEXT, MAX_TOKENS, ProgramError
 
-#: Kinds of tokens, which are groups of `_TOKEN`; a keyword or mark is its own kind.
+#: Kinds of tokens, the first three by the groups of `_TOKEN`; a keyword or mark is its own kind.
 NUMBER, NAME, STRING, END = "number", "name", "string", "end of text"
 
 _STATEMENTS = {"def", "sec", "thread", "end", "if", "elif", "else", "while", "return", "break", "continue", "pass"}

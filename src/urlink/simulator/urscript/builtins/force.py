@@ -126,7 +126,7 @@ def freedrive_mode(thread: ScriptThread, freeAxes: Any = (1, 1, 1, 1, 1, 1), fea
 @declare(name="freedrive_mode", in_secondary=False, since="3.0", until="5.10")
 @declare(in_secondary=False, since="1.6")
 def teach_mode(thread: ScriptThread) -> None:
-    """The older name of freedrive, which was in all directions at first."""
+    """Freedrive in all directions: under its older name in every firmware, under the newer one before 5.10."""
     thread.world.freedrive([True] * 6, _BASE)
 
 

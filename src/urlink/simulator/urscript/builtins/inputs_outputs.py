@@ -35,7 +35,8 @@ def _digital_getter(name: str, bits: Sequence[int], is_input: bool) -> Callable[
     def read(thread: ScriptThread, n: Any) -> bool:
         signals = thread.world.signals
         mask = signals.digital_inputs if is_input else signals.digital_outputs
-        return bool(mask >> bits[integer(n, f"{name}: n", 0, len(bits) - 1)] & 1)
+        at = bits[integer(n, f"{name}: n", 0, len(bits) - 1)]
+        return bool(mask >> at & 1)
 
     return read
 

@@ -14,7 +14,7 @@ from .declaration import declare, integer, number, pose, string, vector
 # Work of recomputing the arm's state, as with another tool, in elements of a list.
 _LOOK = 400
 
-#: Name -> list or pose, what it has of the controller, and the first firmware with the function.
+#: Name -> whether it returns a list or a pose, what it reads, and the first firmware with the function.
 _STATE: dict[str, tuple[type[tuple[float, ...]], Callable[[ScriptWorld], Sequence[float]], str]] = {
     "get_actual_joint_positions": (tuple, lambda world: world.q_actual, "1.0"),
     # The name occurs in a driver's program; that it means the actual positions is a guess.
@@ -24,7 +24,7 @@ _STATE: dict[str, tuple[type[tuple[float, ...]], Callable[[ScriptWorld], Sequenc
     "get_target_joint_speeds": (tuple, lambda world: world.qd_target, "1.0"),
     "get_target_joint_accelerations": (tuple, lambda world: world.qdd_target, "5.23/10.11"),
     "get_joint_torques": (tuple, lambda world: world.torques, "1.0"),
-    # Of the target movement, gravity included. The name is a guess.
+    # Of the target movement, gravity included, Nm. The name is a guess.
     "get_target_joint_torques": (tuple, lambda world: world.torques, "5.23/10.11"),
     "get_actual_tcp_pose": (PoseValue, lambda world: world.pose_actual, "1.0"),
     "get_target_tcp_pose": (PoseValue, lambda world: world.pose_target, "1.0"),

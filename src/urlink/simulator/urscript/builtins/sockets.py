@@ -122,7 +122,7 @@ def _await(thread: ScriptThread, socket_name: Any, timeout: Any, is_there: Calla
 
 
 def _read_line(thread: ScriptThread, socket_name: Any, timeout: Any) -> Waiting:
-    """A line without its line feed, which is consumed; None as by `_await`."""
+    """A line without its line feed, which is consumed; None on a timeout, or if the socket is not open."""
     buffer = yield from _await(thread, socket_name, timeout, lambda data: b"\n" in data)
     if buffer is None:
         return None
@@ -132,7 +132,7 @@ def _read_line(thread: ScriptThread, socket_name: Any, timeout: Any) -> Waiting:
 
 
 def _read_numbers(thread: ScriptThread, count: int, code: str, socket_name: Any, timeout: Any) -> Waiting:
-    """A list of `count` and the numbers, each of the format `code` of `struct`."""
+    """A list of `count` and the numbers, of the format `code` of `struct`; of 0 and as many -1 on a timeout."""
     layout = struct.Struct(f">{count}{code}")
     buffer = yield from _await(thread, socket_name, timeout, lambda data: len(data) >= layout.size)
     if buffer is None:
