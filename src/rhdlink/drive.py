@@ -250,11 +250,7 @@ class Drive:
         return self._begin("stop", Stop(), None)
 
     def _begin(
-        self,
-        name: str,
-        motion: ControlledMotion,
-        speed: float | None,
-        begin: Callable[[], object] = lambda: None,
+        self, name: str, motion: ControlledMotion, speed: float | None, begin: Callable[[], object] = lambda: None
     ) -> Motion:
         if self._closing.is_set() or self._error is not None:
             raise Closed(f"{self._link.name} is not driven any more") from self._error
