@@ -74,40 +74,37 @@ class _Motions:
 
     def put(self, command: _Command) -> None:
         """Begin a motion in the next cycle; it preempts the present one."""
-        before: _Command | None = None
         with self._lock:
-            error = self._error
+            error, before = self._error, self._next
             if error is None:
-                before, self._next = self._next, command
+                self._next = command
         if error is not None:
             command.life.fail(error)
-        if before is not None:
+        elif before is not None:
             before.life.cancel("preempted by another motion")
 
     def step(self) -> bool:
         """One cycle; False, since there is always another motion to come."""
         with self._lock:
             new, self._next = self._next, None
+        current = self._current
         if new is not None:
-            before, self._current = self._current, None
-            if before is not None:
+            self._current = None
+            if current is not None:
                 self._give_up()
-                before.life.cancel("preempted by another motion")
+                current.life.cancel("preempted by another motion")
             if not new.life.is_over:
                 self._current = new
                 new.begin()
                 self._vehicle.control.start(new.motion)
                 new.life.begin()
-            return False
-        current = self._current
-        if current is not None:
-            if current.life.is_over:  # cancelled
-                self._current = None
-                self._give_up()
-                self._vehicle.control.start(Stop())
-            elif current.motion.is_done(self._vehicle.control):
-                self._current = None
-                current.life.finish()
+        elif current is not None and current.life.is_over:  # cancelled
+            self._current = None
+            self._give_up()
+            self._vehicle.control.start(Stop())
+        elif current is not None and current.motion.is_done(self._vehicle.control):
+            self._current = None
+            current.life.finish()
         return False
 
     def _give_up(self) -> None:

@@ -92,11 +92,9 @@ class ScriptInterpreter:
         self.holds: Callable[[PlanLine], bool] | None = None
         self._condition = vehicle.symbols.system["condition"].place
         self.symbols.pool[self._condition] = -1.0
-        # The conditions of the present line as they were computed last, and how many there are. Watches use the same
-        # place in MRC.
-        self._found = [0.0] * 128
-        self._count = 0
+        # The conditions of the present line, and as they were computed last. Watches use the same place in MRC.
         self._tests: tuple[Value, ...] = ()
+        self._found = [0.0] * 128
         self.case = 0
         self.skips = False
 
@@ -124,7 +122,7 @@ class ScriptInterpreter:
         if self.default_end():
             run.result = 0.0
             run.stage = Stage.FETCH
-        if self._count:
+        if self._tests:
             try:
                 self._test(self._tests)
             except LineFault as fault:
@@ -198,18 +196,17 @@ class ScriptInterpreter:
     @property
     def conditions(self) -> tuple[bool, ...]:
         """The stop conditions of the present line, as they were computed last."""
-        return tuple(value != 0.0 for value in self._found[: self._count])
+        return tuple(value != 0.0 for value in self._found[: len(self._tests)])
 
     def begin_command(self) -> None:
         """Set ``$condition`` from the conditions that were computed last, and forget them."""
         self.symbols.pool[self._condition] = float(self._first_true())
-        self._count = 0
+        self._tests = ()
 
     def _first_true(self) -> int:
-        found = self._found
-        for number in range(self._count):
-            if found[number] != 0.0:
-                return number + 1
+        for number, is_true in enumerate(self.conditions, start=1):
+            if is_true:
+                return number
         return 0
 
     def set_conditions(self, conditions: tuple[Value, ...]) -> None:
@@ -224,7 +221,6 @@ class ScriptInterpreter:
     def _test(self, tests: Sequence[Value]) -> None:
         for number, test in enumerate(tests):
             self._found[number] = test()
-        self._count = len(tests)
 
     def watch(self, tests: Sequence[Value]) -> float:
         """The value of the first condition of a watch.
@@ -242,13 +238,13 @@ class ScriptInterpreter:
     def aside(self) -> Iterator[None]:
         """A command within the present one, after which that goes on as before: a watch, or a client's `eval`."""
         pool = self.symbols.pool
-        kept = self._count, self._tests, self.default_end, pool[self._condition]
+        kept = self._tests, self.default_end, pool[self._condition]
         found = list(self._found) if self.profile.watches_apart else self._found
         self.begin_command()
         try:
             yield
         finally:
-            self._count, self._tests, self.default_end, pool[self._condition] = kept
+            self._tests, self.default_end, pool[self._condition] = kept
             self._found = found
 
     # -- lines --------------------------------------------------------------------------------------
