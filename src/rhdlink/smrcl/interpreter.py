@@ -115,7 +115,7 @@ class ScriptInterpreter:
         """Bring the system variables up to date, with distance and time of a run."""
         vehicle = self.vehicle
         driven = vehicle.odometry.distance - run.start_distance
-        vehicle.variables.update(driven, run.cycles * vehicle.control.parameters.period, self.time)
+        vehicle.variables.update(vehicle, driven, run.cycles, self.time)
 
     def _wait(self, run: Run) -> None:
         self.update_variables(run)
