@@ -14,7 +14,6 @@ from linkcore.threads import CallbackThread, started
 
 from .smrcl.controller import MissionController
 from .smrcl.execution import Callbacks, MissionExecution, leaving_at_exit
-from .smrcl.mission import Robot, suitable_conf
 from .smrcl.motion.basic import FollowDirection, Forward, Stop, Wheels
 from .smrcl.motion.control import ControlledMotion
 from .smrcl.motion.following import FollowLine, FollowWall
@@ -24,7 +23,7 @@ from .smrcl.odometry import PlanarPose
 from .smrcl.plan import Run
 from .smrcl.profile import Profile, find_profile
 from .smrcl.robot_conf import RobotConf
-from .smrcl.robot_link import open_link
+from .smrcl.robot_link import Robot, open_link, suitable_conf
 from .smrcl.sensors import LineKind
 from .smrcl.vehicle import Vehicle
 from .world import Pose

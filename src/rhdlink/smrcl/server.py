@@ -20,12 +20,11 @@ from ..host.plugin import Plugin
 from .controller import MissionController
 from .dialogue import ClientDialogue
 from .execution import MissionExecution, WithCallbacks, leaving_at_exit, log_saver
-from .mission import Robot, suitable_conf
 from .plan import Failure
 from .profile import Profile, find_profile
 from .recipients import MOST_BACKLOG, Session
 from .robot_conf import RobotConf
-from .robot_link import PluginLink, RobotLink, open_link
+from .robot_link import PluginLink, Robot, RobotLink, open_link, suitable_conf
 
 _log = logging.getLogger(__name__)
 
