@@ -297,7 +297,6 @@ class ScriptInterpreter:
         """The values of ``eval ...``, beside the present command; None if it is something else, or wrong."""
         line = self._parser.parse(text)
         statement = line.statements[0] if line.statements else None
-        values: list[float] = []
         with self.aside():
             try:
                 if line.problem is not None:
@@ -305,12 +304,12 @@ class ScriptInterpreter:
                 if not isinstance(statement, Evaluate):
                     return None
                 values = [self.compiler.compile(each)() for each in statement.values]
+                self.print_values(values)
+                return values
             except LineFault as fault:
                 if not self.profile.says_why and fault.column:
                     self._reads_on(text, fault.column)
                 return None
-        self.print_values(values)
-        return values
 
     def print_values(self, values: Sequence[float]) -> None:
         """Print the values of `eval`."""
