@@ -2,7 +2,7 @@
 
 ::
 
-    controller = Controller(conf, read, write, profile=MRC)
+    controller = MissionController(conf, read, write, profile=MRC)
     controller.load(source)
     request = controller.first_request()
     while not controller.is_finished:
