@@ -220,8 +220,7 @@ class MissionRun(Handle):
     """A run of a mission. Made by `Mission`."""
 
     def __init__(self, name: str, execution: MissionExecution, owned: RobotLink | None) -> None:
-        self._callback_thread = CallbackThread(f"mission {name} callbacks")
-        super().__init__(Lifecycle(name, self._callback_thread))
+        super().__init__(Lifecycle(name, CallbackThread(f"mission {name} callbacks")))
         self._execution = execution
         self._owned = owned
 
