@@ -204,8 +204,8 @@ class ScriptInterpreter:
         self._tests = ()
 
     def _first_true(self) -> int:
-        for number, is_true in enumerate(self.conditions, start=1):
-            if is_true:
+        for number, value in enumerate(self._found[: len(self._tests)], start=1):
+            if value != 0.0:
                 return number
         return 0
 
