@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
-from types import MappingProxyType
+from collections.abc import Callable, Mapping
 
 #: x86 makes a nan with the sign bit set, and C prints it as "-nan". The sign means nothing.
 NAN = -math.nan
@@ -165,25 +164,21 @@ def _total(function: Callable[[float], float]) -> Callable[[float], float]:
 
 
 #: Functions of one argument by name. `abs` is C's fabs.
-UNARY_FUNCTIONS: MappingProxyType[str, Callable[[float], float]] = MappingProxyType(
-    {
-        "sin": sine,
-        "cos": cosine,
-        "asin": _total(math.asin),
-        "acos": _total(math.acos),
-        "tan": _total(math.tan),
-        "atan": math.atan,
-        "ln": _logarithm,
-        "exp": _exponential,
-        "sqrt": _total(math.sqrt),
-        "abs": math.fabs,
-        "normalizeanglerad": normalize_angle,
-        "normalizeangledeg": _normalize_degrees,
-    }
-)
+UNARY_FUNCTIONS: Mapping[str, Callable[[float], float]] = {
+    "sin": sine,
+    "cos": cosine,
+    "asin": _total(math.asin),
+    "acos": _total(math.acos),
+    "tan": _total(math.tan),
+    "atan": math.atan,
+    "ln": _logarithm,
+    "exp": _exponential,
+    "sqrt": _total(math.sqrt),
+    "abs": math.fabs,
+    "normalizeanglerad": normalize_angle,
+    "normalizeangledeg": _normalize_degrees,
+}
 
 #: Functions of two arguments by name, but for `ntrue`, which counts. `rem` depends on the profile. `math.hypot` is not
 #: that of the C library (from Python 3.10 on), and differs from it in the last bit for six pairs of a thousand.
-BINARY_FUNCTIONS: MappingProxyType[str, Callable[[float, float], float]] = MappingProxyType(
-    {"atan2": math.atan2, "hypot": math.hypot}
-)
+BINARY_FUNCTIONS: Mapping[str, Callable[[float, float], float]] = {"atan2": math.atan2, "hypot": math.hypot}
