@@ -315,17 +315,13 @@ class ScriptInterpreter:
         """Print the values of `eval`."""
         self.output.values("".join(f"{format_number(value)}  " for value in values) + "\n")
 
-    def perform_aside(self, text: str) -> bool:
-        """Execute a line beside the present command; False if it is wrong. It takes no time, whatever it says."""
+    def perform_aside(self, text: str) -> None:
+        """Execute a line beside the present command, unless it is wrong. It takes no time, whatever it says."""
         line = PlanLine(text, 0)
-        with self.aside():
-            run = Run(MissionPlan([line]))
-            run.line = line
-            try:
-                self._execute(line, run)
-            except LineFault:
-                return False
-        return True
+        run = Run(MissionPlan([line]))
+        run.line = line
+        with self.aside(), contextlib.suppress(LineFault):
+            self._execute(line, run)
 
     # -- flow ---------------------------------------------------------------------------------------
 
