@@ -14,7 +14,6 @@ from linkcore.threads import CallbackThread, started
 
 from .smrcl.controller import MissionController
 from .smrcl.execution import Callbacks, MissionExecution, leaving_at_exit
-from .smrcl.mission import Robot, suitable_conf
 from .smrcl.motion.basic import FollowDirection, Forward, Stop, Wheels
 from .smrcl.motion.control import ControlledMotion, MotionControl
 from .smrcl.motion.following import FollowLine, FollowWall
@@ -24,7 +23,7 @@ from .smrcl.odometry import PlanarPose
 from .smrcl.plan import Run
 from .smrcl.profile import Profile, find_profile
 from .smrcl.robot_conf import RobotConf
-from .smrcl.robot_link import open_link
+from .smrcl.robot_link import Robot, open_link, suitable_conf
 from .smrcl.sensors import LineKind
 from .world import Pose
 
@@ -73,40 +72,37 @@ class _Motions:
 
     def put(self, command: _Command) -> None:
         """Begin a motion in the next cycle; it preempts the present one."""
-        before: _Command | None = None
         with self._lock:
-            error = self._error
+            error, before = self._error, self._next
             if error is None:
-                before, self._next = self._next, command
+                self._next = command
         if error is not None:
             command.life.fail(error)
-        if before is not None:
+        elif before is not None:
             before.life.cancel("preempted by another motion")
 
     def step(self) -> bool:
         """One cycle; False, since there is always another motion to come."""
         with self._lock:
             new, self._next = self._next, None
+        current = self._current
         if new is not None:
-            before, self._current = self._current, None
-            if before is not None:
+            self._current = None
+            if current is not None:
                 self._give_up()
-                before.life.cancel("preempted by another motion")
+                current.life.cancel("preempted by another motion")
             if not new.life.is_over:
                 self._current = new
                 new.begin()
                 self._control.start(new.motion)
                 new.life.begin()
-            return False
-        current = self._current
-        if current is not None:
-            if current.life.is_over:  # cancelled
-                self._current = None
-                self._give_up()
-                self._control.start(Stop())
-            elif current.motion.is_done(self._control):
-                self._current = None
-                current.life.finish()
+        elif current is not None and current.life.is_over:  # cancelled
+            self._current = None
+            self._give_up()
+            self._control.start(Stop())
+        elif current is not None and current.motion.is_done(self._control):
+            self._current = None
+            current.life.finish()
         return False
 
     def _give_up(self) -> None:
@@ -248,11 +244,7 @@ class Drive:
         return self._begin("stop", Stop(), None)
 
     def _begin(
-        self,
-        name: str,
-        motion: ControlledMotion,
-        speed: float | None,
-        begin: Callable[[], object] = lambda: None,
+        self, name: str, motion: ControlledMotion, speed: float | None, begin: Callable[[], object] = lambda: None
     ) -> Motion:
         if self._closing.is_set() or self._error is not None:
             raise Closed(f"{self._link.name} is not driven any more") from self._error

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
-from types import MappingProxyType
+from collections.abc import Callable, Mapping
 
 #: x86 makes a nan with the sign bit set, and C prints it as "-nan". The sign means nothing.
 NAN = -math.nan
@@ -21,34 +20,30 @@ REDUCTION_STEPS = 100_000
 #: C's int has 32 bits; what does not fit becomes the smallest one on x86.
 _INT_MIN = -(2**31)
 
-# What C's strtod takes that begins with a digit or a point: hexadecimal, or decimal with an optional exponent.
-_NUMBER = re.compile(
+#: What C's strtod takes that begins with a digit or a point: hexadecimal, or decimal with an optional exponent.
+NUMBER = re.compile(
     r"0[xX](?:[0-9a-fA-F]+\.?[0-9a-fA-F]*|\.[0-9a-fA-F]+)(?:[pP][+-]?[0-9]+)?|(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
 )
 
 
-def parse_number(text: str, start: int = 0) -> tuple[float, int] | None:
-    """The number at `start` and the index behind it; None if there is none."""
-    found = _NUMBER.match(text, start)
-    if found is None:
-        return None
-    digits = found.group()
-    if digits[:2] not in ("0x", "0X"):
-        return float(digits), found.end()
+def parse_number(text: str) -> float:
+    """The value of a text that `NUMBER` matches."""
+    if text[:2] not in ("0x", "0X"):
+        return float(text)
     try:
-        return float.fromhex(digits), found.end()
+        return float.fromhex(text)
     except OverflowError:
-        return math.inf, found.end()
+        return math.inf
 
 
 def leading_number(text: str) -> float | None:
     """The number that a text begins with, as C's scanf and atof take it, with a sign; None if there is none."""
     text = text.lstrip(" \t\r\n\v\f")
-    has_sign = text[:1] in ("-", "+")
-    found = parse_number(text, int(has_sign)) if text else None
+    found = NUMBER.match(text, int(text[:1] in ("-", "+")))
     if found is None:
         return None
-    return -found[0] if text[0] == "-" else found[0]
+    value = parse_number(found.group())
+    return -value if text[0] == "-" else value
 
 
 def format_number(value: float) -> str:
@@ -169,25 +164,21 @@ def _total(function: Callable[[float], float]) -> Callable[[float], float]:
 
 
 #: Functions of one argument by name. `abs` is C's fabs.
-UNARY_FUNCTIONS: MappingProxyType[str, Callable[[float], float]] = MappingProxyType(
-    {
-        "sin": sine,
-        "cos": cosine,
-        "asin": _total(math.asin),
-        "acos": _total(math.acos),
-        "tan": _total(math.tan),
-        "atan": math.atan,
-        "ln": _logarithm,
-        "exp": _exponential,
-        "sqrt": _total(math.sqrt),
-        "abs": math.fabs,
-        "normalizeanglerad": normalize_angle,
-        "normalizeangledeg": _normalize_degrees,
-    }
-)
+UNARY_FUNCTIONS: Mapping[str, Callable[[float], float]] = {
+    "sin": sine,
+    "cos": cosine,
+    "asin": _total(math.asin),
+    "acos": _total(math.acos),
+    "tan": _total(math.tan),
+    "atan": math.atan,
+    "ln": _logarithm,
+    "exp": _exponential,
+    "sqrt": _total(math.sqrt),
+    "abs": math.fabs,
+    "normalizeanglerad": normalize_angle,
+    "normalizeangledeg": _normalize_degrees,
+}
 
 #: Functions of two arguments by name, but for `ntrue`, which counts. `rem` depends on the profile. `math.hypot` is not
 #: that of the C library (from Python 3.10 on), and differs from it in the last bit for six pairs of a thousand.
-BINARY_FUNCTIONS: MappingProxyType[str, Callable[[float, float], float]] = MappingProxyType(
-    {"atan2": math.atan2, "hypot": math.hypot}
-)
+BINARY_FUNCTIONS: Mapping[str, Callable[[float, float], float]] = {"atan2": math.atan2, "hypot": math.hypot}

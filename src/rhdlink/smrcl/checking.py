@@ -11,7 +11,7 @@ from dataclasses import fields, is_dataclass
 from ..errors import Mistake
 from .commands import COMMANDS, ParameterKind
 from .parser import Parser
-from .plan import MissionPlan, PlanLine
+from .plan import MissionPlan
 from .symbols import split_index
 from .syntax import (
     ArrayElement,
@@ -48,40 +48,32 @@ def check(
     made = {*variables, *_made(trees)}
     found: list[Mistake] = []
     for line, tree in zip(plan.lines, trees, strict=True):
-        found += _check_line(line, tree, plan, made, checks_numbers, system)
+        for column, message in _mistakes(tree, plan, made, checks_numbers, system):
+            # The column counts in the file, where the line may be indented.
+            found.append(Mistake(line.number, column + line.indent, message))
     return found
 
 
-def _check_line(
-    line: PlanLine,
-    tree: ScriptLine,
-    plan: MissionPlan,
-    made: Collection[str],
-    checks_numbers: bool,
-    system: Collection[str] | None,
-) -> Iterator[Mistake]:
-    # The column counts in the file, where the line may be indented.
-    indent = line.indent
-
-    def mistake(column: int, message: str) -> Mistake:
-        return Mistake(line.number, column + indent, message)
-
+def _mistakes(
+    tree: ScriptLine, plan: MissionPlan, made: Collection[str], checks_numbers: bool, system: Collection[str] | None
+) -> Iterator[tuple[int, str]]:
+    """The mistakes in a line, each with its column."""
     for statement in tree.statements:
         for variable in _variables(statement):
             if variable.is_system:
                 if system is not None and variable.name not in system:
-                    yield mistake(variable.column, f"the robot has no system variable ${variable.name}")
+                    yield (variable.column, f"the robot has no system variable ${variable.name}")
             elif variable.name not in made:
-                yield mistake(variable.column, f"nothing in the script makes the variable {variable.name}")
+                yield (variable.column, f"nothing in the script makes the variable {variable.name}")
         if isinstance(statement, If) and statement.label not in plan.labels:
-            yield mistake(statement.column, f'there is no label "{statement.label}"')
+            yield (statement.column, f'there is no label "{statement.label}"')
         if isinstance(statement, WaitFor) and not statement.conditions:
-            yield mistake(statement.column, "a character that is not ASCII can stand in texts and comments only")
+            yield (statement.column, "a character that is not ASCII can stand in texts and comments only")
         if isinstance(statement, CommandStatement):
             for text in _command_mistakes(statement, plan, checks_numbers):
-                yield mistake(statement.column, text)
+                yield (statement.column, text)
     if tree.problem is not None:
-        yield mistake(tree.problem.column, tree.problem.message)
+        yield (tree.problem.column, tree.problem.message)
 
 
 def _command_mistakes(statement: CommandStatement, plan: MissionPlan, checks_numbers: bool) -> Iterator[str]:

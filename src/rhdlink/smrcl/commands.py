@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import enum
 import inspect
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 
 from . import driving, effects, settings
 from .arithmetic import format_number
@@ -193,7 +192,7 @@ _TABLE = (
 )
 
 #: Every command, by name.
-COMMANDS: MappingProxyType[str, ScriptCommand] = MappingProxyType({command.name: command for command in _TABLE})
+COMMANDS: Mapping[str, ScriptCommand] = {command.name: command for command in _TABLE}
 
 #: Names that neither a variable nor a function of a mission can have.
 RESERVED = KEYWORDS | COMMANDS.keys() | FUNCTIONS.keys()

@@ -7,7 +7,7 @@ from operator import attrgetter
 
 from .motion.control import MotionControl
 
-#: Parameters, by module, function and name: the attribute of `ControlParameters`.
+#: Parameters, by module, function and name: the attribute of `MotionParameters`.
 _PARAMETERS: Mapping[tuple[str, str, str], str] = {
     ("motioncontrol", "followwall", "gain"): "wall_gain",
     ("motioncontrol", "followwall", "alfa"): "wall_alfa",

@@ -2,7 +2,7 @@
 
 ::
 
-    controller = Controller(conf, read, write, profile=MRC)
+    controller = MissionController(conf, read, write, profile=MRC)
     controller.load(source)
     request = controller.first_request()
     while not controller.is_finished:
@@ -102,7 +102,8 @@ class MissionController:
         self._warm_up = warm_up
         self.vehicle = Vehicle(conf, read, write, profile)
         self._outbox = Outbox()
-        self.vehicle.control.say = self._say_of_motion
+        if not profile.says_why:
+            self.vehicle.control.say = self._outbox.message
         self.interpreter = ScriptInterpreter(
             self.vehicle, self._outbox, COMMANDS, functions or {}, limits or MissionLimits()
         )
@@ -114,10 +115,6 @@ class MissionController:
         self.is_finished = False
         self.cycle = -2
         self._was_blocked = False
-
-    def _say_of_motion(self, text: str) -> None:
-        if not self._profile.says_why:
-            self._outbox.message(text)
 
     # -- what is executed -------------------------------------------------------------------------------
 
@@ -174,9 +171,8 @@ class MissionController:
             self._fail(f"what the robot measures cannot be computed: {error}")
         if self.cycle > self._warm_up:
             is_over = self._program is None or self._program.step()
-            run = self.run
-            if run is not None and run.failure is not None and isinstance(self._program, PlanProgram):
-                self.failure = run.failure
+            if isinstance(self._program, PlanProgram):
+                self.failure = self._program.run.failure or self.failure
         written = vehicle.stand() if self.is_held else self._act()
         self._supervise()
         self.effects.log.update()

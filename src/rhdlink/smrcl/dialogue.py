@@ -108,8 +108,8 @@ class ClientDialogue:
                 self._take_lines(session)
             self._go_on()
         if self.run is None:
-            period = self._vehicle.control.parameters.period
-            self._vehicle.variables.update(self._vehicle.odometry.distance, self._cycles * period, time)
+            vehicle = self._vehicle
+            vehicle.variables.update(vehicle, vehicle.odometry.distance, self._cycles, time)
         for session in self.sessions:
             session.end_cycle()
         return is_over

@@ -90,9 +90,8 @@ def follow_line(effects: MissionEffects, kind: str) -> Outcome:
     try:
         effects.vehicle.line_kind = LineKind(kind)
     except ValueError:
-        if effects.profile.names_are_checked:
-            names = ", ".join(each.value for each in LineKind)
-            raise LineFault(f'followline knows no line "{kind}", only {names}') from None
+        names = ", ".join(each.value for each in LineKind)
+        effects.reject_name(f'followline knows no line "{kind}", only {names}')
         effects.vehicle.line_kind = LineKind.BLACK_MIDDLE
     return effects.move(FollowLine())
 

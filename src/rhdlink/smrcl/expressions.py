@@ -98,7 +98,7 @@ class Compiler:
         """The symbol of a variable.
 
         Raises:
-            Fault: there is none.
+            LineFault: there is none.
         """
         if variable.is_system:
             symbol = self._symbols.find_system(variable.name)

@@ -92,11 +92,9 @@ class ScriptInterpreter:
         self.holds: Callable[[PlanLine], bool] | None = None
         self._condition = vehicle.symbols.system["condition"].place
         self.symbols.pool[self._condition] = -1.0
-        # The conditions of the present line as they were computed last, and how many there are. Watches use the same
-        # place in MRC.
-        self._found = [0.0] * 128
-        self._count = 0
+        # The conditions of the present line, and as they were computed last. Watches use the same place in MRC.
         self._tests: tuple[Value, ...] = ()
+        self._found = [0.0] * 128
         self.case = 0
         self.skips = False
 
@@ -117,14 +115,14 @@ class ScriptInterpreter:
         """Bring the system variables up to date, with distance and time of a run."""
         vehicle = self.vehicle
         driven = vehicle.odometry.distance - run.start_distance
-        vehicle.variables.update(driven, run.cycles * vehicle.control.parameters.period, self.time)
+        vehicle.variables.update(vehicle, driven, run.cycles, self.time)
 
     def _wait(self, run: Run) -> None:
         self.update_variables(run)
         if self.default_end():
             run.result = 0.0
             run.stage = Stage.FETCH
-        if self._count:
+        if self._tests:
             try:
                 self._test(self._tests)
             except LineFault as fault:
@@ -198,18 +196,17 @@ class ScriptInterpreter:
     @property
     def conditions(self) -> tuple[bool, ...]:
         """The stop conditions of the present line, as they were computed last."""
-        return tuple(value != 0.0 for value in self._found[: self._count])
+        return tuple(value != 0.0 for value in self._found[: len(self._tests)])
 
     def begin_command(self) -> None:
         """Set ``$condition`` from the conditions that were computed last, and forget them."""
         self.symbols.pool[self._condition] = float(self._first_true())
-        self._count = 0
+        self._tests = ()
 
     def _first_true(self) -> int:
-        found = self._found
-        for number in range(self._count):
-            if found[number] != 0.0:
-                return number + 1
+        for number, value in enumerate(self._found[: len(self._tests)], start=1):
+            if value != 0.0:
+                return number
         return 0
 
     def set_conditions(self, conditions: tuple[Value, ...]) -> None:
@@ -224,7 +221,6 @@ class ScriptInterpreter:
     def _test(self, tests: Sequence[Value]) -> None:
         for number, test in enumerate(tests):
             self._found[number] = test()
-        self._count = len(tests)
 
     def watch(self, tests: Sequence[Value]) -> float:
         """The value of the first condition of a watch.
@@ -242,13 +238,13 @@ class ScriptInterpreter:
     def aside(self) -> Iterator[None]:
         """A command within the present one, after which that goes on as before: a watch, or a client's `eval`."""
         pool = self.symbols.pool
-        kept = self._count, self._tests, self.default_end, pool[self._condition]
+        kept = self._tests, self.default_end, pool[self._condition]
         found = list(self._found) if self.profile.watches_apart else self._found
         self.begin_command()
         try:
             yield
         finally:
-            self._count, self._tests, self.default_end, pool[self._condition] = kept
+            self._tests, self.default_end, pool[self._condition] = kept
             self._found = found
 
     # -- lines --------------------------------------------------------------------------------------
@@ -301,7 +297,6 @@ class ScriptInterpreter:
         """The values of ``eval ...``, beside the present command; None if it is something else, or wrong."""
         line = self._parser.parse(text)
         statement = line.statements[0] if line.statements else None
-        values: list[float] = []
         with self.aside():
             try:
                 if line.problem is not None:
@@ -309,28 +304,24 @@ class ScriptInterpreter:
                 if not isinstance(statement, Evaluate):
                     return None
                 values = [self.compiler.compile(each)() for each in statement.values]
+                self.print_values(values)
+                return values
             except LineFault as fault:
                 if not self.profile.says_why and fault.column:
                     self._reads_on(text, fault.column)
                 return None
-        self.print_values(values)
-        return values
 
     def print_values(self, values: Sequence[float]) -> None:
         """Print the values of `eval`."""
         self.output.values("".join(f"{format_number(value)}  " for value in values) + "\n")
 
-    def perform_aside(self, text: str) -> bool:
-        """Execute a line beside the present command; False if it is wrong. It takes no time, whatever it says."""
+    def perform_aside(self, text: str) -> None:
+        """Execute a line beside the present command, unless it is wrong. It takes no time, whatever it says."""
         line = PlanLine(text, 0)
-        with self.aside():
-            run = Run(MissionPlan([line]))
-            run.line = line
-            try:
-                self._execute(line, run)
-            except LineFault:
-                return False
-        return True
+        run = Run(MissionPlan([line]))
+        run.line = line
+        with self.aside(), contextlib.suppress(LineFault):
+            self._execute(line, run)
 
     # -- flow ---------------------------------------------------------------------------------------
 

@@ -7,7 +7,6 @@ import os
 import threading
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,9 +15,7 @@ from linkcore.errors import BadValue, LinkTimeout, LocalError
 from linkcore.handle import Event, Handle, Lifecycle
 from linkcore.threads import CallbackThread, started
 
-from ..client import Variables
-from ..errors import BadMission, MissionFailed, Mistake, WrongVariables
-from ..host.plugin import Plugin
+from ..errors import BadMission, MissionFailed, Mistake
 from ..world import Pose
 from .checking import check
 from .commands import RESERVED
@@ -27,14 +24,11 @@ from .execution import MissionExecution, WithCallbacks, leaving_at_exit, log_sav
 from .interpreter import MissionLimits
 from .plan import MissionPlan, PlanLine, split_lines
 from .profile import Profile, find_profile
-from .robot_conf import SMR, VELOMEGA, RobotConf, read_robot_conf
-from .robot_link import RobotLink, open_link
+from .robot_conf import RobotConf
+from .robot_link import Robot, RobotLink, open_link, suitable_conf
 
 if TYPE_CHECKING:
     from typing_extensions import Self
-
-#: The robots that a mission can run on: a connected robot, an address, a plugin such as `Turtle()`, or a link.
-Robot = Variables | Plugin | RobotLink | str
 
 #: Seconds that a process which ends gives a robot to stand.
 _LEAVE_TIMEOUT = 1.0
@@ -59,26 +53,6 @@ def read_script(path: str | os.PathLike[str]) -> str:
         return data.decode("utf-8")
     except UnicodeDecodeError:
         return data.decode("latin-1")
-
-
-def suitable_conf(conf: RobotConf | str | os.PathLike[str] | None, link: RobotLink) -> RobotConf:
-    """The configuration of a robot: as given, or the usual one for the variables that it has.
-
-    Raises:
-        BadConfiguration: the file cannot be read.
-        WrongVariables: the robot lacks what the configuration needs; all of it is listed.
-    """
-    if conf is None:
-        conf = VELOMEGA if "cmdtransvel" in link.write else SMR
-        period = getattr(link, "period", conf.period)
-        conf = replace(conf, period=period, motion=replace(conf.motion, period=period))
-    elif not isinstance(conf, RobotConf):
-        conf = read_robot_conf(conf, robot=link.name.rpartition(":")[0])
-    lacking = [f"there is no read variable {name}" for name in conf.reads if name not in link.read]
-    lacking += [f"there is no write variable {name}" for name in conf.writes if name not in link.write]
-    if lacking:
-        raise WrongVariables([f"a {conf.drive.value} robot is driven by others", *lacking])
-    return conf
 
 
 class Mission(WithCallbacks):
@@ -246,8 +220,7 @@ class MissionRun(Handle):
     """A run of a mission. Made by `Mission`."""
 
     def __init__(self, name: str, execution: MissionExecution, owned: RobotLink | None) -> None:
-        self._callback_thread = CallbackThread(f"mission {name} callbacks")
-        super().__init__(Lifecycle(name, self._callback_thread))
+        super().__init__(Lifecycle(name, CallbackThread(f"mission {name} callbacks")))
         self._execution = execution
         self._owned = owned
 

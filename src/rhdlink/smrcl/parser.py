@@ -117,10 +117,8 @@ class Parser:
         return self._tokens[self._place]
 
     def _next(self) -> Token:
-        token = self._tokens[self._place]
-        if token.type is not TokenType.END:
-            self._place += 1
-        return token
+        self._place += 1
+        return self._tokens[self._place - 1]
 
     def _is(self, symbol: str) -> bool:
         return self._token.type is TokenType.SYMBOL and self._token.text == symbol
@@ -136,30 +134,24 @@ class Parser:
             raise self._unexpected(f"'{symbol}' {where}")
 
     def _unexpected(self, expected: str) -> _Unexpected:
-        return _Unexpected(self._token, f"expected {expected}, found {self._describe(self._token)}")
-
-    def _describe(self, token: Token) -> str:
+        token = self._token
+        found = f"'{token}'"
         if token.type is TokenType.NAME:
-            kind = (
-                "the word"
-                if token.text in KEYWORDS
-                else "the command"
-                if token.text in self._commands
-                else "the function"
-                if token.text in self._functions
-                else "the name"
-            )
-            return f"{kind} {token.text}"
-        if token.type in (TokenType.END, TokenType.FOREIGN):
-            return str(token)
-        return f"'{token}'"
+            found = f"the {self._kind(token.text)} {token.text}"
+        elif token.type in (TokenType.END, TokenType.FOREIGN):
+            found = str(token)
+        return _Unexpected(token, f"expected {expected}, found {found}")
 
-    def _is_variable(self, token: Token) -> bool:
-        if token.type is TokenType.SYSTEM:
-            return True
-        return token.type is TokenType.NAME and not (
-            token.text in KEYWORDS or token.text in self._commands or token.text in self._functions
-        )
+    def _kind(self, name: str) -> str:
+        if name in KEYWORDS:
+            return "word"
+        if name in self._commands:
+            return "command"
+        return "function" if name in self._functions else "name"
+
+    def _is_variable(self) -> bool:
+        token = self._token
+        return token.type is TokenType.SYSTEM or (token.type is TokenType.NAME and self._kind(token.text) == "name")
 
     def _number(self, expected: str) -> float:
         if self._token.type is not TokenType.NUMBER:
@@ -186,7 +178,7 @@ class Parser:
             self._end("the conditions")
             return WaitFor(conditions, token.column)
         if token.type in (TokenType.NAME, TokenType.SYSTEM):
-            if self._is_variable(token):
+            if self._is_variable():
                 return self._assignment()
             if token.text in KEYWORDS:
                 self._place += 1
@@ -223,7 +215,7 @@ class Parser:
             raise self._unexpected("'='")
         value = self._expression()
         following = self._token
-        is_name = following.type is TokenType.NAME and self._is_variable(following)
+        is_name = following.type is TokenType.NAME and self._is_variable()
         return Assign(target, value, following.text if is_name else None)
 
     def _command(self, name: Token) -> CommandStatement:
@@ -252,7 +244,7 @@ class Parser:
             return NumberLiteral(self._next().value)
         if token.type is TokenType.STRING:
             return TextLiteral(self._next().text)
-        if self._is_variable(token):
+        if self._is_variable():
             return self._variable()
         if self._take("-"):
             return NumberLiteral(-self._number("a number after '-'; a parameter is a number, a variable or a text"))
@@ -265,7 +257,7 @@ class Parser:
                     return SpeedSetting(letter, NumberLiteral(-self._number("a number after '@v -'")))
                 if self._token.type is TokenType.NUMBER:
                     return SpeedSetting(letter, NumberLiteral(self._next().value))
-                if self._is_variable(self._token):
+                if self._is_variable():
                     return SpeedSetting(letter, self._variable())
                 raise self._unexpected(f"a number or a variable after '@{letter}'")
         return None
@@ -315,7 +307,7 @@ class Parser:
         if token.type is TokenType.NAME and token.text in self._functions:
             self._place += 1
             return self._call(token)
-        if self._is_variable(token):
+        if self._is_variable():
             return self._variable_or_element()
         raise self._unexpected("a number, a variable or '('")
 

@@ -47,21 +47,18 @@ class MissionPlan:
 
     def __init__(self, lines: Iterable[PlanLine], name: str = "") -> None:
         self.name = name
-        self.lines = list(lines)
+        self.lines: list[PlanLine] = []
         self.next = 0
         self.labels: dict[str, int] = {}
-        for index, line in enumerate(self.lines):
-            self._note_label(index, line)
+        for line in lines:
+            self.append(line)
 
     def append(self, line: PlanLine) -> None:
         """Add a line at the end."""
-        self.lines.append(line)
-        self._note_label(len(self.lines) - 1, line)
-
-    def _note_label(self, index: int, line: PlanLine) -> None:
         found = _LABEL.match(line.text)
         if found is not None:
-            self.labels.setdefault(found.group(1), index)
+            self.labels.setdefault(found.group(1), len(self.lines))
+        self.lines.append(line)
 
 
 def split_lines(source: str, *, cuts: bool) -> Iterator[PlanLine]:

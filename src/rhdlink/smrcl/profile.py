@@ -60,8 +60,7 @@ class Profile:
         "they are, as those of a black line",
     )
     stands_at_first: bool = _fixed(
-        'before its first motion the robot holds its heading, so that `set "$odoth"` has it turn',
-        "it stands",
+        'before its first motion the robot holds its heading, so that `set "$odoth"` has it turn', "it stands"
     )
     counts_ticks: bool = _fixed(
         "an answer of the robot counts as one period, so that a stall of n ticks is taken for n times the speed, and "
@@ -145,8 +144,7 @@ class Profile:
         "it ends with the next line of its client that is no immediate word; the line becomes the text `$str`",
     )
     client_loss_stops: bool = _fixed(
-        "a client that vanishes leaves its commands running",
-        "they are flushed, and the robot stops",
+        "a client that vanishes leaves its commands running", "they are flushed, and the robot stops"
     )
     flush_stops: bool = _fixed(
         "`flushcmds` leaves the robot to the end of its motion, which may be never", "the robot stops"

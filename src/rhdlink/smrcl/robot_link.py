@@ -1,12 +1,14 @@
-"""How a mission reaches its robot: over the network, or in this process.
+"""How a mission reaches its robot, over the network or in this process, and what it takes it for.
 
 A link exchanges values once per tick. What a mission does with them is the same for all links.
 """
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
@@ -14,12 +16,13 @@ import numpy as np
 from linkcore.errors import BadValue
 
 from ..client import Variables, connect
-from ..errors import AccessDenied
+from ..errors import AccessDenied, WrongVariables
 from ..host.config import Element
 from ..host.plugin import Plugin
 from ..variables.database import Database, TimeStamp
 from ..variables.declarations import bind, create_variables
 from ..variables.value_types import wrapped
+from .robot_conf import SMR, VELOMEGA, RobotConf, read_robot_conf
 
 if TYPE_CHECKING:
     from ..host.host import Host
@@ -200,7 +203,11 @@ class PluginLink:
             plugin.terminate()
 
 
-def open_link(robot: RobotLink | Variables | Plugin | str) -> RobotLink:
+#: The robots that a mission can run on: a connected robot, an address, a plugin such as `Turtle()`, or a link.
+Robot = Variables | Plugin | RobotLink | str
+
+
+def open_link(robot: Robot) -> RobotLink:
     """A link to a robot; whoever asked for it closes it, unless it is `robot` itself.
 
     Args:
@@ -221,3 +228,23 @@ def open_link(robot: RobotLink | Variables | Plugin | str) -> RobotLink:
     if not hasattr(robot, "exchange"):
         raise BadValue(f"robot is {robot!r}; expected a connected robot, an address, or a plugin such as Turtle()")
     return robot
+
+
+def suitable_conf(conf: RobotConf | str | os.PathLike[str] | None, link: RobotLink) -> RobotConf:
+    """The configuration of a robot: as given, or the usual one for the variables that it has.
+
+    Raises:
+        BadConfiguration: the file cannot be read.
+        WrongVariables: the robot lacks what the configuration needs; all of it is listed.
+    """
+    if conf is None:
+        conf = VELOMEGA if "cmdtransvel" in link.write else SMR
+        period = getattr(link, "period", conf.period)
+        conf = replace(conf, period=period, motion=replace(conf.motion, period=period))
+    elif not isinstance(conf, RobotConf):
+        conf = read_robot_conf(conf, robot=link.name.rpartition(":")[0])
+    lacking = [f"there is no read variable {name}" for name in conf.reads if name not in link.read]
+    lacking += [f"there is no write variable {name}" for name in conf.writes if name not in link.write]
+    if lacking:
+        raise WrongVariables([f"a {conf.drive.value} robot is driven by others", *lacking])
+    return conf

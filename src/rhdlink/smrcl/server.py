@@ -20,12 +20,11 @@ from ..host.plugin import Plugin
 from .controller import MissionController
 from .dialogue import ClientDialogue
 from .execution import MissionExecution, WithCallbacks, leaving_at_exit, log_saver
-from .mission import Robot, suitable_conf
 from .plan import Failure
 from .profile import Profile, find_profile
 from .recipients import MOST_BACKLOG, Session
 from .robot_conf import RobotConf
-from .robot_link import PluginLink, RobotLink, open_link
+from .robot_link import PluginLink, Robot, RobotLink, open_link, suitable_conf
 
 _log = logging.getLogger(__name__)
 
@@ -140,9 +139,8 @@ class MissionServer(Runnable, WithCallbacks):
 
     def _begin(self) -> None:
         self._loop = loop = SelectorLoop()
-        self._port = ListeningPort(loop, *self._place, self._accept, limit=self._clients, idle=math.inf).number
-        if not self._waits:
-            self._connect()
+        self._port = loop.listen(*self._place, self._accept, limit=self._clients, idle=math.inf).number
+        self._execution = None if self._waits else self._connect()
 
     def _give_up(self) -> None:
         """It has not begun to serve, and does not."""
@@ -167,8 +165,7 @@ class MissionServer(Runnable, WithCallbacks):
         self._dialogue = controller.serve()
         for handler in self._handlers:
             handler.begin(self._dialogue.connect())
-        self._execution = MissionExecution(link, controller, self._callbacks, self._save_log, self._listen)
-        return self._execution
+        return MissionExecution(link, controller, self._callbacks, self._save_log, self._listen)
 
     def _in_thread(self) -> None:
         with leaving_at_exit(self._leave):
@@ -181,7 +178,7 @@ class MissionServer(Runnable, WithCallbacks):
     def _serve(self) -> None:
         loop = self._loop
         assert loop is not None
-        execution: MissionExecution | None = None if self._waits else self._execution
+        execution = self._execution
         try:
             while execution is None and not self._is_stopping:
                 loop.serve_once()

@@ -100,8 +100,8 @@ def _set_variable(effects: MissionEffects, text: str, value: float) -> None:
 
 
 def _set_counter(effects: MissionEffects, value: float) -> None:
-    if not effects.interpreter.compiler.reset_counter(truncate(value)) and effects.profile.names_are_checked:
-        raise LineFault(f"there is no condition counter {format_number(value)}, only 0 to 9")
+    if not effects.interpreter.compiler.reset_counter(truncate(value)):
+        effects.reject_name(f"there is no condition counter {format_number(value)}, only 0 to 9")
 
 
 def _set_odometry_ratio(effects: MissionEffects, ratio: float) -> None:
@@ -192,9 +192,7 @@ def _reject_path(effects: MissionEffects, module: str, function: str, reason: st
         effects.reject_name(f'there is no module "{module}"', "module not found\n")
     elif function not in CONTROL_FUNCTIONS[module]:
         effects.reject_name(f'{module} has no "{function}"', "paramlist not found\n")
-    if not effects.profile.names_are_checked:
-        effects.output.message("parameter not found \n")
-    effects.reject_name(reason)
+    effects.reject_name(reason, "parameter not found \n")
 
 
 def _setter(path: str) -> Callable[[MissionEffects, float], None]:

@@ -14,7 +14,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 
 from .arithmetic import format_number
 
@@ -22,7 +21,7 @@ from .arithmetic import format_number
 POOL_SIZE = 10_000
 
 #: Before the first cycle. A mapping that is filled when it is asked may be empty too.
-_NONE_YET: Mapping[str, Sequence[int]] = MappingProxyType({})
+_NONE_YET: Mapping[str, Sequence[int]] = {}
 
 _INDEX = re.compile(r"[ \t\n\v\f\r]*([+-]?[0-9]{1,9})")
 

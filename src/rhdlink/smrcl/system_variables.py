@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Mapping
+from typing import TYPE_CHECKING
 
 from linkcore.errors import BadValue
 
-from .motion.control import MotionControl
-from .odometry import Covariance, Odometry
 from .profile import Profile
-from .sensors import InfraredSensors, LineSensor
 from .symbols import Symbols
+
+if TYPE_CHECKING:
+    from .vehicle import Vehicle
 
 _RESULTS = tuple(f"res{number}" for number in range(10))
 _LINES = tuple(f"line{number}" for number in range(8))
@@ -76,30 +77,16 @@ class SystemVariables:
         symbols: where they stand.
         read: names of the robot's read variables.
         profile: as MRC does it, or sound.
-        odometry, covariance, infrared, line_sensor, control: what they are computed from.
 
     Attributes:
         external: those that a user's program provides, by name.
     """
 
-    def __init__(
-        self,
-        symbols: Symbols,
-        read: Iterable[str],
-        profile: Profile,
-        odometry: Odometry,
-        covariance: Covariance,
-        infrared: InfraredSensors,
-        line_sensor: LineSensor,
-        control: MotionControl,
-    ) -> None:
+    def __init__(self, symbols: Symbols, read: Collection[str], profile: Profile) -> None:
         self._symbols = symbols
-        self._odometry, self._covariance, self._control = odometry, covariance, control
-        self._infrared, self._line_sensor = infrared, line_sensor
         self.external: dict[str, float] = {}
-        names = frozenset(read)
-        self._gps = tuple((_PLACES[name], *source) for name, source in _GPS.items() if source[0] in names)
-        self._has_tick = profile.knows_tick and "tick" in names
+        self._gps = tuple((_PLACES[name], *source) for name, source in _GPS.items() if source[0] in read)
+        self._has_tick = profile.knows_tick and "tick" in read
         self._values = [_INITIAL.get(name, 0.0) for name in BUILT_IN]
         first = symbols.system[BUILT_IN[0]].place
         self._block = slice(first, first + 3 * len(BUILT_IN), 3)
@@ -116,17 +103,18 @@ class SystemVariables:
                 raise BadValue(f"${name} is no built-in system variable")
             self.external[name] = float(value)
 
-    def update(self, driven: float, seconds: float, time: float) -> None:
+    def update(self, vehicle: Vehicle, driven: float, cycles: int, time: float) -> None:
         """Bring them up to date, as MRC does before each line and each test of conditions.
 
         Args:
+            vehicle: what they are computed from.
             driven: m since the line began.
-            seconds: since then.
+            cycles: since then.
             time: ``$time``.
         """
-        values, odometry, control, infrared = self._values, self._odometry, self._control, self._infrared
-        pose, target, sensor, covariance = odometry.pose, control.target, self._line_sensor, self._covariance
-        distances = infrared.distances
+        values, odometry, control, infrared = self._values, vehicle.odometry, vehicle.control, vehicle.infrared
+        pose, target, sensor, covariance = odometry.pose, control.target, vehicle.line_sensor, vehicle.covariance
+        distances, seconds = infrared.distances, cycles * control.parameters.period
         left, right, driven_all = control.left, control.right, odometry.distance
         values[_LINE_AND_DISTANCES] = driven, seconds, *distances[:5]
         values[_ODOMETRY] = (

@@ -74,9 +74,7 @@ class Vehicle:
             copy.copy(conf.motion), conf.drive, profile, speed=conf.speed, acceleration=conf.acceleration
         )
         self.functions = ControlFunctions(self.control)
-        self.variables = SystemVariables(
-            self.symbols, read, profile, self.odometry, self.covariance, self.infrared, self.line_sensor, self.control
-        )
+        self.variables = SystemVariables(self.symbols, read, profile)
         if not profile.stands_at_first:
             self.control.start(Stop())
             self.control.update()

@@ -10,10 +10,9 @@ import pytest
 from rhdlink import Host, connect
 from rhdlink.host.config import BadConfiguration
 from rhdlink.plugins.turtle import Turtle
-from rhdlink.smrcl.mission import suitable_conf
 from rhdlink.smrcl.motion.control import DriveKind
 from rhdlink.smrcl.robot_conf import RobotConf, parse_robot_conf, read_robot_conf
-from rhdlink.smrcl.robot_link import ClientLink
+from rhdlink.smrcl.robot_link import ClientLink, suitable_conf
 from tests.rhdlink.smrcl.bench import Bench
 
 #: As DTU's robots have it, for the turtle.

@@ -131,9 +131,7 @@ class Forward(ControlledMotion):
             way, direction = free, 1.0 if is_ahead else -1.0
         else:
             way, direction = abs(remaining), sign(remaining)
-        for most in (root(2.0 * way * acceleration), parameters.kp * way):
-            if most < velocity:
-                velocity = most
+        velocity = min(velocity, root(2.0 * way * acceleration), parameters.kp * way)
         control.reached = velocity
         control.set_velocity(velocity * direction, control.heading_control(control.before.th - pose.th))
         control.remaining = remaining

@@ -241,7 +241,7 @@ class MotionControl:
     def clearance(self, is_ahead: bool) -> float:
         """m to where the robot has to stand before an obstacle, ahead or behind; notes whether that is near."""
         free = (self.obstacle_front if is_ahead else self.obstacle_back) - self.parameters.stop_distance
-        free = 0.0 if free < 0.0 else free
+        free = max(free, 0.0)
         if free < self.parameters.alarm_distance:
             self.is_blocked = True
         return free
@@ -249,9 +249,7 @@ class MotionControl:
 
 def limited(value: float, least: float, most: float) -> float:
     """`value` between two bounds; nan stays nan."""
-    if value > most:
-        value = most
-    return least if value < least else value
+    return max(min(value, most), least)
 
 
 def ramped(wanted: float, now: float, step: float) -> float:

@@ -169,8 +169,6 @@ def _sign(value: float) -> int:
 #: m before the end at which the straight piece ends; that of an arc is when the angle is exceeded.
 _TOLERANCE = 0.0005
 
-_NOTHING = ArcPath(0.0, 0, 0.0, 0, 0.0, 0)
-
 
 class NoWay(ValueError):
     """There is no path to the goal, or none that does not go backward."""
@@ -191,7 +189,8 @@ class DriveToPoint(ControlledMotion):
         self._goal = goal
         self._radius = radius
         self._is_absolute = is_absolute
-        self._path = _NOTHING
+        # m, of each of the three; and those that are not driven yet.
+        self._lengths = [0.0, 0.0, 0.0]
         self._pieces: list[tuple[ControlledMotion | None, float]] = []
         self._is_begun = False
 
@@ -211,7 +210,7 @@ class DriveToPoint(ControlledMotion):
             raise NoWay("there is no way to the goal" + " without driving backward" * forward_only)
         control.say("\ndtp: Starting movement...")
         control.target = control.pose.copy()
-        self._path = path
+        self._lengths = [self._radius * abs(path.first), path.straight, self._radius * abs(path.last)]
         turns_back = path.straight_direction * path.last_direction == -1
         straight: ControlledMotion = (
             Forward(path.straight_direction * path.straight) if turns_back else FollowDirection()
@@ -256,7 +255,7 @@ class DriveToPoint(ControlledMotion):
 
     def _is_over(self, piece: ControlledMotion, control: MotionControl) -> bool:
         if isinstance(piece, FollowDirection):
-            return self._path.straight - abs(control.remaining) < _TOLERANCE
+            return self._lengths[1] - abs(control.remaining) < _TOLERANCE
         if isinstance(piece, Forward):
             return (control.remaining if control.distance >= 0.0 else -control.remaining) < _TOLERANCE
         return piece.is_done(control)
@@ -271,8 +270,7 @@ class DriveToPoint(ControlledMotion):
 
     def progress(self, control: MotionControl) -> float:
         """By the lengths of the pieces."""
-        path = self._path
-        lengths = [self._radius * abs(path.first), path.straight, self._radius * abs(path.last)]
+        lengths = self._lengths
         whole = sum(lengths)
         if not self._pieces or not whole:
             return 1.0

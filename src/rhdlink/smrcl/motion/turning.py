@@ -140,8 +140,7 @@ class ArcTurn(ControlledMotion):
         left, right = self._wheels(control, side)
         if control.drive is DriveKind.VELOMEGA:
             control.left = control.right = control.reached
-            radius = _LEAST_RADIUS if self._radius < _LEAST_RADIUS else self._radius
-            control.omega = steering + side * control.reached / radius
+            control.omega = steering + side * control.reached / max(self._radius, _LEAST_RADIUS)
         else:
             if is_over:
                 left = right = control.speed
