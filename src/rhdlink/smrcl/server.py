@@ -12,7 +12,7 @@ import os
 from collections.abc import Callable
 
 from linkcore.errors import BadValue, Closed
-from linkcore.net.loop import Connection, Handler, ListeningPort, SelectorLoop
+from linkcore.net.loop import Connection, Handler, SelectorLoop
 from linkcore.threads import Runnable
 
 from ..errors import MissionFailed
@@ -143,7 +143,7 @@ class MissionServer(Runnable, WithCallbacks):
 
     def _begin(self) -> None:
         self._loop = loop = SelectorLoop()
-        self._port = ListeningPort(loop, *self._place, self._accept, limit=self._clients, idle=math.inf).number
+        self._port = loop.listen(*self._place, self._accept, limit=self._clients, idle=math.inf).number
         if not self._waits:
             self._connect()
 
