@@ -116,7 +116,11 @@ async def _connected(host: str, port: int, timeout: float) -> tuple[socket.socke
     places = await _addresses(host, port, timeout)
     for number, (family, kind, protocol, _, address) in enumerate(places):
         left = (until - time.monotonic()) / (len(places) - number)
-        connection = socket.socket(family, kind, protocol)
+        try:
+            connection = socket.socket(family, kind, protocol)
+        except OSError as error:  # this computer lacks the family
+            failure = unraised(error)
+            continue
         try:
             began = time.monotonic()
             await _connect(connection, address, max(left, 1e-3))

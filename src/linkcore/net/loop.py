@@ -5,7 +5,7 @@ TCP port, and a `Handler` for each connection, which is sans-IO: bytes in, `Conn
 the loop calls `serve_once` between two of its own deadlines, such as the cycles of a controller::
 
     loop = SelectorLoop()
-    ListeningPort(loop, "127.0.0.1", 0, accept)    # accept(connection) -> Handler
+    loop.listen("127.0.0.1", 0, accept)            # accept(connection) -> Handler
     while not is_closing:
         do_what_is_due()
         loop.serve_once(until=next_deadline)
@@ -265,28 +265,14 @@ class Connection:
 
 
 class ListeningPort:
-    """One TCP port of a server, and the clients connected to it.
-
-    Args:
-        loop: serves it, from now on.
-        host: address to listen on; see `linkcore.net.listener` for `""` and `"::"`.
-        number: of the port; 0 for one that is free.
-        accept: called with each new connection; the handler of its bytes, or None to close it at once.
-        purpose: what the port is for; stands in the error's text.
-        limit: slots: clients that may be connected at once.
-        idle: seconds after which the slot of a client that neither sends nor takes a byte may go to a new client.
-        output_limit: bytes that may wait for one client before it is reset.
-        chunk: bytes taken from one client at a time.
-        is_listening: False to keep the number and refuse connections until `listen`.
-
-    Raises:
-        BadAddress: that cannot be listened on.
+    """One TCP port of a server, and the clients connected to it. Made by `SelectorLoop.listen`.
 
     Attributes:
         number: that it listens on.
         is_listening: clients can connect; otherwise the number is kept and connections are refused by the kernel.
         connections: the clients at present.
-        output_limit, chunk: as given.
+        output_limit: bytes that may wait for one client.
+        chunk: bytes taken from one client at a time.
         accepted: connections so far.
         refused: connections that were closed at once: every slot was taken, or `accept` returned None.
         evicted: idle clients whose slot was given to a new one.
@@ -300,12 +286,11 @@ class ListeningPort:
         number: int,
         accept: Callable[[Connection], Handler | None],
         *,
-        purpose: str = "",
-        limit: int = MOST_CLIENTS,
-        idle: float = IDLE,
-        output_limit: int = OUTPUT_LIMIT,
-        chunk: int = CHUNK,
-        is_listening: bool = True,
+        purpose: str,
+        limit: int,
+        idle: float,
+        output_limit: int,
+        chunk: int,
     ) -> None:
         self.output_limit = output_limit
         self.chunk = chunk
@@ -323,9 +308,6 @@ class ListeningPort:
         self._is_accepting = True
         self._is_watched = False
         self._retry_at = _NEVER
-        loop.ports.append(self)
-        if is_listening:
-            self.listen()
 
     def listen(self) -> None:
         """Let clients connect.
@@ -440,7 +422,7 @@ class SelectorLoop:
         clock: seconds, monotonic; a test may have one of its own.
 
     Attributes:
-        ports: those that it serves.
+        ports: made by `listen`.
         failures: exceptions that handlers raised.
     """
 
@@ -466,6 +448,43 @@ class SelectorLoop:
         self._woken.setblocking(False)
         self._selector.register(self._woken, selectors.EVENT_READ, None)
         _loops.add(self)
+
+    def listen(
+        self,
+        host: str,
+        number: int,
+        accept: Callable[[Connection], Handler | None],
+        *,
+        purpose: str = "",
+        limit: int = MOST_CLIENTS,
+        idle: float = IDLE,
+        output_limit: int = OUTPUT_LIMIT,
+        chunk: int = CHUNK,
+        is_listening: bool = True,
+    ) -> ListeningPort:
+        """One more port.
+
+        Args:
+            host: address to listen on; see `linkcore.net.listener` for `""` and `"::"`.
+            number: of the port; 0 for one that is free.
+            accept: called with each new connection; the handler of its bytes, or None to close it at once.
+            purpose: what the port is for; stands in the error's text.
+            limit: slots: clients that may be connected at once.
+            idle: seconds after which the slot of a client that neither sends nor takes a byte may go to a new client.
+            output_limit: bytes that may wait for one client before it is reset.
+            chunk: bytes taken from one client at a time.
+            is_listening: False to keep the number and refuse connections until `ListeningPort.listen`.
+
+        Raises:
+            BadAddress: that cannot be listened on.
+        """
+        port = ListeningPort(
+            self, host, number, accept, purpose=purpose, limit=limit, idle=idle, output_limit=output_limit, chunk=chunk
+        )
+        self.ports.append(port)
+        if is_listening:
+            port.listen()
+        return port
 
     # -- from any thread -------------------------------------------------------------------------------
 

@@ -92,7 +92,7 @@ class Transport(Protocol):
 
 
 class TcpTransport:
-    """A TCP connection: as a client, or of a listener, by `adopt`.
+    """A TCP connection that this side makes by `open`, or one that a peer made to it, by `adopt`.
 
     Args:
         host: name or address.

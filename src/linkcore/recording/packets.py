@@ -175,9 +175,11 @@ class _Places:
         self._finish()
         extra = np.frombuffer(bytes(self._extra), np.uint8)
         parts = []
-        for layout, runs in itertools.groupby(self._runs, key=operator.itemgetter(0)):
-            _, places, records = zip(*runs, strict=True)
-            parts.append(Part(layout, data, extra, np.concatenate(places), np.concatenate(records)))
+        for layout, group in itertools.groupby(self._runs, key=operator.itemgetter(0)):
+            runs = list(group)
+            place = np.concatenate([run[1] for run in runs])
+            record = np.concatenate([run[2] for run in runs])
+            parts.append(Part(layout, data, extra, place, record))
         return parts
 
 

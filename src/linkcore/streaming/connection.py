@@ -30,7 +30,8 @@ from .connection_life import (
 )
 from .fanout import FanOut, Sink
 from .packet_queue import PacketQueue, Policy
-from .receiver import Receiver, SilenceMonitor
+from .receiver import Receiver
+from .silence import SilenceMonitor
 from .statistics import StreamCounters
 from .subscription import InlineDelivery, Subscription, ThreadedDelivery
 

@@ -15,7 +15,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from linkcore.net.loop import Connection, Handler, ListeningPort, SelectorLoop
+from linkcore.net.loop import Connection, Handler, SelectorLoop
 
 from .service import Client, Service
 
@@ -116,8 +116,7 @@ class Server:
         # The service knows its slots and which clients idle. `_accept` refuses a client where no slot is free, and at
         # most MOST_NEW are in their handshake: there are fewer connections than the limit, so the loop refuses none.
         try:
-            listening = ListeningPort(
-                self._loop,
+            listening = self._loop.listen(
                 host,
                 port,
                 self._accept,

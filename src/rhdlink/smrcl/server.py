@@ -12,7 +12,7 @@ import os
 from collections.abc import Callable
 
 from linkcore.errors import BadValue, Closed
-from linkcore.net.loop import Connection, Handler, ListeningPort, SelectorLoop
+from linkcore.net.loop import Connection, Handler, SelectorLoop
 from linkcore.threads import Runnable
 
 from ..errors import MissionFailed

@@ -150,8 +150,7 @@ class Server:
         self._thread = threading.Thread(target=self._run, name=f"urlink sim {state.model.name}", daemon=True)
 
     def _bind(self, name: str, host: str, number: int, output_limit: int) -> ListeningPort:
-        return ListeningPort(
-            self._sockets,
+        return self._sockets.listen(
             host,
             number,
             lambda connection: self._accept(name, connection),

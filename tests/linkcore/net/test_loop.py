@@ -60,7 +60,7 @@ class Bench:
         self.loop = SelectorLoop(self.clock)
         self.handlers: list[Recorder] = []
         self.on_data: Callable[[Connection, bytes], object] | None = None
-        self.port = ListeningPort(self.loop, "127.0.0.1", 0, self.accept, **options)  # type: ignore[arg-type]
+        self.port = self.loop.listen("127.0.0.1", 0, self.accept, **options)  # type: ignore[arg-type]
         self._clients = contextlib.ExitStack()
 
     def accept(self, connection: Connection) -> Handler | None:
@@ -385,7 +385,7 @@ def test_a_deadline_ends_a_wait_that_has_none() -> None:
         handlers.append(Recorder(connection))
         return handlers[-1]
 
-    port = ListeningPort(loop, "127.0.0.1", 0, accept)
+    port = loop.listen("127.0.0.1", 0, accept)
     with contextlib.closing(loop), socket.create_connection(("127.0.0.1", port.number)):
         until(lambda: (loop.serve_once(None), handlers and handlers[0].losses)[1])
     assert handlers[0].losses == [("silent", False)]
@@ -443,7 +443,7 @@ def test_a_loop_that_ends_in_order_sends_what_waits() -> None:
         handlers.append(Recorder(connection))
         return handlers[-1]
 
-    port = ListeningPort(loop, "127.0.0.1", 0, accept, output_limit=1 << 30)
+    port = loop.listen("127.0.0.1", 0, accept, output_limit=1 << 30)
     received = bytearray()
     with socket.create_connection(("127.0.0.1", port.number), timeout=TIMEOUT) as link:
         until(lambda: (loop.serve_once(loop.time()), handlers)[1])
@@ -465,7 +465,7 @@ def test_a_loop_that_ends_in_order_sends_what_waits() -> None:
 
 def test_a_loop_that_ends_in_order_has_a_deadline() -> None:
     loop = SelectorLoop()
-    port = ListeningPort(loop, "127.0.0.1", 0, Recorder, output_limit=1 << 30)
+    port = loop.listen("127.0.0.1", 0, Recorder, output_limit=1 << 30)
     with socket.create_connection(("127.0.0.1", port.number), timeout=TIMEOUT):
         until(lambda: (loop.serve_once(loop.time()), port.connections)[1])
         (connection,) = port.connections
@@ -635,7 +635,7 @@ def test_hosts(host: str, reached: str) -> None:
         pytest.skip("this computer has no IPv6")
     loop = SelectorLoop()
     with contextlib.closing(loop):
-        port = ListeningPort(loop, host, 0, Recorder)
+        port = loop.listen(host, 0, Recorder)
         with socket.create_connection((reached, port.number), timeout=TIMEOUT) as link:
             until(lambda: (loop.serve_once(loop.time()), port.connections)[1])
             (connection,) = port.connections
@@ -648,7 +648,7 @@ def test_both_families_at_once() -> None:
         pytest.skip("this computer has no IPv6")
     loop = SelectorLoop()
     with contextlib.closing(loop):
-        port = ListeningPort(loop, "::", 0, Recorder)
+        port = loop.listen("::", 0, Recorder)
         for host in ("127.0.0.1", "::1"):
             with socket.create_connection((host, port.number), timeout=TIMEOUT):
                 until(lambda: (loop.serve_once(loop.time()), port.connections)[1])
@@ -672,13 +672,13 @@ def test_where_nobody_can_listen(host: str, number: int) -> None:
     before = descriptors()
     loop = SelectorLoop()
     with contextlib.closing(loop), pytest.raises(BadAddress, match=f"cannot listen on .*:{number} for tests"):
-        ListeningPort(loop, host, number, Recorder, purpose="tests")
+        loop.listen(host, number, Recorder, purpose="tests")
     assert descriptors() == before
 
 
 def test_a_port_that_is_taken(bench: Bench) -> None:
     with pytest.raises(BadAddress, match=f":{bench.port.number}: "):
-        ListeningPort(bench.loop, "127.0.0.1", bench.port.number, Recorder)
+        bench.loop.listen("127.0.0.1", bench.port.number, Recorder)
 
 
 def test_the_same_port_again_at_once() -> None:
@@ -690,7 +690,7 @@ def test_the_same_port_again_at_once() -> None:
             number = bench.port.number
     loop = SelectorLoop()
     with contextlib.closing(loop):
-        assert ListeningPort(loop, "127.0.0.1", number, Recorder).number == number
+        assert loop.listen("127.0.0.1", number, Recorder).number == number
 
 
 # -- time and threads --------------------------------------------------------------------------------
@@ -862,7 +862,7 @@ def descriptors() -> int:
 
 
 def test_ports_are_told_apart(bench: Bench) -> None:
-    other = ListeningPort(bench.loop, "127.0.0.1", 0, bench.accept)
+    other: ListeningPort = bench.loop.listen("127.0.0.1", 0, bench.accept)
     with socket.create_connection(("127.0.0.1", other.number)):
         bench.serve(lambda: bench.handlers)
     assert bench.handlers[0].connection.port is other

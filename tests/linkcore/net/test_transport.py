@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import gc
 import select
 import socket
@@ -194,6 +195,37 @@ def test_the_second_address_is_tried_when_the_first_refuses(peer: Peer, monkeypa
     monkeypatch.setattr(socket, "getaddrinfo", lambda *args, **kwargs: answer)
     transport = TcpTransport("robot", 30003, silence=1)
     transport.open(TIMEOUT)
+    peer.accept().sendall(b"hello")
+    assert transport.receive()[0] == b"hello"
+    transport.close()
+
+
+@pytest.mark.parametrize("kind", [TcpTransport, AwaitedTcp])
+def test_the_second_address_is_tried_where_this_computer_lacks_the_family_of_the_first(
+    peer: Peer, monkeypatch: pytest.MonkeyPatch, kind: type[TcpTransport | AwaitedTcp]
+) -> None:
+    class WithoutIpv6(socket.socket):
+        def __init__(self, family: int = -1, *args: int, **named: int) -> None:
+            if family == socket.AF_INET6:
+                raise OSError(errno.EAFNOSUPPORT, "Address family not supported by protocol")
+            super().__init__(family, *args, **named)
+
+    answer = [
+        (socket.AF_INET6, socket.SOCK_STREAM, 6, "", ("::1", peer.port, 0, 0)),
+        (socket.AF_INET, socket.SOCK_STREAM, 6, "", ("127.0.0.1", peer.port)),
+    ]
+    monkeypatch.setattr(socket, "getaddrinfo", lambda *args, **kwargs: answer)
+    transport = kind("robot", 30003, silence=1)
+
+    async def connect() -> None:
+        with monkeypatch.context() as patch:
+            patch.setattr(socket, "socket", WithoutIpv6)
+            if isinstance(transport, AwaitedTcp):
+                await transport.connect(TIMEOUT)
+            else:
+                transport.open(TIMEOUT)
+
+    asyncio.run(connect())
     peer.accept().sendall(b"hello")
     assert transport.receive()[0] == b"hello"
     transport.close()

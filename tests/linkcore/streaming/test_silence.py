@@ -9,7 +9,7 @@ import pytest
 
 from linkcore.errors import BadValue, LinkTimeout
 from linkcore.streaming.connection_life import Backoff, ConnectionEvent, ConnectionState
-from linkcore.streaming.receiver import SilenceMonitor
+from linkcore.streaming.silence import SilenceMonitor
 from tests.fakes.link import ScriptedTransport, counts, output_of, scripted
 from tests.waiting import until
 
