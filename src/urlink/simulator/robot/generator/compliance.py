@@ -41,13 +41,11 @@ from urlink.parameters import number, numbers
 from urlink.poses import rotvec_to_matrix
 from urlink.vectors import FloatArray
 
-from ..sources import Setpoint
-from .joint_limits import JointLimits, LimitViolation
+from ..sources import REST, Setpoint
+from .joint_limits import JointLimits, LimitViolation, moved, setpoint_at
 from .path_motion import Command
 from .streamed_motion import JointSpeed
-from .tool_paths import moved, setpoint_at
 
-_REST = [0.0] * 6
 # s: times the change of a torque or a force, this brakes.
 _BRAKE = 0.03
 # 1/s of each joint in freedrive
@@ -127,7 +125,7 @@ class TorqueMotion(Command):
         acceleration: Sequence[float],
     ) -> None:
         self._dynamics, self._motors, self._torque, self._friction = dynamics, motors, torque, np.array(friction)
-        self._brake = JointSpeed(_REST, acceleration, None)
+        self._brake = JointSpeed(REST, acceleration, None)
 
     def advance(self, last: Setpoint, seconds: float, scaling: float, change: float) -> Setpoint:
         """The set-point one cycle later."""

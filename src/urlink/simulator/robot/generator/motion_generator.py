@@ -23,14 +23,12 @@ from urlink.motors import Motors
 from urlink.vectors import FloatArray
 
 from ..robot_parameters import ScalingParameters, approached
-from ..sources import BRAKING, Setpoint
+from ..sources import BRAKING, REST, Setpoint
 from .compliance import TorqueMotion
 from .joint_limits import JointLimits, LimitViolation, OutOfReach, checked, positive
-from .path_motion import Blend, Command, JointPath, MotionPath, PathMove, Trapezoid, timed
+from .path_motion import Blend, Command, JointPath, MotionPath, PathMove, ToolPath, Trapezoid, timed
 from .streamed_motion import JointSpeed, ServoMotion, ToolSpeed, lag_of
-from .tool_paths import ToolPath
 
-_REST = [0.0] * 6
 # Scaling from which on servoj takes over the whole speed of the joints in its stretched time; below, a part of it.
 _TAKES_OVER = 0.1
 # rad or m: the least length for which a speed and an acceleration are computed from a time.
@@ -68,7 +66,7 @@ class MotionGenerator:
         self._kinematics = kinematics
         self._limits = JointLimits(kinematics.model)
         self._gentle = [BRAKING * limit for limit in self._limits.acceleration]
-        self._tcp = list(_REST)
+        self._tcp = list(REST)
         self._command: Command | None = None
         self._refusal: LimitViolation | None = None
         if any(setpoint.qd):
@@ -133,10 +131,10 @@ class MotionGenerator:
         limit, and a set-point of servoj, are discarded, and the arm stands still.
         """
         is_over = self._refusal is not None or isinstance(self._command, ServoMotion)
-        self.setpoint = Setpoint(checked(q, "joint positions"), _REST, _REST)
+        self.setpoint = Setpoint(checked(q, "joint positions"), REST, REST)
         self.scaling, self._rise = 0.0, self._parameters.resume_rate
         if is_over:
-            self._begin(JointSpeed(_REST, self._gentle, None))
+            self._begin(JointSpeed(REST, self._gentle, None))
         else:
             self.resume(self.setpoint)
 
@@ -145,7 +143,7 @@ class MotionGenerator:
         self.setpoint = setpoint
         command = self._command
         if command is None or command.is_at_rest:
-            self._begin(JointSpeed(_REST, self._gentle, None))
+            self._begin(JointSpeed(REST, self._gentle, None))
         elif isinstance(command, PathMove):
             way = [b - a for a, b in zip(setpoint.q, command.place, strict=True)]
             # Back to the path at half of the speed that the joints may have: the peak of the blend is 3/2 of its mean.
@@ -251,7 +249,7 @@ class MotionGenerator:
         else:
             scaling = max(self.scaling, _TAKES_OVER) if stretches else 1.0
             begin, speeds = self.setpoint.q, [v / scaling for v in self.setpoint.qd]
-            excess = [max(0.0, 1.0 - self.scaling / scaling) * v for v in self.setpoint.qd] if stretches else _REST
+            excess = [max(0.0, 1.0 - self.scaling / scaling) * v for v in self.setpoint.qd] if stretches else REST
         return self._begin(
             ServoMotion(
                 self._limits,
@@ -289,7 +287,7 @@ class MotionGenerator:
         Raises:
             BadValue: `a` is not above zero.
         """
-        return self._begin(JointSpeed(_REST, self._at_most(a), None))
+        return self._begin(JointSpeed(REST, self._at_most(a), None))
 
     def stopl(self, a: float, a_rot: float | None = None) -> Command:
         """Brake the tool along its direction by `a` m/s² and `a_rot` rad/s²; over at rest.
@@ -297,14 +295,14 @@ class MotionGenerator:
         Raises:
             BadValue: an argument is not such a number.
         """
-        return self._begin(self._tool_speed(_REST, a, a_rot, None))
+        return self._begin(self._tool_speed(REST, a, a_rot, None))
 
     def release(self) -> None:
         """End the commands: brake to rest. A path move whose blend is followed by nothing continues to its end."""
         if isinstance(self._command, PathMove) and self._command.blends:
             return
         if not self.is_standing:
-            self._begin(JointSpeed(_REST, self._gentle, None))
+            self._begin(JointSpeed(REST, self._gentle, None))
 
     def direct_torque(
         self, dynamics: Dynamics, motors: Motors, torque: FloatArray, friction: Sequence[float]
