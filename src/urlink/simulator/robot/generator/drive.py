@@ -21,7 +21,6 @@ from urlink.kinematics import Arm
 from ..robot_parameters import ScalingParameters
 from ..sources import Setpoint
 from .compliance import Compliance, ForceTask, FreeJoints, free_tool
-from .joint_limits import JointLimits
 from .motion_generator import MotionGenerator
 
 _ALL = (True,) * 6
@@ -52,8 +51,7 @@ class ArmDrive:
     ) -> None:
         self.generator = MotionGenerator(kinematics, setpoint, scaling, parameters)
         self.setpoint = setpoint
-        self._kinematics, self._dynamics = kinematics, dynamics
-        self._limits = JointLimits(kinematics.model)
+        self._dynamics = dynamics
         self._compliance: Compliance | None = None
         self._free: FreeJoints | None = None
         self._mode = ControlMode.POSITION
@@ -79,7 +77,7 @@ class ArmDrive:
             self._compliance.task = task
         else:
             self.end_mode()
-            self._compliance = self._comply(task)
+            self._compliance = Compliance(self.generator.arm, self.setpoint, task)
         self._mode = ControlMode.FORCE
 
     def set_damping(self, damping: float) -> None:
@@ -100,13 +98,10 @@ class ArmDrive:
         """Let the arm be moved by hand, along and about these axes of a frame in the base frame, m and rad."""
         self.end_mode()
         if tuple(axes) == _ALL:
-            self._free = FreeJoints(self._kinematics, self._dynamics(), self._limits, self.generator.tcp, self.setpoint)
+            self._free = FreeJoints(self.generator.arm, self._dynamics(), self.setpoint)
         else:
-            self._compliance = self._comply(free_tool(frame, axes))
+            self._compliance = Compliance(self.generator.arm, self.setpoint, free_tool(frame, axes))
         self._mode = ControlMode.TEACH
-
-    def _comply(self, task: ForceTask) -> Compliance:
-        return Compliance(self._kinematics, self._limits, self.generator.tcp, self.setpoint, task)
 
     def end_mode(self) -> None:
         """End force mode or freedrive."""
@@ -132,7 +127,8 @@ class ArmDrive:
             self.setpoint = self._free.advance(wrench, torques, seconds)
         elif self._compliance is not None:
             if any(torques):
-                across = self._kinematics.jacobian(self.setpoint.q, self.generator.tcp).T
+                arm = self.generator.arm
+                across = arm.kinematics.jacobian(self.setpoint.q, arm.tcp).T
                 wrench = np.asarray(wrench) + np.linalg.lstsq(across, np.asarray(torques), rcond=None)[0]
             self.setpoint = self._compliance.advance(nominal, wrench, seconds)
         else:

@@ -1,4 +1,4 @@
-"""The limits that a controller enforces on an arm, the joints at poses of its tool, and the arguments that it refuses.
+"""An arm with its tool, the limits that a controller enforces on it, and the arguments that it refuses.
 
 A controller makes a protective stop when a joint is about to leave its range or to exceed its speed, when no arm could
 follow, or when a pose is out of reach. How much it tolerates is a guess here.
@@ -10,13 +10,14 @@ import math
 from collections.abc import Sequence
 from itertools import repeat
 from operator import le, mul, sub
+from typing import NamedTuple
 
 from linkcore.errors import BadValue
 from urlink.kinematics import Arm, Unreachable
 from urlink.models import Model
 from urlink.parameters import number
 from urlink.poses import compose
-from urlink.vectors import JOINTS
+from urlink.vectors import JOINTS, FloatArray
 
 from ..sources import Setpoint
 
@@ -110,28 +111,48 @@ class JointLimits:
                 raise LimitViolation(f"{joint}: a position of {q:.4f} rad is out of range")
 
 
-def joints_at(arm: Arm, pose: Sequence[float], tcp: Sequence[float], near: Sequence[float]) -> list[float]:
-    """The joint positions closest to `near` that put the TCP at a pose.
+class ArmWithTool(NamedTuple):
+    """An arm, the limits of its joints, and its tool.
 
-    Raises:
-        LimitViolation: the pose is out of reach.
+    Attributes:
+        kinematics, limits: of the arm.
+        tcp: (6,) in the frame of the flange, m and rad.
     """
-    try:
-        found: list[float] = arm.inverse(pose, near, tcp, is_limited=False).tolist()
-    except Unreachable:
-        raise LimitViolation(f"the arm does not reach the pose {[round(number, 4) for number in pose]}") from None
-    return found
 
+    kinematics: Arm
+    limits: JointLimits
+    tcp: list[float]
 
-def setpoint_at(arm: Arm, pose: Sequence[float], tcp: Sequence[float], last: Setpoint, seconds: float) -> Setpoint:
-    """The joints at a pose of the TCP, one cycle after `last`; speeds and accelerations are differences.
+    def pose(self, q: Sequence[float]) -> list[float]:
+        """The pose of the TCP at joint positions, m and rad."""
+        pose: list[float] = self.kinematics.forward(q, self.tcp).tolist()
+        return pose
 
-    Raises:
-        LimitViolation: the pose is out of reach.
-    """
-    q = joints_at(arm, pose, tcp, last.q)
-    qd = [(new - old) / seconds for new, old in zip(q, last.q, strict=True)]
-    return Setpoint(q, qd, [(new - old) / seconds for new, old in zip(qd, last.qd, strict=True)])
+    def velocity(self, q: Sequence[float], qd: Sequence[float]) -> FloatArray:
+        """The speed of the TCP at joint positions and speeds, m/s and rad/s."""
+        return self.kinematics.velocity(q, qd, self.tcp)
+
+    def joints(self, pose: Sequence[float], near: Sequence[float]) -> list[float]:
+        """The joint positions closest to `near` that put the TCP at a pose.
+
+        Raises:
+            LimitViolation: the pose is out of reach.
+        """
+        try:
+            found: list[float] = self.kinematics.inverse(pose, near, self.tcp, is_limited=False).tolist()
+        except Unreachable:
+            raise LimitViolation(f"the arm does not reach the pose {[round(number, 4) for number in pose]}") from None
+        return found
+
+    def setpoint(self, pose: Sequence[float], last: Setpoint, seconds: float) -> Setpoint:
+        """The joints at a pose of the TCP, one cycle after `last`; speeds and accelerations are differences.
+
+        Raises:
+            LimitViolation: the pose is out of reach.
+        """
+        q = self.joints(pose, last.q)
+        qd = [(new - old) / seconds for new, old in zip(q, last.q, strict=True)]
+        return Setpoint(q, qd, [(new - old) / seconds for new, old in zip(qd, last.qd, strict=True)])
 
 
 def moved(pose: Sequence[float], step: Sequence[float]) -> list[float]:

@@ -12,11 +12,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
 from urlink.curves import Curve
-from urlink.kinematics import Arm
 from urlink.parameters import number
 
 from ..sources import REST, Setpoint
-from .joint_limits import JointLimits, LimitViolation, joints_at, setpoint_at
+from .joint_limits import ArmWithTool, LimitViolation
 
 #: m that count as much as a turn of 1 rad, at least, so that a tool which turns in place takes its time. A guess.
 RADIAN = number("metres_per_turn_simulated")
@@ -171,8 +170,8 @@ class MotionPath(ABC):
     length: float
     end_pose: list[float]
 
-    def __init__(self, kinematics: Arm, limits: JointLimits, tcp: Sequence[float]) -> None:
-        self._kinematics, self._limits, self._tcp = kinematics, limits, tcp
+    def __init__(self, arm: ArmWithTool) -> None:
+        self._arm = arm
 
     @abstractmethod
     def fastest(self) -> tuple[float, float]:
@@ -188,7 +187,7 @@ class MotionPath(ABC):
 
     def left(self, q: list[float]) -> float:
         """Distance of the TCP from the end when the joints are at `q`, m."""
-        return math.dist(self._kinematics.forward(q, self._tcp)[:3].tolist(), self.end_pose[:3])
+        return math.dist(self._arm.pose(q)[:3], self.end_pose[:3])
 
 
 class JointPath(MotionPath):
@@ -196,18 +195,17 @@ class JointPath(MotionPath):
     moves furthest, in rad.
     """
 
-    def __init__(
-        self, kinematics: Arm, limits: JointLimits, tcp: Sequence[float], start: list[float], end: list[float]
-    ) -> None:
-        super().__init__(kinematics, limits, tcp)
+    def __init__(self, arm: ArmWithTool, start: list[float], end: list[float]) -> None:
+        super().__init__(arm)
         self._start, self._end = start, end
         way = [b - a for a, b in zip(start, end, strict=True)]
         self.length = max(map(abs, way))
-        self.end_pose = kinematics.forward(end, tcp).tolist()
+        self.end_pose = arm.pose(end)
         self._shares = [part / self.length for part in way] if self.length > 0.0 else list(REST)
 
     def fastest(self) -> tuple[float, float]:
-        return _within(self._limits.speed, self._shares), _within(self._limits.acceleration, self._shares)
+        limits = self._arm.limits
+        return _within(limits.speed, self._shares), _within(limits.acceleration, self._shares)
 
     def setpoint(self, way: float, speed: float, acceleration: float, last: Setpoint, seconds: float) -> Setpoint:
         return Setpoint(
@@ -227,10 +225,8 @@ def _within(limits: Sequence[float], shares: Sequence[float]) -> float:
 class ToolPath(MotionPath):
     """A path of the TCP along a curve, from close to the joint positions `near`, by the inverse kinematics."""
 
-    def __init__(
-        self, kinematics: Arm, limits: JointLimits, tcp: Sequence[float], curve: Curve, near: list[float]
-    ) -> None:
-        super().__init__(kinematics, limits, tcp)
+    def __init__(self, arm: ArmWithTool, curve: Curve, near: list[float]) -> None:
+        super().__init__(arm)
         self._curve, self._near = curve, near
         self.length = max(curve.length, RADIAN * curve.turn)
         self.end_pose = curve.end
@@ -241,18 +237,18 @@ class ToolPath(MotionPath):
 
         The part behind a singular posture, or out of reach, does not count: the arm does not get there.
         """
-        part = self.length / _SAMPLES
+        limits, part = self._arm.limits, self.length / _SAMPLES
         speed = acceleration = math.inf
         old = self._near
         for sample in range(1, _SAMPLES + 1):
             try:
-                new = joints_at(self._kinematics, self._curve.pose(sample / _SAMPLES), self._tcp, old)
+                new = self._arm.joints(self._curve.pose(sample / _SAMPLES), old)
             except LimitViolation:
                 break
             ways = [abs(b - a) for a, b in zip(old, new, strict=True)]
             if max(ways) > _JUMP:
                 break
-            for way, fastest, hardest in zip(ways, self._limits.speed, self._limits.acceleration, strict=True):
+            for way, fastest, hardest in zip(ways, limits.speed, limits.acceleration, strict=True):
                 if way > 0.0:
                     speed, acceleration = min(speed, fastest * part / way), min(acceleration, hardest * part / way)
             old = new
@@ -266,7 +262,7 @@ class ToolPath(MotionPath):
         """
         if not speed and not acceleration:
             return Setpoint(last.q, REST, REST)
-        return setpoint_at(self._kinematics, self._curve.pose(way / self.length), self._tcp, last, seconds)
+        return self._arm.setpoint(self._curve.pose(way / self.length), last, seconds)
 
     def end(self, near: list[float]) -> list[float]:
         """The joints at the end, on the branch of the inverse kinematics that they come from.
@@ -275,7 +271,7 @@ class ToolPath(MotionPath):
             LimitViolation: the end is out of reach on this branch.
         """
         if self._end_joints is None:
-            self._end_joints = joints_at(self._kinematics, self.end_pose, self._tcp, near)
+            self._end_joints = self._arm.joints(self.end_pose, near)
         return self._end_joints
 
 

@@ -25,12 +25,11 @@ from functools import lru_cache
 from itertools import repeat
 from operator import le, mul, sub
 
-from urlink.kinematics import Arm
 from urlink.parameters import number
 from urlink.vectors import JOINTS
 
 from ..sources import REST, Setpoint
-from .joint_limits import JointLimits, LimitViolation, moved, setpoint_at
+from .joint_limits import ArmWithTool, JointLimits, LimitViolation, moved
 from .path_motion import Command
 
 _OF_LOOKAHEAD = number("servoj_lag_of_lookahead")
@@ -211,9 +210,7 @@ class ToolSpeed(Command):
 
     def __init__(
         self,
-        kinematics: Arm,
-        limits: JointLimits,
-        tcp: Sequence[float],
+        arm: ArmWithTool,
         begin: Setpoint,
         xd: Sequence[float],
         a: float,
@@ -225,14 +222,14 @@ class ToolSpeed(Command):
 
         After an `old` one, the line continues exactly.
         """
-        self._kinematics, self._limits, self._tcp = kinematics, limits, list(tcp)
+        self._arm = arm
         self._target, self._a, self._a_rot, self._left = list(xd), a, a_rot, t
-        self._pose: list[float] = kinematics.forward(begin.q, tcp).tolist()
+        self._pose = arm.pose(begin.q)
         self._speed: list[float] = list(REST)
-        if old is not None and old._brake is None and old._tcp == self._tcp:
+        if old is not None and old._brake is None and old._arm.tcp == arm.tcp:
             self._speed = old._speed
         elif any(begin.qd):
-            self._speed = kinematics.velocity(begin.q, begin.qd, tcp).tolist()
+            self._speed = arm.velocity(begin.q, begin.qd).tolist()
         self._stops = not any(xd)
         self._brake: JointSpeed | None = None
 
@@ -254,13 +251,13 @@ class ToolSpeed(Command):
         step = [0.5 * seconds * (old + new) for old, new in zip(self._speed, speed, strict=True)]
         pose = moved(self._pose, step)
         try:
-            setpoint = setpoint_at(self._kinematics, pose, self._tcp, last, seconds)
+            setpoint = self._arm.setpoint(pose, last, seconds)
             if self._stops:
-                self._limits.check(last, setpoint, seconds)
+                self._arm.limits.check(last, setpoint, seconds)
         except LimitViolation:
             if not self._stops:
                 raise
-            self._brake = JointSpeed(REST, self._limits.acceleration, None)
+            self._brake = JointSpeed(REST, self._arm.limits.acceleration, None)
             return self._braking(self._brake, last, seconds)
         self._pose, self._speed = pose, speed
         if self._left is None:
@@ -272,7 +269,7 @@ class ToolSpeed(Command):
 
     def restart(self, begin: Setpoint) -> None:
         """Continue from rest elsewhere."""
-        self._pose = self._kinematics.forward(begin.q, self._tcp).tolist()
+        self._pose = self._arm.pose(begin.q)
         self._speed = list(REST)
 
     def _braking(self, brake: JointSpeed, last: Setpoint, seconds: float) -> Setpoint:
