@@ -251,8 +251,7 @@ class ProgramLoader:
     def _begin(self, text: str, compiled: Script | ProgramError) -> None:
         state = self._state
         if isinstance(compiled, ProgramError):
-            error = compiled
-            state.outbox.put(messages.runtime_exception(state, error.line, error.column, error.text, False))
+            state.outbox.put(messages.runtime_exception(state, compiled, is_running=False))
         elif compiled.kind == "sec":
             if not self._runner.start_secondary(compiled, len(text)):
                 self._refuse("too many secondary programs wait", text)

@@ -82,7 +82,7 @@ class RunningProgram:
             state.scaling = generator.scaling if self.is_program or not generator.is_standing else 0.0
             return setpoint
         except LimitViolation as violation:
-            state.stop_protectively(violation.reason)
+            state.stop_protectively(str(violation))
             return drive.setpoint
 
     def end(self) -> None:
@@ -190,8 +190,7 @@ class ProgramRunner:
         state.outbox.put(messages.program_stopped(state, program.name))
 
     def _report(self, error: ProgramError) -> None:
-        state = self._state
-        state.outbox.put(messages.runtime_exception(state, error.line, error.column, error.text, True))
+        self._state.outbox.put(messages.runtime_exception(self._state, error, is_running=True))
 
     # -- one cycle -----------------------------------------------------------------------------------
 
@@ -240,7 +239,7 @@ class ProgramRunner:
             return hand.advance(seconds, state.arm.wrench, state.arm.pushed_joints)
         except LimitViolation as violation:
             state.by_hand = None
-            state.stop_protectively(violation.reason)
+            state.stop_protectively(str(violation))
             return None
 
     def _watch(self) -> None:

@@ -30,15 +30,7 @@ _ROUNDING = 1e-9
 
 
 class LimitViolation(Exception):
-    """A set-point breaks a limit of the arm; a controller makes a protective stop.
-
-    Attributes:
-        reason: which joint and which limit.
-    """
-
-    def __init__(self, reason: str) -> None:
-        super().__init__(reason)
-        self.reason = reason
+    """A set-point breaks a limit of the arm; a controller makes a protective stop. Its text says which limit."""
 
 
 class OutOfReach(Exception):

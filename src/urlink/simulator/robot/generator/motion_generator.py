@@ -171,7 +171,7 @@ class MotionGenerator:
         try:
             self._limits.check_target(end)
         except LimitViolation as violation:
-            raise OutOfReach(violation.reason) from None
+            raise OutOfReach(str(violation)) from None
         start, blend = self._take_over()
         path = JointPath(self.arm, start, end)
         return self._follow_path(path, start, blend, a, v, t, r)
