@@ -263,9 +263,7 @@ class ControllerState:
 
     def move_slider(self, seconds: float) -> None:
         """Let the speed slider take effect, as far as it does in some seconds."""
-        if self.slider != self.speed_fraction:
-            most = self.scaling_parameters.slider_rate * seconds
-            self.slider = approached(self.slider, self.speed_fraction, most)
+        self.slider = approached(self.slider, self.speed_fraction, self.scaling_parameters.slider_rate * seconds)
 
     @property
     def speed_scaling(self) -> float:

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 from linkcore.errors import BadValue
 from urlink.dynamics import GRAVITY, Dynamics
 from urlink.kinematics import Arm as Kinematics
-from urlink.models import Model
 from urlink.motors import motors_of
 
 from .robot_parameters import SensorParameters
@@ -144,7 +143,11 @@ class SimulatedArm:
 
     def _begin_to_brake(self) -> None:
         if any(self._setpoint.qd):
-            self._brake = (self._setpoint, braking_time(self.model, self._setpoint.qd), 0.0)
+            limits: list[float] = self.model.max_acceleration.tolist()
+            hardest = max(abs(v) / limit for v, limit in zip(self._setpoint.qd, limits, strict=True))
+            # The largest deceleration of the smooth brake path is 3/2 of its mean. It never takes less time than what
+            # one can see at 125 Hz.
+            self._brake = (self._setpoint, max(1.5 * hardest / BRAKING, 0.06), 0.0)
         else:
             self._setpoint = Setpoint(self._setpoint.q, _ZERO, _ZERO)
 
@@ -310,12 +313,3 @@ class SimulatedArm:
         This is the number that three captured force mode packets hold, to all their digits.
         """
         return float(self.kinematics.manipulability(self._setpoint.q)) ** 2
-
-
-def braking_time(model: Model, qd: Sequence[float]) -> float:
-    """Seconds in which an arm of this model comes to rest from joint speeds in rad/s."""
-    limits: list[float] = model.max_acceleration.tolist()
-    hardest = max(abs(v) / limit for v, limit in zip(qd, limits, strict=True))
-    # The largest deceleration of the smooth brake path is 3/2 of its mean. It never takes less than what one can see
-    # at 125 Hz.
-    return max(1.5 * hardest / BRAKING, 0.06)
