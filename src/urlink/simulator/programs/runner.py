@@ -48,9 +48,7 @@ class RunningProgram:
         self._state = state
         self._on_end = on_end
         # It continues from what moved the arm before, at its speed.
-        self._drive = ArmDrive(
-            state.kinematics, lambda: state.arm.dynamics, state.arm.setpoint, state.scaling, state.scaling_parameters
-        )
+        self._drive = ArmDrive(state.arm, state.scaling, state.scaling_parameters)
         self._execution = Execution(script, ProgramWorld(state, route, self._drive))
 
     @property
@@ -76,7 +74,7 @@ class RunningProgram:
             if self._execution.is_over:
                 self.end()
         try:
-            setpoint = drive.advance(seconds, state.arm.wrench, state.arm.pushed_joints)
+            setpoint = drive.advance(seconds)
             state.control_mode = drive.control_mode
             # A program that takes over while the arm moves goes on with the scaling of the one before.
             state.scaling = generator.scaling if self.is_program or not generator.is_standing else 0.0
@@ -236,7 +234,7 @@ class ProgramRunner:
         if hand is None:
             return None
         try:
-            return hand.advance(seconds, state.arm.wrench, state.arm.pushed_joints)
+            return hand.advance(seconds)
         except LimitViolation as violation:
             state.by_hand = None
             state.stop_protectively(str(violation))
