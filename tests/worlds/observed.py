@@ -213,8 +213,9 @@ class Observed:
             (Pendant, "play", self._play),
             (runner, "start", self._begun),
             (runner, "_ended", self._over),
-            (self._controller, "_script_receiver", self._receiver),
         ]
+        for name in ("primary", "secondary", "realtime"):
+            around.append((self._controller._ports[name], "_make_receiver", self._receiver))
         with contextlib.ExitStack() as stack:
             for owner, name, wrap in around:
                 stack.enter_context(replaced(owner, name, wrap))
