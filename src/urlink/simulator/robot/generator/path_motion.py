@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from functools import cached_property
 
 from urlink.curves import Curve
 from urlink.parameters import number
@@ -164,14 +165,17 @@ class MotionPath(ABC):
 
     Attributes:
         length: of the path: rad of the joint that moves furthest, or m of the tool.
-        end_pose: of the TCP at the end, m and rad.
     """
 
     length: float
-    end_pose: list[float]
 
     def __init__(self, arm: ArmWithTool) -> None:
         self._arm = arm
+
+    @property
+    @abstractmethod
+    def end_pose(self) -> list[float]:
+        """The pose of the TCP at the end, m and rad."""
 
     @abstractmethod
     def fastest(self) -> tuple[float, float]:
@@ -200,8 +204,11 @@ class JointPath(MotionPath):
         self._start, self._end = start, end
         way = [b - a for a, b in zip(start, end, strict=True)]
         self.length = max(map(abs, way))
-        self.end_pose = arm.pose(end)
         self._shares = [part / self.length for part in way] if self.length > 0.0 else list(REST)
+
+    @cached_property
+    def end_pose(self) -> list[float]:
+        return self._arm.pose(self._end)
 
     def fastest(self) -> tuple[float, float]:
         limits = self._arm.limits
@@ -229,8 +236,11 @@ class ToolPath(MotionPath):
         super().__init__(arm)
         self._curve, self._near = curve, near
         self.length = max(curve.length, RADIAN * curve.turn)
-        self.end_pose = curve.end
         self._end_joints: list[float] | None = None
+
+    @property
+    def end_pose(self) -> list[float]:
+        return self._curve.end
 
     def fastest(self) -> tuple[float, float]:
         """The largest speed and acceleration along the path at which no joint exceeds its limits, by samples of it.
