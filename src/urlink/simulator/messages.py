@@ -45,12 +45,9 @@ def greeting(state: ControllerState, kind: str) -> list[bytes]:
     firmware = state.firmware
     on_connect = {"timestamp": NO_TIMESTAMP, "source": MessageSource.ROBOT_INTERFACE}
     version = {
+        **firmware._asdict(),
         "project_name": "URControl",
-        "major": firmware.major,
-        "minor": firmware.minor,
         "svn_revision": firmware.bugfix,
-        "bugfix": firmware.bugfix,
-        "build": firmware.build,
         # The two forms of date that captures show.
         "build_date": "01-01-2024, 00:00:00" if firmware >= (3, 4) else "Jan 01 2016, 00:00:00",
     }
