@@ -106,7 +106,7 @@ def passing(step: Callable[[int], object], rate: int, speed: float) -> Iterator[
     """
     speed = check_seconds(speed, "speed", positive=True, finite=True)
     over = threading.Event()
-    cycles = max(round(_SLICE * rate), 1)
+    cycles = round(_SLICE * rate)
 
     def run() -> None:
         due = time.monotonic()
