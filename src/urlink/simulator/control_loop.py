@@ -61,8 +61,8 @@ class ControlLoop:
         state.uptime += 1
         setpoint = self._runner.advance(state.period)
         state.arm.advance(state.period, setpoint)
-        if state.arm.overload is not None:
-            state.stop_protectively(state.arm.overload)
+        if state.arm.force_sensor.overload is not None:
+            state.stop_protectively(state.arm.force_sensor.overload)
         state.update_modes(state.period)
         state.arm.is_powered = state.modes.is_powered
         cause = state.take_safety_change()
@@ -106,7 +106,7 @@ def passing(step: Callable[[int], object], rate: int, speed: float) -> Iterator[
     """
     speed = check_seconds(speed, "speed", positive=True, finite=True)
     over = threading.Event()
-    cycles = max(round(_SLICE * rate), 1)
+    cycles = round(_SLICE * rate)
 
     def run() -> None:
         due = time.monotonic()

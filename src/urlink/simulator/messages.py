@@ -26,6 +26,7 @@ from urlink.interfaces.primary.robot_message import (
 )
 
 from .state import ControllerState, StopCause
+from .urscript import ProgramError
 
 #: Most bytes of a text in one message; the vendor gives no limit.
 _LONGEST_TEXT = 4096
@@ -44,12 +45,9 @@ def greeting(state: ControllerState, kind: str) -> list[bytes]:
     firmware = state.firmware
     on_connect = {"timestamp": NO_TIMESTAMP, "source": MessageSource.ROBOT_INTERFACE}
     version = {
+        **firmware._asdict(),
         "project_name": "URControl",
-        "major": firmware.major,
-        "minor": firmware.minor,
         "svn_revision": firmware.bugfix,
-        "bugfix": firmware.bugfix,
-        "build": firmware.build,
         # The two forms of date that captures show.
         "build_date": "01-01-2024, 00:00:00" if firmware >= (3, 4) else "Jan 01 2016, 00:00:00",
     }
@@ -112,10 +110,10 @@ def text_message(state: ControllerState, text: str) -> bytes:
     return _message(state, TextMessage, text=text)
 
 
-def runtime_exception(state: ControllerState, line: int, column: int, text: str, is_running: bool) -> bytes:
+def runtime_exception(state: ControllerState, error: ProgramError, is_running: bool) -> bytes:
     """The message for a program that does not compile, or that failed while it was running."""
     stamp = {} if is_running else {"timestamp": NO_TIMESTAMP}
-    return _message(state, RuntimeExceptionMessage, **stamp, line=line, column=column, text=text)
+    return _message(state, RuntimeExceptionMessage, **stamp, line=error.line, column=error.column, text=error.text)
 
 
 def popup_message(

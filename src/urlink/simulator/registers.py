@@ -76,11 +76,10 @@ class Watchdogs:
 
     def feed(self, variables: Iterable[str], now: int) -> None:
         """Note a data package with these variables in this cycle."""
-        if self._dogs:
-            for variable in variables:
-                dog = self._dogs.get(variable)
-                if dog is not None:
-                    dog.fed = now
+        for variable in variables:
+            dog = self._dogs.get(variable)
+            if dog is not None:
+                dog.fed = now
 
     def restart(self, now: int) -> None:
         """Give all variables their full time again from this cycle on."""

@@ -207,18 +207,15 @@ class Server:
 
     def _run(self) -> None:
         try:
-            self._serve()
+            self._epoch = self._clock()
+            while not self._is_closing:
+                self.catch_up()
+                self._loader.advance()
+                self._sockets.serve_once(self._due())
         finally:
             self._is_closing, self.is_open = True, False
             self._loader.close()
             self._sockets.close()
-
-    def _serve(self) -> None:
-        self._epoch = self._clock()
-        while not self._is_closing:
-            self.catch_up()
-            self._loader.advance()
-            self._sockets.serve_once(self._due())
 
     def _due(self) -> float | None:
         """The time of the next cycle in which something is to be done; None where `step` calls when it is."""
@@ -349,9 +346,7 @@ class Server:
         if self._is_closing:
             return
         self._open_or_refuse()
-        cuts = self._link.take_cuts()
-        if cuts:
-            self._reset(cuts)
+        self._reset(self._link.take_cuts())
         if self._link.segments_changed != self._segments_seen:
             self._segments_seen = self._link.segments_changed
             self._segment_anew()

@@ -20,7 +20,7 @@ from .registers import InputClaims, RegisterBanks, Watchdogs
 from .robot.arm import SimulatedArm
 from .robot.generator import ArmDrive
 from .robot.modes import Modes, StopState
-from .robot.robot_parameters import ScalingParameters, SensorParameters, approached
+from .robot.robot_parameters import ScalingParameters, approached
 from .robot.signals import ModbusSignals, Signals
 from .robot.sources import Setpoint, SetpointSource
 from .robot.surroundings import Surroundings
@@ -188,8 +188,6 @@ class ControllerState:
         self._like = like
         self._first_source = source
         self.arm = self._make_arm()
-        if like is not None:
-            self.arm.take_tool(like)
         self._next_firmware = firmware
         self._begin()
 
@@ -217,11 +215,8 @@ class ControllerState:
         self.update_modes(0.0)
 
     def _make_arm(self) -> SimulatedArm:
-        motors, measuring = None, SensorParameters.of(self.model)
-        if self._like is not None:
-            motors, measuring = self._like.motors, measuring.like(self._like)
         setpoint = self._first_source.advance(0.0)
-        return SimulatedArm(self.kinematics, setpoint, self._noise_seed, self.surroundings, motors, measuring)
+        return SimulatedArm(self.kinematics, setpoint, self._noise_seed, self.surroundings, self._like)
 
     def go_down(self, firmware: Firmware | None, seconds: float) -> None:
         """Reboot: down for some seconds, at least a cycle; then with this firmware, or the present one.
@@ -268,9 +263,7 @@ class ControllerState:
 
     def move_slider(self, seconds: float) -> None:
         """Let the speed slider take effect, as far as it does in some seconds."""
-        if self.slider != self.speed_fraction:
-            most = self.scaling_parameters.slider_rate * seconds
-            self.slider = approached(self.slider, self.speed_fraction, most)
+        self.slider = approached(self.slider, self.speed_fraction, self.scaling_parameters.slider_rate * seconds)
 
     @property
     def speed_scaling(self) -> float:

@@ -15,7 +15,6 @@ from urlink.models import MODELS
 from urlink.motors import motors_of
 from urlink.parameters import number
 from urlink.simulator import Controller
-from urlink.simulator.robot import arm as simulated
 from urlink.simulator.robot.robot_parameters import SensorParameters
 from urlink.simulator.robot.sensors import Sample, Sensors
 from urlink.simulator.robot.sources import HOME, Demonstration, Setpoint, Still
@@ -303,7 +302,7 @@ def test_the_joints_alone_are_those_of_the_sample() -> None:
 
 
 def test_a_tcp_is_six_finite_numbers() -> None:
-    arm = simulated.SimulatedArm(Arm("UR5e"), Still().advance(0.0))
+    arm = Controller("UR5e").arm
     for wrong in itertools.chain([[0.0] * 5], [[0.0] * 5 + [math.nan]]):
         with pytest.raises(BadValue, match="six finite numbers"):
             arm.tcp = wrong

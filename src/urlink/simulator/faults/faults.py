@@ -274,9 +274,6 @@ class Faults:
         byte, names = type_byte(kind), package_ports(port)
         self._do(lambda: self._link.add_sub_package(names, byte, payload))
 
-    def _bytes(self, data: bytes | int) -> bytes:
-        return self._random.randbytes(checked_sizes([data])[0]) if isinstance(data, int) else data
-
     def heal(self) -> None:
         """End all faults of the link (stalls, segments, garbage, tails, unknown sub-packages) and of RTDE."""
 
@@ -366,6 +363,9 @@ class Faults:
         """
         wait = checked_seconds(downtime)
         self._instead(request, lambda session: self._reboot(None, wait))
+
+    def _bytes(self, data: bytes | int) -> bytes:
+        return self._random.randbytes(checked_sizes([data])[0]) if isinstance(data, int) else data
 
     def _cycles(self, seconds: float) -> int:
         return math.ceil(checked_seconds(seconds) * self._state.rate)

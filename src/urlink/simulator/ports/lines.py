@@ -53,7 +53,7 @@ class InterpreterPort(Port):
         if not text:
             return ""
         program = self._runner.program
-        statements = StatementQueue() if program is None else program.statements
+        statements = StatementQueue() if program is None else program.execution.statements
         found = statements.obey(text)
         if found is None:
             found = StatementReply("discard", 0) if self._state.is_local else statements.put(text)

@@ -98,7 +98,7 @@ class PortReceiver:
 
 
 class Port(ABC):
-    """One interface of the controller: of every firmware, and only answering its clients, unless its class differs."""
+    """One interface of the controller. Unless a subclass says otherwise, every firmware has it, and it only answers."""
 
     def is_offered(self) -> bool:
         """Whether the present firmware has this interface; without it connections are refused."""

@@ -15,6 +15,7 @@ import numpy as np
 from urlink.firmware import Firmware, release_of
 from urlink.interfaces.enums import SafetyMode
 from urlink.interfaces.primary.robot_state import SUB_PACKAGES
+from urlink.kinematics import DhTable
 
 from ..messages import greeting
 from ..rtde_variables import ROBOT_VOLTAGE, robot_current
@@ -238,17 +239,13 @@ def _cartesian(state: ControllerState) -> Fields:
 
 
 def _kinematics(state: ControllerState) -> Fields:
-    table = np.array([getattr(state.kinematics.table, name) for name in ("dh_theta", "dh_a", "dh_d", "dh_alpha")])
+    table = np.array([getattr(state.kinematics.table, name) for name in DhTable._fields])
     # All ones: not calibrated, as simulated controllers send it. What is in the checksum is not known; this is a guess.
     is_calibrated = state.kinematics.is_calibrated
     checksum = [zlib.crc32(row.tobytes()) for row in table.T] if is_calibrated else [0xFFFFFFFF] * 6
-    theta, a, d, alpha = table.tolist()
     return {
         "checksum": checksum,
-        "dh_theta": theta,
-        "dh_a": a,
-        "dh_d": d,
-        "dh_alpha": alpha,
+        **dict(zip(DhTable._fields, table.tolist(), strict=True)),
         # The oldest firmware has its laser pointer here; these are the bytes of the one capture.
         "pointer": [1000.0] * 3,
     }
@@ -270,10 +267,7 @@ def _configuration(state: ControllerState) -> Fields:
         "v_tool_default": 0.25,
         "a_tool_default": 1.2,
         "eq_radius": 0.25,
-        "dh_a": model.dh_a.tolist(),
-        "dh_d": model.dh_d.tolist(),
-        "dh_alpha": model.dh_alpha.tolist(),
-        "dh_theta": model.dh_theta.tolist(),
+        **{name: getattr(model, name).tolist() for name in DhTable._fields},
         "masterboard_version": 6 if state.firmware.is_e_series else 5,
         "controller_box_type": 4 if state.firmware.is_e_series else 2,
         "robot_type": model.robot_type,

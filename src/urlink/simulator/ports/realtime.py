@@ -46,7 +46,6 @@ class RealtimePort(Port):
 def _fields(state: ControllerState) -> Fields:
     arm, modes, signals = state.arm, state.modes, state.signals
     s = arm.sample
-    powered = modes.is_powered
     return {
         "time": state.time,
         "q_target": s.q_target,
@@ -73,7 +72,7 @@ def _fields(state: ControllerState) -> Fields:
         "speed_scaling": state.speed_scaling,
         "linear_momentum_norm": s.momentum,
         "V_main": MAIN_VOLTAGE,
-        "V_robot": ROBOT_VOLTAGE if powered else 0.0,
+        "V_robot": ROBOT_VOLTAGE if modes.is_powered else 0.0,
         "I_robot": robot_current(state),
         "V_actual": s.V_actual,
         "digital_output_bits": signals.digital_outputs,

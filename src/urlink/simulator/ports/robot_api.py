@@ -151,26 +151,19 @@ class RobotApiPort(Port):
         return _refusal(404 if words.startswith("File not found") else 409, words)
 
     def _value(self, name: str) -> str:
-        state = self._state
-        if name == "robotmode":
-            mode = state.modes.robot_mode.name
-            return {"UPDATING_FIRMWARE": "UPDATING"}.get(mode, mode)
-        if name == "safetymode":
-            mode = state.modes.safety_mode.name
-            return "EMERGENCY_STOP" if mode.endswith("EMERGENCY_STOP") else mode
-        if name == "programState":
-            return (self._dashboard.carry_out(name, "") or "").partition(" ")[0]
-        if name == "get loaded program":
-            return state.loaded or ""
-        if name == "is in remote control":
-            return "REMOTE" if state.remote_control else "LOCAL"
-        if name == "PolyscopeVersion":
-            return ".".join(map(str, state.firmware[:3]))
-        if name == "get robot model":
-            return state.model.name
-        if name == "get serial number":
-            return state.serial
-        return self.operational_mode
+        state, program = self._state, self._dashboard.carry_out("programState", "") or ""
+        values = {
+            "robotmode": state.modes.robot_mode.name,
+            "safetymode": state.modes.safety_mode.name.replace("ROBOT_EMERGENCY_STOP", "EMERGENCY_STOP"),
+            "programState": program.partition(" ")[0],
+            "get loaded program": state.loaded or "",
+            "is in remote control": "REMOTE" if state.remote_control else "LOCAL",
+            "get operational mode": self.operational_mode,
+            "PolyscopeVersion": ".".join(map(str, state.firmware[:3])),
+            "get robot model": state.model.name,
+            "get serial number": state.serial,
+        }
+        return values[name]
 
 
 class _Exchange(PortReceiver):

@@ -109,11 +109,13 @@ class _Compilation(threading.Thread):
     """One long program, being compiled.
 
     Attributes:
+        queue: that it was taken from.
         result: the script or the error; None until it is over.
     """
 
-    def __init__(self, text: str, firmware: Firmware, on_end: Callable[[], object]) -> None:
+    def __init__(self, queue: ProgramQueue, text: str, firmware: Firmware, on_end: Callable[[], object]) -> None:
         super().__init__(name="urlink sim compiling", daemon=True)
+        self.queue = queue
         self.text = text
         self.result: Script | ProgramError | None = None
         self._firmware = firmware
@@ -132,7 +134,6 @@ class ProgramQueue:
         self.texts: deque[str] = deque()
         #: characters of them
         self.length = 0
-        self.compilation: _Compilation | None = None
 
     def put(self, text: str) -> bool:
         """Add a whole program, or a line. False if too much waits, and it is discarded."""
@@ -153,7 +154,6 @@ class ProgramQueue:
         """Discard all of them."""
         self.texts.clear()
         self.length = 0
-        self.compilation = None
 
 
 class ProgramLoader:
@@ -183,7 +183,7 @@ class ProgramLoader:
     @property
     def is_waiting(self) -> bool:
         """Whether programs wait for the next cycle, other than for a compilation."""
-        return any(queue.texts and queue.compilation is None for queue in self._queues)
+        return any(queue.texts and not self._compiles(queue) for queue in self._queues)
 
     def open(self) -> ProgramQueue:
         """The queue of a new client."""
@@ -199,10 +199,7 @@ class ProgramLoader:
         compilation = self._compilation
         if compilation is not None and compilation.result is not None:
             self._compilation = None
-            for queue in self._queues:
-                if queue.compilation is compilation:
-                    queue.compilation = None
-                    self._begin(compilation.text, compilation.result)
+            self._begin(compilation.text, compilation.result)
         for _ in range(len(self._queues)):
             queue = self._queues.popleft()
             self.serve(queue)
@@ -212,7 +209,7 @@ class ProgramLoader:
         if self._cycle != self._state.cycle:
             self._cycle, self._spent = self._state.cycle, 0
         texts = queue.texts
-        while texts and queue.compilation is None and self._spent < BUDGET:
+        while texts and not self._compiles(queue) and self._spent < BUDGET:
             if len(texts[0]) < LONG:
                 text = queue.take()
                 self._spent += max(len(text), LEAST)
@@ -220,9 +217,9 @@ class ProgramLoader:
             elif self._compilation is not None:
                 break
             elif self._may_load(text := queue.take()):
-                self._compilation = queue.compilation = _Compilation(text, self._state.firmware, self.on_compiled)
+                self._compilation = _Compilation(queue, text, self._state.firmware, self.on_compiled)
                 self._compilation.start()
-        if (texts or queue.compilation is not None) and queue not in self._queues:
+        if (texts or self._compiles(queue)) and queue not in self._queues:
             self._queues.append(queue)
 
     def clear(self) -> None:
@@ -239,6 +236,10 @@ class ProgramLoader:
         if compilation is not None:
             compilation.join(_JOIN_TIMEOUT)
 
+    def _compiles(self, queue: ProgramQueue) -> bool:
+        """Whether a program of this client is being compiled, which its later ones wait for."""
+        return self._compilation is not None and self._compilation.queue is queue
+
     def _may_load(self, text: str) -> bool:
         """Whether the text is a program, and the controller accepts programs now; a command is executed."""
         state = self._state
@@ -251,8 +252,7 @@ class ProgramLoader:
     def _begin(self, text: str, compiled: Script | ProgramError) -> None:
         state = self._state
         if isinstance(compiled, ProgramError):
-            error = compiled
-            state.outbox.put(messages.runtime_exception(state, error.line, error.column, error.text, False))
+            state.outbox.put(messages.runtime_exception(state, compiled, is_running=False))
         elif compiled.kind == "sec":
             if not self._runner.start_secondary(compiled, len(text)):
                 self._refuse("too many secondary programs wait", text)

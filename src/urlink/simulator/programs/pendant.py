@@ -130,8 +130,7 @@ class Pendant:
         plays = state.source.is_program and not state.is_paused
         if not (state.is_up and state.modes.may_move) or plays or state.arm.is_moving:
             return None
-        arm = state.arm
-        return ArmDrive(state.kinematics, lambda: arm.dynamics, arm.setpoint, 1.0, state.scaling_parameters)
+        return ArmDrive(state.arm, 1.0, state.scaling_parameters)
 
     def stop(self) -> bool:
         """End what runs; False if nothing does. See `ProgramRunner.stop_all`."""

@@ -170,7 +170,7 @@ class ProgramWorld:
         self._state.arm.zero_force()
 
     def contact_steps(self, direction: Sequence[float]) -> int:
-        return self._state.arm.contact_steps(direction)
+        return self._state.arm.force_sensor.contact_steps(direction)
 
     external_torques = _reads(lambda world: world._state.arm.external_torques)
 

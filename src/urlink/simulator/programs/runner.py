@@ -20,9 +20,7 @@ from .. import messages
 from ..robot.generator import ArmDrive, LimitViolation
 from ..robot.sources import Setpoint, SetpointSource, Still
 from ..state import ControllerState
-from ..urscript import Execution, ProgramError, Script
-from ..urscript.machine import StatementCode
-from ..urscript.statements import StatementQueue
+from ..urscript import Execution, Script
 from .program_world import ProgramWorld, Route
 
 #: Secondary programs that run at once; others wait. Nearly all of them end within a cycle.
@@ -37,7 +35,7 @@ class RunningProgram:
     Attributes:
         name: of the program.
         is_program: whether it runs. When it is over, a movement is braked, and the arm holds its position.
-        error: the error that ended it, or None.
+        execution: of its script, with the error that ended it, and the statements from clients in interpreter mode.
     """
 
     def __init__(
@@ -48,19 +46,8 @@ class RunningProgram:
         self._state = state
         self._on_end = on_end
         # It continues from what moved the arm before, at its speed.
-        self._drive = ArmDrive(
-            state.kinematics, lambda: state.arm.dynamics, state.arm.setpoint, state.scaling, state.scaling_parameters
-        )
-        self._execution = Execution(script, ProgramWorld(state, route, self._drive))
-
-    @property
-    def statements(self) -> StatementQueue[StatementCode]:
-        """The statements from clients in interpreter mode."""
-        return self._execution.statements
-
-    @property
-    def error(self) -> ProgramError | None:
-        return self._execution.error
+        self._drive = ArmDrive(state.arm, state.scaling, state.scaling_parameters)
+        self.execution = Execution(script, ProgramWorld(state, route, self._drive))
 
     def start(self, q: Sequence[float]) -> None:
         """Continue from rest at six joint positions, rad, to which the arm has braked."""
@@ -72,24 +59,24 @@ class RunningProgram:
         generator.speed_fraction = state.slider
         if self.is_program:
             generator.tcp = state.arm.tcp
-            self._execution.advance()
-            if self._execution.is_over:
+            self.execution.advance()
+            if self.execution.is_over:
                 self.end()
         try:
-            setpoint = drive.advance(seconds, state.arm.wrench, state.arm.pushed_joints)
+            setpoint = drive.advance(seconds)
             state.control_mode = drive.control_mode
             # A program that takes over while the arm moves goes on with the scaling of the one before.
             state.scaling = generator.scaling if self.is_program or not generator.is_standing else 0.0
             return setpoint
         except LimitViolation as violation:
-            state.stop_protectively(violation.reason)
+            state.stop_protectively(str(violation))
             return drive.setpoint
 
     def end(self) -> None:
         """Stop it, if it still runs."""
         if self.is_program:
             self.is_program = False
-            self._execution.stop()
+            self.execution.stop()
             self._drive.end_mode()
             self._on_end(self)
 
@@ -184,14 +171,14 @@ class ProgramRunner:
     def _ended(self, program: RunningProgram) -> None:
         state = self._state
         state.is_paused = False
-        if program.error is not None:
-            self._report(program.error)
+        self._report(program.execution)
         state.watchdogs.clear()
         state.outbox.put(messages.program_stopped(state, program.name))
 
-    def _report(self, error: ProgramError) -> None:
-        state = self._state
-        state.outbox.put(messages.runtime_exception(state, error.line, error.column, error.text, True))
+    def _report(self, execution: Execution) -> None:
+        """Send the error that has ended a program, if one has."""
+        if execution.error is not None:
+            self._state.outbox.put(messages.runtime_exception(self._state, execution.error, is_running=True))
 
     # -- one cycle -----------------------------------------------------------------------------------
 
@@ -237,10 +224,10 @@ class ProgramRunner:
         if hand is None:
             return None
         try:
-            return hand.advance(seconds, state.arm.wrench, state.arm.pushed_joints)
+            return hand.advance(seconds)
         except LimitViolation as violation:
             state.by_hand = None
-            state.stop_protectively(violation.reason)
+            state.stop_protectively(str(violation))
             return None
 
     def _watch(self) -> None:
@@ -260,6 +247,5 @@ class ProgramRunner:
             self._secondary.append(Execution(self._waiting.popleft()[0], ProgramWorld(self._state, self._route)))
         for execution in self._secondary:
             execution.advance()
-            if execution.error is not None:
-                self._report(execution.error)
+            self._report(execution)
         self._secondary = [execution for execution in self._secondary if not execution.is_over]

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING
 from linkcore.errors import BadValue
 from urlink.dynamics import GRAVITY, Dynamics
 from urlink.kinematics import Arm as Kinematics
-from urlink.models import Model
-from urlink.motors import Motors, motors_of
+from urlink.motors import motors_of
 
 from .robot_parameters import SensorParameters
 from .sensors import Sample, Sensors
@@ -34,16 +33,18 @@ class SimulatedArm:
         kinematics: of a model, as published or calibrated.
         setpoint: initial targets.
         seed: of the noise on its sensors; None for none.
-        surroundings: what acts on its tool; None for nothing.
-        motors: in its joints; None for those of the model.
-        measuring: of its sensors; None for those of the model.
+        surroundings: what acts on its tool.
+        like: what was identified of an arm: motors, sensors, TCP and payload, as far as they are known; None for what
+            is known of the model.
 
     Attributes:
-        kinematics, motors: as given.
+        kinematics: as given.
         model: geometry as published, masses and limits.
+        motors: in its joints.
         payload: kg at the flange.
         payload_cog: (3,) its centre of mass in the flange frame, m.
         payload_inertia: (6,) kg m²: xx, yy, zz, xy, xz, yz.
+        force_sensor: measures what acts on the tool, and notices an overload.
         is_powered: whether it has power; without it there is no current and no noise.
         external_force: at the TCP, N and Nm, as an RTDE client has sent it.
         uses_external_force: whether that is shown instead of the measured force.
@@ -53,14 +54,13 @@ class SimulatedArm:
         self,
         kinematics: Kinematics,
         setpoint: Setpoint,
-        seed: int | None = 0,
-        surroundings: Surroundings | None = None,
-        motors: Motors | None = None,
-        measuring: SensorParameters | None = None,
+        seed: int | None,
+        surroundings: Surroundings,
+        like: ArmFile | None,
     ) -> None:
         self.kinematics = kinematics
-        self.motors = motors or motors_of(kinematics.model)
         self.model = kinematics.model
+        self.motors = motors_of(self.model) if like is None else like.motors
         self.payload = 0.0
         self.payload_cog: Sequence[float] = (0.0, 0.0, 0.0)
         self.payload_inertia: Sequence[float] = (0.0,) * 6
@@ -75,17 +75,18 @@ class SimulatedArm:
         self._dynamics: Dynamics | None = None
         self._carried: tuple[tuple[float, ...], ...] | None = None
         self._setpoint = setpoint
-        self._sensors = Sensors(
-            kinematics, self.motors, measuring or SensorParameters.of(kinematics.model), setpoint.q, seed
-        )
-        self._surroundings = surroundings or Surroundings()
-        self._force_sensor = ForceSensor(kinematics, self._surroundings)
+        parameters = SensorParameters.of(self.model) if like is None else SensorParameters.of(self.model).like(like)
+        self._sensors = Sensors(kinematics, self.motors, parameters, setpoint.q, seed)
+        self._surroundings = surroundings
+        self.force_sensor = ForceSensor(kinematics, surroundings)
         self._is_following = True
         # Where braking began, the seconds that it takes, and those that are over.
         self._brake: tuple[Setpoint, float, float] | None = None
         self._cycle = self._rests = 0
         self._time = 0.0
         self._sample: Sample | None = None
+        if like is not None:
+            self._take_tool(like)
 
     # -- moving ------------------------------------------------------------------------------------
 
@@ -121,7 +122,7 @@ class SimulatedArm:
         self._is_following = setpoint is not None
         self._rests += was_moving and not any(self._setpoint.qd)
         self._sample = None
-        self._force_sensor.advance(self._setpoint, self._tcp, self.payload, self.payload_cog, seconds)
+        self.force_sensor.advance(self._setpoint, self._tcp, self.payload, self.payload_cog, seconds)
 
     def carry(self, payload: Sequence[float], seconds: float) -> None:
         """Tell mass, centre and inertia of the payload, kg, m and kg m²; it goes over to that in so many s.
@@ -142,7 +143,11 @@ class SimulatedArm:
 
     def _begin_to_brake(self) -> None:
         if any(self._setpoint.qd):
-            self._brake = (self._setpoint, braking_time(self.model, self._setpoint.qd), 0.0)
+            limits: list[float] = self.model.max_acceleration.tolist()
+            hardest = max(abs(v) / limit for v, limit in zip(self._setpoint.qd, limits, strict=True))
+            # The largest deceleration of the smooth brake path is 3/2 of its mean. It never takes less time than what
+            # one can see at 125 Hz.
+            self._brake = (self._setpoint, max(1.5 * hardest / BRAKING, 0.06), 0.0)
         else:
             self._setpoint = Setpoint(self._setpoint.q, _ZERO, _ZERO)
 
@@ -179,8 +184,7 @@ class SimulatedArm:
         self._tcp = values
         self._sample = None
 
-    def take_tool(self, like: ArmFile) -> None:
-        """Take over TCP and payload of an arm that was identified, as far as they are known."""
+    def _take_tool(self, like: ArmFile) -> None:
         if like.tcp is not None:
             self.tcp = like.tcp
         mass = like.known("payload")
@@ -200,42 +204,33 @@ class SimulatedArm:
     @property
     def wrench(self) -> Sequence[float]:
         """The force at the TCP that the controller uses: that of `sample`, without noise, N and Nm."""
-        return self.external_force if self.uses_external_force else self._force_sensor.wrench
+        return self.external_force if self.uses_external_force else self.force_sensor.wrench
 
     @property
     def pushed_joints(self) -> Sequence[float]:
         """Torques that turn the joints from outside, Nm, without the force at the TCP."""
-        pushed, touched = self._surroundings.joint_torques, self._force_sensor.torques
+        pushed, touched = self._surroundings.joint_torques, self.force_sensor.torques
         return [a + b for a, b in zip(pushed, touched, strict=True)] if any(touched) else pushed
 
     @property
     def external_torques(self) -> list[float]:
         """All torques from outside on the joints, Nm: zeroing the force sensor does not change them."""
         torques = list(self.pushed_joints)
-        if any(self._force_sensor.external):
-            across = self.kinematics.jacobian(self._setpoint.q, self._tcp).T @ self._force_sensor.external
+        if any(self.force_sensor.external):
+            across = self.kinematics.jacobian(self._setpoint.q, self._tcp).T @ self.force_sensor.external
             torques = [a + b for a, b in zip(torques, across.tolist(), strict=True)]
         return torques
 
     @property
     def raw_wrench(self) -> list[float]:
         """The force at the TCP without the offset of `zero_force`, N and Nm in the base frame."""
-        shown, measured, external = self.sample.force, self._force_sensor.wrench, self._force_sensor.external
+        shown, measured, external = self.sample.force, self.force_sensor.wrench, self.force_sensor.external
         return [f - m + e for f, m, e in zip(shown, measured, external, strict=True)]
-
-    @property
-    def overload(self) -> str | None:
-        """What stops it protectively: a force or a torque from outside that is above its limit, and grows."""
-        return self._force_sensor.overload
 
     def zero_force(self) -> None:
         """Make the present force at the TCP the new zero."""
-        self._force_sensor.zero()
+        self.force_sensor.zero()
         self._sample = None
-
-    def contact_steps(self, direction: Sequence[float]) -> int:
-        """Cycles since a contact began; see `ForceSensor.contact_steps`."""
-        return self._force_sensor.contact_steps(direction)
 
     # -- what it shows -------------------------------------------------------------------------------
 
@@ -247,8 +242,8 @@ class SimulatedArm:
                 self._setpoint,
                 self._tcp,
                 self.dynamics,
-                self._force_sensor.external,
-                self._force_sensor.wrench,
+                self.force_sensor.external,
+                self.force_sensor.wrench,
                 self._cycle,
                 self._rests,
                 self._time,
@@ -318,12 +313,3 @@ class SimulatedArm:
         This is the number that three captured force mode packets hold, to all their digits.
         """
         return float(self.kinematics.manipulability(self._setpoint.q)) ** 2
-
-
-def braking_time(model: Model, qd: Sequence[float]) -> float:
-    """Seconds in which an arm of this model comes to rest from joint speeds in rad/s."""
-    limits: list[float] = model.max_acceleration.tolist()
-    hardest = max(abs(v) / limit for v, limit in zip(qd, limits, strict=True))
-    # The largest deceleration of the smooth brake path is 3/2 of its mean. It never takes less than what one can see
-    # at 125 Hz.
-    return max(1.5 * hardest / BRAKING, 0.06)

@@ -136,19 +136,15 @@ class SimulatedGripper:
         return "?" if words else None
 
     def _read(self, name: str) -> int:
-        if name == "POS":
-            return round(self._position)
-        if name == "PRE":
-            return self.registers["POS"]
-        if name == "STA":
-            return 3 if self._is_active else 1 if self.registers["ACT"] else 0
-        if name == "OBJ":
-            return self._stop
-        if name == "FLT":
-            return self.fault
-        if name == "COU":
-            return {_MOVING: 20, _AT_REQUEST: 0}.get(self._stop, 10 + self.registers["FOR"] // 4)
-        return self.registers[name]
+        shown = self.registers | {
+            "POS": round(self._position),
+            "PRE": self.registers["POS"],
+            "STA": 3 if self._is_active else 1 if self.registers["ACT"] else 0,
+            "OBJ": self._stop,
+            "FLT": self.fault,
+            "COU": {_MOVING: 20, _AT_REQUEST: 0}.get(self._stop, 10 + self.registers["FOR"] // 4),
+        }
+        return shown[name]
 
     def _write(self, values: dict[str, int]) -> None:
         was_on = self.registers["ACT"]

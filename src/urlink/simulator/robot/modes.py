@@ -150,7 +150,7 @@ class Modes:
         elif self.power is Power.IDLE and releases_now:
             self._wait = self.BRAKE_RELEASE_TIME
 
-    def advance(self, seconds: float, is_standing: bool, has_program: bool, is_paused: bool = False) -> None:
+    def advance(self, seconds: float, is_standing: bool, has_program: bool, is_paused: bool) -> None:
         """Advance by one cycle. `is_standing`: the arm has come to rest; `is_paused`: its program is paused."""
         self._is_paused = is_paused
         self._is_standing = is_standing

@@ -21,7 +21,8 @@ HOME = (0.0, -1.5, 2.0, -0.5 - math.pi / 2, -math.pi / 2, 0.0)
 #: brakes is not published; this is a cautious guess.
 BRAKING = number("braking_share")
 
-_REST = [0.0] * 6
+#: Six zeros, for the speeds and the accelerations of an arm at rest; nobody changes them.
+REST = [0.0] * 6
 
 
 class Setpoint(NamedTuple):
@@ -65,7 +66,7 @@ class Still:
 
     def start(self, q: Sequence[float]) -> None:
         """Stand at six joint positions in rad."""
-        self._setpoint = Setpoint(list(q), _REST, _REST)
+        self._setpoint = Setpoint(list(q), REST, REST)
 
     def advance(self, seconds: float) -> Setpoint:
         """Always the same set-point."""

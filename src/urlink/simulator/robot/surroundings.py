@@ -284,7 +284,7 @@ class ForceSensor:
         self._surroundings = surroundings
         self._offset: FloatArray | None = None  # in the frame of the TCP
         self._turn: list[float] = [0.0] * 3  # of the TCP in the base frame: a rotation vector
-        self._felt: deque[tuple[float, float, float]] = deque(maxlen=_REMEMBERED)
+        self._felt: deque[Sequence[float]] = deque(maxlen=_REMEMBERED)
         self.external: Sequence[float] = _NONE
         self.wrench: Sequence[float] = _NONE
         self.torques: Sequence[float] = _NONE
@@ -295,17 +295,17 @@ class ForceSensor:
         self, setpoint: Setpoint, tcp: Sequence[float], payload: float, cog: Sequence[float], seconds: float
     ) -> None:
         """Advance by one cycle, at these targets, with this tool and the load, kg and m, that the controller knows."""
-        self.overload, most = None, self._surroundings.force_limit
+        self.overload = None
         if self._surroundings.is_empty and self._offset is None:
             self.external = self.wrench = self.torques = _NONE
             self._felt.clear()
             return
         before, turned = math.hypot(*self.wrench[:3]), self.torques
         self._feel(setpoint, tcp, payload, cog, seconds)
-        x, y, z = self.wrench[:3]
-        self._felt.append((x, y, z))
-        if math.hypot(*self.wrench[:3]) > max(most, before + 1e-6):
-            self.overload = f"a force of more than {most:g} N at the TCP"
+        force, limit = self.wrench[:3], self._surroundings.force_limit
+        self._felt.append(force)
+        if math.hypot(*force) > max(limit, before + 1e-6):
+            self.overload = f"a force of more than {limit:g} N at the TCP"
         for i, (torque, last, most) in enumerate(zip(self.torques, turned, self._torque_limits, strict=True)):
             if abs(torque) > max(most, abs(last) + 1e-6):
                 self.overload = f"a contact of the arm that turns joint {i + 1} by more than {most:g} Nm"

@@ -347,7 +347,7 @@ def test_any_commands_in_any_cycles(
     try:
         setpoints += to_rest(generator)
     except LimitViolation as violation:  # it was on its way out of its range, too near the end to brake
-        refusal = violation.reason
+        refusal = str(violation)
     assert refusal == "none" or "out of range" in refusal
     check_continuous(before, setpoints, 10.0 * UR5E.max_acceleration)
     assert (np.abs(speeds(setpoints)) <= 1.03 * UR5E.max_speed * (1 + 1e-9)).all()

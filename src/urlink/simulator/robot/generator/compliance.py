@@ -35,19 +35,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from urlink.dynamics import Dynamics
-from urlink.kinematics import Arm
 from urlink.motors import Motors
 from urlink.parameters import number, numbers
 from urlink.poses import rotvec_to_matrix
 from urlink.vectors import FloatArray
 
-from ..sources import Setpoint
-from .joint_limits import JointLimits, LimitViolation
+from ..sources import REST, Setpoint
+from .joint_limits import ArmWithTool, LimitViolation, moved
 from .path_motion import Command
 from .streamed_motion import JointSpeed
-from .tool_paths import moved, setpoint_at
 
-_REST = [0.0] * 6
 # s: times the change of a torque or a force, this brakes.
 _BRAKE = 0.03
 # 1/s of each joint in freedrive
@@ -60,18 +57,15 @@ class FreeJoints:
     """Freedrive with every axis free.
 
     Args:
-        kinematics, limits: of the arm.
+        arm: with its tool.
         dynamics: of the arm with its rotors and its payload.
-        tcp: (6,) in the frame of the flange.
         begin: present set-point.
     """
 
-    def __init__(
-        self, kinematics: Arm, dynamics: Dynamics, limits: JointLimits, tcp: Sequence[float], begin: Setpoint
-    ) -> None:
-        self._dynamics, self._kinematics, self._limits, self._tcp = dynamics, kinematics, limits, list(tcp)
+    def __init__(self, arm: ArmWithTool, dynamics: Dynamics, begin: Setpoint) -> None:
+        self._arm, self._dynamics = arm, dynamics
         self._last = begin
-        self._lowest, self._highest = kinematics.position_limits.T
+        self._lowest, self._highest = arm.kinematics.position_limits.T
         self._felt: FloatArray | None = None
 
     def advance(self, wrench: Sequence[float], torques: Sequence[float], seconds: float) -> Setpoint:
@@ -83,7 +77,7 @@ class FreeJoints:
         last = self._last
         felt = np.asarray(torques, dtype=np.float64)
         if any(wrench):
-            felt = felt + self._kinematics.jacobian(last.q, self._tcp).T @ np.asarray(wrench)
+            felt = felt + self._arm.kinematics.jacobian(last.q, self._arm.tcp).T @ np.asarray(wrench)
         change = np.zeros(6) if self._felt is None else felt - self._felt
         self._felt = felt
         push = np.linalg.solve(self._dynamics.mass_matrix(last.q), felt * seconds + _BRAKE * change)
@@ -93,9 +87,9 @@ class FreeJoints:
         qd = np.where(is_inside & (np.abs(qd) > 1e-9), qd, 0.0)
         q = np.clip(q, self._lowest, self._highest)
         setpoint = Setpoint(q.tolist(), qd.tolist(), ((qd - np.array(last.qd)) / seconds).tolist())
-        self._limits.check(last, setpoint, seconds)
+        self._arm.limits.check(last, setpoint, seconds)
         if any(setpoint.qd):
-            speed = math.hypot(*self._kinematics.velocity(setpoint.q, setpoint.qd, self._tcp)[:3].tolist())
+            speed = math.hypot(*self._arm.velocity(setpoint.q, setpoint.qd)[:3].tolist())
             if speed > _FASTEST:
                 raise LimitViolation(
                     f"freedrive: the tool is moved at {speed:.2f} m/s, at most {_FASTEST:g} is allowed"
@@ -127,7 +121,7 @@ class TorqueMotion(Command):
         acceleration: Sequence[float],
     ) -> None:
         self._dynamics, self._motors, self._torque, self._friction = dynamics, motors, torque, np.array(friction)
-        self._brake = JointSpeed(_REST, acceleration, None)
+        self._brake = JointSpeed(REST, acceleration, None)
 
     def advance(self, last: Setpoint, seconds: float, scaling: float, change: float) -> Setpoint:
         """The set-point one cycle later."""
@@ -195,22 +189,19 @@ class Compliance:
     """Changes the set-points of a program to those of an arm under force control.
 
     Args:
-        kinematics, limits: of the arm.
-        tcp: (6,) in the frame of the flange.
+        arm: with its tool.
         begin: present set-point; the axes that follow the program keep its speed.
         task: the arguments of force mode.
     """
 
-    def __init__(
-        self, kinematics: Arm, limits: JointLimits, tcp: Sequence[float], begin: Setpoint, task: ForceTask
-    ) -> None:
+    def __init__(self, arm: ArmWithTool, begin: Setpoint, task: ForceTask) -> None:
         self.task = task
-        self._kinematics, self._limits, self._tcp = kinematics, limits, list(tcp)
+        self._arm = arm
         self._last = begin
-        self._pose: list[float] = kinematics.forward(begin.q, tcp).tolist()
+        self._pose = arm.pose(begin.q)
         # In the base frame: the speed of the compliant axes, that of the whole tool, and the deviation of the others.
         self._yielding = np.zeros(6)
-        self._speed = kinematics.velocity(begin.q, begin.qd, tcp) if any(begin.qd) else np.zeros(6)
+        self._speed = arm.velocity(begin.q, begin.qd) if any(begin.qd) else np.zeros(6)
         self._deviation = np.zeros(6)
         self._felt: FloatArray | None = None
         self._driven = 0.0
@@ -241,7 +232,7 @@ class Compliance:
         task, limits, is_free = self._task, self._most, self._is_free
         followed = np.zeros(6)
         if any(nominal.qd):
-            followed = self._kinematics.velocity(nominal.q, nominal.qd, self._tcp)
+            followed = self._arm.velocity(nominal.q, nominal.qd)
         axes = self._axes(followed)
         felt = axes @ np.asarray(wrench)
         change = np.zeros(6) if self._felt is None else felt - axes @ self._felt
@@ -287,8 +278,8 @@ class Compliance:
     def _move(self, speed: FloatArray, seconds: float) -> Setpoint:
         pose = moved(self._pose, (0.5 * seconds * (self._speed + speed)).tolist())
         self._speed = speed
-        setpoint = setpoint_at(self._kinematics, pose, self._tcp, self._last, seconds)
-        self._limits.check(self._last, setpoint, seconds)
+        setpoint = self._arm.setpoint(pose, self._last, seconds)
+        self._arm.limits.check(self._last, setpoint, seconds)
         self._pose, self._last = pose, setpoint
         return setpoint
 

@@ -9,19 +9,17 @@ runs when a mode ends continues from where the arm is then.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from urlink.dynamics import Dynamics
 from urlink.interfaces.enums import ControlMode
-from urlink.kinematics import Arm
 
+from ..arm import SimulatedArm
 from ..robot_parameters import ScalingParameters
 from ..sources import Setpoint
 from .compliance import Compliance, ForceTask, FreeJoints, free_tool
-from .joint_limits import JointLimits
 from .motion_generator import MotionGenerator
 
 _ALL = (True,) * 6
@@ -31,9 +29,7 @@ class ArmDrive:
     """Makes the set-points of one program.
 
     Args:
-        kinematics: of the arm.
-        dynamics: called for the masses of the arm with its present payload.
-        setpoint: the present one.
+        arm: from whose present set-point it goes on; its dynamics, and what acts on it, are those of each cycle.
         scaling: with which it begins.
         parameters: of the scaling.
 
@@ -42,20 +38,12 @@ class ArmDrive:
         setpoint: that of this cycle.
     """
 
-    def __init__(
-        self,
-        kinematics: Arm,
-        dynamics: Callable[[], Dynamics],
-        setpoint: Setpoint,
-        scaling: float,
-        parameters: ScalingParameters,
-    ) -> None:
-        self.generator = MotionGenerator(kinematics, setpoint, scaling, parameters)
-        self.setpoint = setpoint
-        self._kinematics, self._dynamics = kinematics, dynamics
-        self._limits = JointLimits(kinematics.model)
-        self._compliance: Compliance | None = None
-        self._free: FreeJoints | None = None
+    def __init__(self, arm: SimulatedArm, scaling: float, parameters: ScalingParameters) -> None:
+        self.generator = MotionGenerator(arm.kinematics, arm.setpoint, scaling, parameters)
+        self.setpoint = arm.setpoint
+        self._arm = arm
+        # What leads the arm in force mode or freedrive.
+        self._yielding: Compliance | FreeJoints | None = None
         self._mode = ControlMode.POSITION
         # Parameters of force mode, as a program has set them.
         self._damping, self._gain = ForceTask.damping, ForceTask.gain
@@ -65,7 +53,7 @@ class ArmDrive:
     @property
     def yields(self) -> bool:
         """Whether force mode or freedrive is on, in which the arm moves without being commanded."""
-        return self._compliance is not None or self._free is not None
+        return self._yielding is not None
 
     @property
     def control_mode(self) -> ControlMode:
@@ -75,11 +63,11 @@ class ArmDrive:
     def force_mode(self, task: ForceTask) -> None:
         """Begin force mode, or change its task."""
         task = replace(task, damping=self._damping, gain=self._gain)
-        if self._compliance is not None:
-            self._compliance.task = task
+        if isinstance(self._yielding, Compliance):
+            self._yielding.task = task
         else:
             self.end_mode()
-            self._compliance = self._comply(task)
+            self._yielding = Compliance(self.generator.arm, self.setpoint, task)
         self._mode = ControlMode.FORCE
 
     def set_damping(self, damping: float) -> None:
@@ -93,55 +81,49 @@ class ArmDrive:
         self._adjust()
 
     def _adjust(self) -> None:
-        if self._compliance is not None:
-            self._compliance.task = replace(self._compliance.task, damping=self._damping, gain=self._gain)
+        if isinstance(self._yielding, Compliance):
+            self._yielding.task = replace(self._yielding.task, damping=self._damping, gain=self._gain)
 
     def freedrive(self, axes: Sequence[bool], frame: Sequence[float]) -> None:
         """Let the arm be moved by hand, along and about these axes of a frame in the base frame, m and rad."""
         self.end_mode()
         if tuple(axes) == _ALL:
-            self._free = FreeJoints(self._kinematics, self._dynamics(), self._limits, self.generator.tcp, self.setpoint)
+            self._yielding = FreeJoints(self.generator.arm, self._arm.dynamics, self.setpoint)
         else:
-            self._compliance = self._comply(free_tool(frame, axes))
+            self._yielding = Compliance(self.generator.arm, self.setpoint, free_tool(frame, axes))
         self._mode = ControlMode.TEACH
-
-    def _comply(self, task: ForceTask) -> Compliance:
-        return Compliance(self._kinematics, self._limits, self.generator.tcp, self.setpoint, task)
 
     def end_mode(self) -> None:
         """End force mode or freedrive."""
         if self.yields:
-            self._compliance = self._free = None
+            self._yielding = None
             self._mode = ControlMode.POSITION
             self.generator.resume(self.setpoint)
 
     # -- time --------------------------------------------------------------------------------------
 
-    def advance(self, seconds: float, wrench: Sequence[float], torques: Sequence[float]) -> Setpoint:
+    def advance(self, seconds: float) -> Setpoint:
         """The set-point after a cycle of `seconds`.
-
-        Args:
-            wrench: (6,) what acts on the TCP, N and Nm in the base frame.
-            torques: (6,) Nm, on the joints in addition.
 
         Raises:
             LimitViolation: it would break a limit.
         """
-        nominal = self.generator.advance(seconds)
-        if self._free is not None:
-            self.setpoint = self._free.advance(wrench, torques, seconds)
-        elif self._compliance is not None:
+        nominal, wrench, torques = self.generator.advance(seconds), self._arm.wrench, self._arm.pushed_joints
+        if isinstance(self._yielding, FreeJoints):
+            self.setpoint = self._yielding.advance(wrench, torques, seconds)
+        elif self._yielding is not None:
             if any(torques):
-                across = self._kinematics.jacobian(self.setpoint.q, self.generator.tcp).T
+                arm = self.generator.arm
+                across = arm.kinematics.jacobian(self.setpoint.q, arm.tcp).T
                 wrench = np.asarray(wrench) + np.linalg.lstsq(across, np.asarray(torques), rcond=None)[0]
-            self.setpoint = self._compliance.advance(nominal, wrench, seconds)
+            self.setpoint = self._yielding.advance(nominal, wrench, seconds)
         else:
             self.setpoint = nominal
         return self.setpoint
 
     def start(self, q: Sequence[float]) -> None:
         """Continue from rest at six joint positions, rad, to which a stop has braked the arm; no mode is on."""
-        self._compliance = self._free = None
+        self._yielding = None
         self._mode = ControlMode.POSITION
         self.generator.start(q)
         self.setpoint = self.generator.setpoint

@@ -1,7 +1,7 @@
-"""The limits that a controller enforces on an arm, and the arguments that it refuses.
+"""An arm with its tool, the limits that a controller enforces on it, and the arguments that it refuses.
 
-A controller makes a protective stop when a joint is about to leave its range or to exceed its speed, or when no arm
-could follow. How much it tolerates is a guess here.
+A controller makes a protective stop when a joint is about to leave its range or to exceed its speed, when no arm could
+follow, or when a pose is out of reach. How much it tolerates is a guess here.
 """
 
 from __future__ import annotations
@@ -10,11 +10,14 @@ import math
 from collections.abc import Sequence
 from itertools import repeat
 from operator import le, mul, sub
+from typing import NamedTuple
 
 from linkcore.errors import BadValue
+from urlink.kinematics import Arm, Unreachable
 from urlink.models import Model
 from urlink.parameters import number
-from urlink.vectors import JOINTS
+from urlink.poses import compose
+from urlink.vectors import JOINTS, FloatArray
 
 from ..sources import Setpoint
 
@@ -27,15 +30,7 @@ _ROUNDING = 1e-9
 
 
 class LimitViolation(Exception):
-    """A set-point breaks a limit of the arm; a controller makes a protective stop.
-
-    Attributes:
-        reason: which joint and which limit.
-    """
-
-    def __init__(self, reason: str) -> None:
-        super().__init__(reason)
-        self.reason = reason
+    """A set-point breaks a limit of the arm; a controller makes a protective stop. Its text says which limit."""
 
 
 class OutOfReach(Exception):
@@ -106,6 +101,59 @@ class JointLimits:
         for joint, old, q, lowest, highest in zip(JOINTS, last.q, new.q, self._lowest, self._highest, strict=True):
             if (q > highest and q > old) or (q < lowest and q < old):
                 raise LimitViolation(f"{joint}: a position of {q:.4f} rad is out of range")
+
+
+class ArmWithTool(NamedTuple):
+    """An arm, the limits of its joints, and its tool.
+
+    Attributes:
+        kinematics, limits: of the arm.
+        tcp: (6,) in the frame of the flange, m and rad.
+    """
+
+    kinematics: Arm
+    limits: JointLimits
+    tcp: list[float]
+
+    def pose(self, q: Sequence[float]) -> list[float]:
+        """The pose of the TCP at joint positions, m and rad."""
+        pose: list[float] = self.kinematics.forward(q, self.tcp).tolist()
+        return pose
+
+    def velocity(self, q: Sequence[float], qd: Sequence[float]) -> FloatArray:
+        """The speed of the TCP at joint positions and speeds, m/s and rad/s."""
+        return self.kinematics.velocity(q, qd, self.tcp)
+
+    def joints(self, pose: Sequence[float], near: Sequence[float]) -> list[float]:
+        """The joint positions closest to `near` that put the TCP at a pose.
+
+        Raises:
+            LimitViolation: the pose is out of reach.
+        """
+        try:
+            found: list[float] = self.kinematics.inverse(pose, near, self.tcp, is_limited=False).tolist()
+        except Unreachable:
+            raise LimitViolation(f"the arm does not reach the pose {[round(number, 4) for number in pose]}") from None
+        return found
+
+    def setpoint(self, pose: Sequence[float], last: Setpoint, seconds: float) -> Setpoint:
+        """The joints at a pose of the TCP, one cycle after `last`; speeds and accelerations are differences.
+
+        Raises:
+            LimitViolation: the pose is out of reach.
+        """
+        q = self.joints(pose, last.q)
+        qd = [(new - old) / seconds for new, old in zip(q, last.q, strict=True)]
+        return Setpoint(q, qd, [(new - old) / seconds for new, old in zip(qd, last.qd, strict=True)])
+
+
+def moved(pose: Sequence[float], step: Sequence[float]) -> list[float]:
+    """A pose that has gone on by a step in the directions of the base frame, m and rad."""
+    place = [a + b for a, b in zip(pose[:3], step[:3], strict=True)]
+    if not any(step[3:]):
+        return [*place, *pose[3:]]
+    turned: list[float] = compose((0.0, 0.0, 0.0, *step[3:]), (0.0, 0.0, 0.0, *pose[3:])).tolist()
+    return place + turned[3:]
 
 
 def checked(values: Sequence[float], what: str) -> list[float]:

@@ -7,7 +7,7 @@ the present speed; servoj follows its set-point from there.
 Guesses, because a controller's algorithm is not published: how hard it brakes without a command, or when a path move
 preempts another movement (a quarter of the model's acceleration).
 
-The speed scaling stretches the time of every command but a stop; how fast it changes is in `..scaling`.
+The speed scaling stretches the time of every command but a stop; how fast it changes: `ScalingParameters`.
 """
 
 from __future__ import annotations
@@ -23,14 +23,12 @@ from urlink.motors import Motors
 from urlink.vectors import FloatArray
 
 from ..robot_parameters import ScalingParameters, approached
-from ..sources import BRAKING, Setpoint
+from ..sources import BRAKING, REST, Setpoint
 from .compliance import TorqueMotion
-from .joint_limits import JointLimits, LimitViolation, OutOfReach, checked, positive
-from .path_motion import Blend, Command, JointPath, MotionPath, PathMove, Trapezoid, timed
+from .joint_limits import ArmWithTool, JointLimits, LimitViolation, OutOfReach, checked, positive
+from .path_motion import Blend, Command, JointPath, MotionPath, PathMove, ToolPath, Trapezoid, timed
 from .streamed_motion import JointSpeed, ServoMotion, ToolSpeed, lag_of
-from .tool_paths import ToolPath
 
-_REST = [0.0] * 6
 # Scaling from which on servoj takes over the whole speed of the joints in its stretched time; below, a part of it.
 _TAKES_OVER = 0.1
 # rad or m: the least length for which a speed and an acceleration are computed from a time.
@@ -48,6 +46,7 @@ class MotionGenerator:
 
     Attributes:
         setpoint: that of this cycle.
+        arm: with its tool; a movement that has begun keeps its own.
         speed_fraction: of the speed slider, in [0, 1]. It scales everything but stops.
         scaling: the fraction of their speed with which commands are executed: it approaches `speed_fraction`.
     """
@@ -65,10 +64,9 @@ class MotionGenerator:
         self._parameters = parameters
         # The scaling rises from 0 at this rate, 1/s, until it has reached the slider.
         self._rise = parameters.start_rate
-        self._kinematics = kinematics
-        self._limits = JointLimits(kinematics.model)
+        self.arm = ArmWithTool(kinematics, JointLimits(kinematics.model), list(REST))
+        self._limits = self.arm.limits
         self._gentle = [BRAKING * limit for limit in self._limits.acceleration]
-        self._tcp = list(_REST)
         self._command: Command | None = None
         self._refusal: LimitViolation | None = None
         if any(setpoint.qd):
@@ -76,12 +74,12 @@ class MotionGenerator:
 
     @property
     def tcp(self) -> list[float]:
-        """The TCP in the flange frame, m and rad; a movement that has begun keeps its own."""
-        return list(self._tcp)
+        """The TCP in the flange frame, m and rad."""
+        return list(self.arm.tcp)
 
     @tcp.setter
     def tcp(self, pose: Sequence[float]) -> None:
-        self._tcp = checked(pose, "a TCP")
+        self.arm = self.arm._replace(tcp=checked(pose, "a TCP"))
 
     @property
     def is_standing(self) -> bool:
@@ -133,10 +131,10 @@ class MotionGenerator:
         limit, and a set-point of servoj, are discarded, and the arm stands still.
         """
         is_over = self._refusal is not None or isinstance(self._command, ServoMotion)
-        self.setpoint = Setpoint(checked(q, "joint positions"), _REST, _REST)
+        self.setpoint = Setpoint(checked(q, "joint positions"), REST, REST)
         self.scaling, self._rise = 0.0, self._parameters.resume_rate
         if is_over:
-            self._begin(JointSpeed(_REST, self._gentle, None))
+            self._begin(JointSpeed(REST, self._gentle, None))
         else:
             self.resume(self.setpoint)
 
@@ -145,7 +143,7 @@ class MotionGenerator:
         self.setpoint = setpoint
         command = self._command
         if command is None or command.is_at_rest:
-            self._begin(JointSpeed(_REST, self._gentle, None))
+            self._begin(JointSpeed(REST, self._gentle, None))
         elif isinstance(command, PathMove):
             way = [b - a for a, b in zip(setpoint.q, command.place, strict=True)]
             # Back to the path at half of the speed that the joints may have: the peak of the blend is 3/2 of its mean.
@@ -173,9 +171,9 @@ class MotionGenerator:
         try:
             self._limits.check_target(end)
         except LimitViolation as violation:
-            raise OutOfReach(violation.reason) from None
+            raise OutOfReach(str(violation)) from None
         start, blend = self._take_over()
-        path = JointPath(self._kinematics, self._limits, self.tcp, start, end)
+        path = JointPath(self.arm, start, end)
         return self._follow_path(path, start, blend, a, v, t, r)
 
     def movel(self, pose: Sequence[float], a: float = 1.2, v: float = 0.25, t: float = 0.0, r: float = 0.0) -> Command:
@@ -193,8 +191,8 @@ class MotionGenerator:
             BadValue: an argument is invalid.
         """
         start, blend = self._take_over()
-        line = Line(self._kinematics.forward(start, self.tcp).tolist(), checked(pose, "a pose"))
-        path = ToolPath(self._kinematics, self._limits, self.tcp, line, start)
+        line = Line(self.arm.pose(start), checked(pose, "a pose"))
+        path = ToolPath(self.arm, line, start)
         return self._follow_path(path, start, blend, a, v, t, r)
 
     def movec(
@@ -215,12 +213,11 @@ class MotionGenerator:
             raise BadValue(f"the mode of an arc is 0 or 1, not {mode!r}")
         start, blend = self._take_over()
         ends = checked(via, "a pose"), checked(to, "a pose")
-        begin = self._kinematics.forward(start, self.tcp).tolist()
         try:
-            arc = Arc(begin, *ends, is_fixed=mode == 1)
+            arc = Arc(self.arm.pose(start), *ends, is_fixed=mode == 1)
         except BadValue as error:
             raise OutOfReach(str(error)) from None
-        path = ToolPath(self._kinematics, self._limits, self.tcp, arc, start)
+        path = ToolPath(self.arm, arc, start)
         return self._follow_path(path, start, blend, a, v, 0.0, r)
 
     def movep(self, pose: Sequence[float], a: float = 1.2, v: float = 0.25, r: float = 0.0) -> Command:
@@ -251,7 +248,7 @@ class MotionGenerator:
         else:
             scaling = max(self.scaling, _TAKES_OVER) if stretches else 1.0
             begin, speeds = self.setpoint.q, [v / scaling for v in self.setpoint.qd]
-            excess = [max(0.0, 1.0 - self.scaling / scaling) * v for v in self.setpoint.qd] if stretches else _REST
+            excess = [max(0.0, 1.0 - self.scaling / scaling) * v for v in self.setpoint.qd] if stretches else REST
         return self._begin(
             ServoMotion(
                 self._limits,
@@ -289,7 +286,7 @@ class MotionGenerator:
         Raises:
             BadValue: `a` is not above zero.
         """
-        return self._begin(JointSpeed(_REST, self._at_most(a), None))
+        return self._begin(JointSpeed(REST, self._at_most(a), None))
 
     def stopl(self, a: float, a_rot: float | None = None) -> Command:
         """Brake the tool along its direction by `a` m/s² and `a_rot` rad/s²; over at rest.
@@ -297,14 +294,14 @@ class MotionGenerator:
         Raises:
             BadValue: an argument is not such a number.
         """
-        return self._begin(self._tool_speed(_REST, a, a_rot, None))
+        return self._begin(self._tool_speed(REST, a, a_rot, None))
 
     def release(self) -> None:
         """End the commands: brake to rest. A path move whose blend is followed by nothing continues to its end."""
         if isinstance(self._command, PathMove) and self._command.blends:
             return
         if not self.is_standing:
-            self._begin(JointSpeed(_REST, self._gentle, None))
+            self._begin(JointSpeed(REST, self._gentle, None))
 
     def direct_torque(
         self, dynamics: Dynamics, motors: Motors, torque: FloatArray, friction: Sequence[float]
@@ -364,7 +361,7 @@ class MotionGenerator:
         line = positive(a, "an acceleration")
         turn = line if not a_rot else positive(a_rot, "an angular acceleration")
         old = self._command if isinstance(self._command, ToolSpeed) else None
-        return ToolSpeed(self._kinematics, self._limits, self.tcp, self.setpoint, xd, line, turn, t, old)
+        return ToolSpeed(self.arm, self.setpoint, xd, line, turn, t, old)
 
     @property
     def _overrun(self) -> float:

@@ -1,4 +1,4 @@
-"""Following a path from rest to rest: movej, and with the paths of `tool_paths` movel, movep, movec and servoc.
+"""Following a path from rest to rest: joint movements (movej), lines (movel, movep, servoc) and circles (movec).
 
 A `MotionPath` gives the joints at a distance along it. A `Trapezoid` gives the distance over time: acceleration,
 constant speed, braking, as the manual of the pendant draws it, as far as that is remembered. A `Blend` takes over the
@@ -11,14 +11,19 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Protocol
 
-from urlink.kinematics import Arm
+from urlink.curves import Curve
+from urlink.parameters import number
 
-from ..sources import Setpoint
-from .joint_limits import JointLimits
+from ..sources import REST, Setpoint
+from .joint_limits import ArmWithTool, LimitViolation
 
-_REST = [0.0] * 6
+#: m that count as much as a turn of 1 rad, at least, so that a tool which turns in place takes its time. A guess.
+RADIAN = number("metres_per_turn_simulated")
+
+# Samples of a path of the tool for its largest speed, and rad from one to the next that are a jump through a
+# singularity.
+_SAMPLES, _JUMP = 64, 0.5
 
 
 class Command(ABC):
@@ -142,7 +147,7 @@ class Blend:
         """What to add to positions, speeds and accelerations `seconds` later."""
         self._time += seconds
         if self.is_over:
-            return _REST, _REST, _REST
+            return REST, REST, REST
         t = self.duration
         u = self._time / t
         return (
@@ -155,76 +160,129 @@ class Blend:
 # -- paths and their motion ----------------------------------------------------------------------------
 
 
-class MotionPath(Protocol):
+class MotionPath(ABC):
     """The joints by the distance along a path.
 
     Attributes:
         length: of the path: rad of the joint that moves furthest, or m of the tool.
-        end_pose: of the TCP at the end, m and rad.
     """
 
     length: float
 
-    @property
-    def end_pose(self) -> list[float]: ...
+    def __init__(self, arm: ArmWithTool) -> None:
+        self._arm = arm
 
+    @property
+    @abstractmethod
+    def end_pose(self) -> list[float]:
+        """The pose of the TCP at the end, m and rad."""
+
+    @abstractmethod
     def fastest(self) -> tuple[float, float]:
         """The largest speed and acceleration along the path at which no joint exceeds its limits."""
 
+    @abstractmethod
     def setpoint(self, way: float, speed: float, acceleration: float, last: Setpoint, seconds: float) -> Setpoint:
         """The joints after the distance `way`; `last` is the set-point of the path in the cycle before."""
 
+    @abstractmethod
     def end(self, near: list[float]) -> list[float]:
         """The joints at the end of a path that has brought them to `near`."""
 
     def left(self, q: list[float]) -> float:
         """Distance of the TCP from the end when the joints are at `q`, m."""
+        return math.dist(self._arm.pose(q)[:3], self.end_pose[:3])
 
 
-class JointPath:
+class JointPath(MotionPath):
     """A straight line in joint space: six joints that start and arrive together. Lengths are those of the joint that
     moves furthest, in rad.
     """
 
-    def __init__(
-        self, kinematics: Arm, limits: JointLimits, tcp: Sequence[float], start: list[float], end: list[float]
-    ) -> None:
-        self._kinematics, self._tcp = kinematics, tcp
+    def __init__(self, arm: ArmWithTool, start: list[float], end: list[float]) -> None:
+        super().__init__(arm)
         self._start, self._end = start, end
         way = [b - a for a, b in zip(start, end, strict=True)]
         self.length = max(map(abs, way))
-        self._shares = [part / self.length for part in way] if self.length > 0.0 else list(_REST)
-        self._limits = limits
+        self._shares = [part / self.length for part in way] if self.length > 0.0 else list(REST)
+
+    @cached_property
+    def end_pose(self) -> list[float]:
+        return self._arm.pose(self._end)
 
     def fastest(self) -> tuple[float, float]:
-        """The largest speed and acceleration along the path at which no joint exceeds its limits."""
-        return _within(self._limits.speed, self._shares), _within(self._limits.acceleration, self._shares)
+        limits = self._arm.limits
+        return _within(limits.speed, self._shares), _within(limits.acceleration, self._shares)
 
     def setpoint(self, way: float, speed: float, acceleration: float, last: Setpoint, seconds: float) -> Setpoint:
-        """The joints after the distance `way`."""
         return Setpoint(
             [a + way * share for a, share in zip(self._start, self._shares, strict=True)],
             [speed * share for share in self._shares],
             [acceleration * share for share in self._shares],
         )
 
-    def end(self, near: Sequence[float]) -> list[float]:
-        """The joints at the end."""
+    def end(self, near: list[float]) -> list[float]:
         return self._end
-
-    def left(self, q: Sequence[float]) -> float:
-        """Distance of the TCP from the end when the joints are at `q`, m."""
-        return math.dist(self._kinematics.forward(q, self._tcp)[:3].tolist(), self.end_pose[:3])
-
-    @cached_property
-    def end_pose(self) -> list[float]:
-        """The pose of the TCP at the end, m and rad."""
-        pose: list[float] = self._kinematics.forward(self._end, self._tcp).tolist()
-        return pose
 
 
 def _within(limits: Sequence[float], shares: Sequence[float]) -> float:
     return min((limit / abs(share) for limit, share in zip(limits, shares, strict=True) if share), default=1.0)
+
+
+class ToolPath(MotionPath):
+    """A path of the TCP along a curve, from close to the joint positions `near`, by the inverse kinematics."""
+
+    def __init__(self, arm: ArmWithTool, curve: Curve, near: list[float]) -> None:
+        super().__init__(arm)
+        self._curve, self._near = curve, near
+        self.length = max(curve.length, RADIAN * curve.turn)
+        self._end_joints: list[float] | None = None
+
+    @property
+    def end_pose(self) -> list[float]:
+        return self._curve.end
+
+    def fastest(self) -> tuple[float, float]:
+        """The largest speed and acceleration along the path at which no joint exceeds its limits, by samples of it.
+
+        The part behind a singular posture, or out of reach, does not count: the arm does not get there.
+        """
+        limits, part = self._arm.limits, self.length / _SAMPLES
+        speed = acceleration = math.inf
+        old = self._near
+        for sample in range(1, _SAMPLES + 1):
+            try:
+                new = self._arm.joints(self._curve.pose(sample / _SAMPLES), old)
+            except LimitViolation:
+                break
+            ways = [abs(b - a) for a, b in zip(old, new, strict=True)]
+            if max(ways) > _JUMP:
+                break
+            for way, fastest, hardest in zip(ways, limits.speed, limits.acceleration, strict=True):
+                if way > 0.0:
+                    speed, acceleration = min(speed, fastest * part / way), min(acceleration, hardest * part / way)
+            old = new
+        return speed, acceleration
+
+    def setpoint(self, way: float, speed: float, acceleration: float, last: Setpoint, seconds: float) -> Setpoint:
+        """The joints after the distance `way`; `last` is the set-point of the cycle before.
+
+        Raises:
+            LimitViolation: the pose is out of reach.
+        """
+        if not speed and not acceleration:
+            return Setpoint(last.q, REST, REST)
+        return self._arm.setpoint(self._curve.pose(way / self.length), last, seconds)
+
+    def end(self, near: list[float]) -> list[float]:
+        """The joints at the end, on the branch of the inverse kinematics that they come from.
+
+        Raises:
+            LimitViolation: the end is out of reach on this branch.
+        """
+        if self._end_joints is None:
+            self._end_joints = self._arm.joints(self.end_pose, near)
+        return self._end_joints
 
 
 class PathMove(Command):
@@ -237,7 +295,7 @@ class PathMove(Command):
         self._path, self._profile, self._blend, self._radius = path, profile, blend, r
         self._time = 0.0
         self._way = (0.0, 0.0)
-        self._last = Setpoint(start, _REST, _REST)
+        self._last = Setpoint(start, REST, REST)
 
     @property
     def blends(self) -> bool:
@@ -254,7 +312,7 @@ class PathMove(Command):
         time = self._time + (scaling - 0.5 * change) * seconds
         arrives = time >= self._profile.duration
         if arrives:
-            setpoint = Setpoint(self._path.end(self._last.q), _REST, _REST)
+            setpoint = Setpoint(self._path.end(self._last.q), REST, REST)
             way, speed = self._profile.length, 0.0
         else:
             way, speed, acceleration = self._profile.at(time)
@@ -288,7 +346,7 @@ class PathMove(Command):
     def restart(self, blend: Blend) -> None:
         """Continue from rest elsewhere: the blend leads back to the path."""
         self._blend = blend
-        self._last = Setpoint(self._last.q, _REST, _REST)
+        self._last = Setpoint(self._last.q, REST, REST)
         self._way = (self._way[0], 0.0)
 
     @property

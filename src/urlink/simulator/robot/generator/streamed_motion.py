@@ -25,16 +25,13 @@ from functools import lru_cache
 from itertools import repeat
 from operator import le, mul, sub
 
-from urlink.kinematics import Arm
 from urlink.parameters import number
 from urlink.vectors import JOINTS
 
-from ..sources import Setpoint
-from .joint_limits import JointLimits, LimitViolation
+from ..sources import REST, Setpoint
+from .joint_limits import ArmWithTool, JointLimits, LimitViolation, moved
 from .path_motion import Command
-from .tool_paths import moved, setpoint_at
 
-_REST = [0.0] * 6
 _OF_LOOKAHEAD = number("servoj_lag_of_lookahead")
 # rad and rad/s below which a joint has arrived
 _NEAR, _SLOW = 1e-9, 1e-7
@@ -93,7 +90,7 @@ class ServoMotion(Command):
         self.overrun = 0.0
         if self.is_at_rest:
             self._pass(passed, duration, seconds)
-            return Setpoint(self._end, _REST, _REST)
+            return Setpoint(self._end, REST, REST)
         old_goals = self.goal
         self._pass(passed, duration, seconds)
         if self.is_over:
@@ -104,7 +101,7 @@ class ServoMotion(Command):
         # The time in which the joints follow, and how much of a speed in it is one in the time of the controller.
         time, share = (passed, scaling) if self._stretches else (seconds, 1.0)
         if time <= 0.0 and not any(self.excess):
-            return Setpoint(last.q, _REST, [-v / seconds for v in last.qd])
+            return Setpoint(last.q, REST, [-v / seconds for v in last.qd])
         omega, decay = _follower(lag, time)
         slowed = self._slowed(seconds)
         q: list[float] = []
@@ -128,8 +125,8 @@ class ServoMotion(Command):
         self.speeds, self.excess = speeds, slowed
         if is_near:
             self.is_at_rest = True
-            self.speeds = list(_REST)
-            return Setpoint(self._end, _REST, _REST)
+            self.speeds = list(REST)
+            return Setpoint(self._end, REST, REST)
         return Setpoint(q, qd, [(new - old) / seconds for new, old in zip(qd, last.qd, strict=True)])
 
     def _pass(self, passed: float, duration: float, seconds: float) -> None:
@@ -187,7 +184,7 @@ class JointSpeed(Command):
                 part = min(part, most * seconds / abs(way))
         is_reached = part == 1.0
         if is_reached:
-            qd = [scaling * v for v in self._target] if not self._stops else _REST
+            qd = [scaling * v for v in self._target] if not self._stops else REST
         else:
             qd = [old + part * way for old, way in zip(last.qd, wanted, strict=True)]
         q = [a + 0.5 * seconds * (old + new) for a, old, new in zip(last.q, last.qd, qd, strict=True)]
@@ -213,9 +210,7 @@ class ToolSpeed(Command):
 
     def __init__(
         self,
-        kinematics: Arm,
-        limits: JointLimits,
-        tcp: Sequence[float],
+        arm: ArmWithTool,
         begin: Setpoint,
         xd: Sequence[float],
         a: float,
@@ -227,14 +222,14 @@ class ToolSpeed(Command):
 
         After an `old` one, the line continues exactly.
         """
-        self._kinematics, self._limits, self._tcp = kinematics, limits, list(tcp)
+        self._arm = arm
         self._target, self._a, self._a_rot, self._left = list(xd), a, a_rot, t
-        self._pose: list[float] = kinematics.forward(begin.q, tcp).tolist()
-        self._speed: list[float] = list(_REST)
-        if old is not None and old._brake is None and old._tcp == self._tcp:
+        self._pose = arm.pose(begin.q)
+        self._speed: list[float] = list(REST)
+        if old is not None and old._brake is None and old._arm.tcp == arm.tcp:
             self._speed = old._speed
         elif any(begin.qd):
-            self._speed = kinematics.velocity(begin.q, begin.qd, tcp).tolist()
+            self._speed = arm.velocity(begin.q, begin.qd).tolist()
         self._stops = not any(xd)
         self._brake: JointSpeed | None = None
 
@@ -248,7 +243,7 @@ class ToolSpeed(Command):
             return self._braking(self._brake, last, seconds)
         if self._stops and not any(self._speed):
             self.is_at_rest = self.is_over = True
-            return Setpoint(last.q, _REST, _REST)
+            return Setpoint(last.q, REST, REST)
         target = [scaling * v for v in self._target]
         line, line_reached = _towards(self._speed[:3], target[:3], self._a * seconds)
         turn, turn_reached = _towards(self._speed[3:], target[3:], self._a_rot * seconds)
@@ -256,13 +251,13 @@ class ToolSpeed(Command):
         step = [0.5 * seconds * (old + new) for old, new in zip(self._speed, speed, strict=True)]
         pose = moved(self._pose, step)
         try:
-            setpoint = setpoint_at(self._kinematics, pose, self._tcp, last, seconds)
+            setpoint = self._arm.setpoint(pose, last, seconds)
             if self._stops:
-                self._limits.check(last, setpoint, seconds)
+                self._arm.limits.check(last, setpoint, seconds)
         except LimitViolation:
             if not self._stops:
                 raise
-            self._brake = JointSpeed(_REST, self._limits.acceleration, None)
+            self._brake = JointSpeed(REST, self._arm.limits.acceleration, None)
             return self._braking(self._brake, last, seconds)
         self._pose, self._speed = pose, speed
         if self._left is None:
@@ -274,8 +269,8 @@ class ToolSpeed(Command):
 
     def restart(self, begin: Setpoint) -> None:
         """Continue from rest elsewhere."""
-        self._pose = self._kinematics.forward(begin.q, self._tcp).tolist()
-        self._speed = list(_REST)
+        self._pose = self._arm.pose(begin.q)
+        self._speed = list(REST)
 
     def _braking(self, brake: JointSpeed, last: Setpoint, seconds: float) -> Setpoint:
         setpoint = brake.advance(last, seconds, 1.0, 0.0)
