@@ -11,7 +11,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import timedelta
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -24,7 +24,7 @@ from urlink.motion.linked_block import LinkedBlock
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-__all__ = ["Blocks", "NotOffered", "RtdeInterface", "succeeds"]
+__all__ = ["Blocks", "NotOffered", "RtdeInterface", "is_given", "succeeds"]
 
 _log = logging.getLogger(__name__)
 
@@ -46,6 +46,11 @@ def succeeds(act: Callable[[], object]) -> bool:
         _log.warning("%s", printable(error))
         return False
     return True
+
+
+def is_given(values: Sequence[object] | None) -> bool:
+    """Whether an argument that may be left out is there. It may be an array, which has no truth of its own."""
+    return values is not None and len(values) > 0
 
 
 class RtdeInterface:
