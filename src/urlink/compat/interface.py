@@ -24,6 +24,8 @@ from urlink.motion.linked_block import LinkedBlock
 if TYPE_CHECKING:
     from typing_extensions import Self
 
+    from urlink.motion.motions import LinkName
+
 __all__ = ["Blocks", "NotOffered", "RtdeInterface", "is_given", "succeeds"]
 
 _log = logging.getLogger(__name__)
@@ -114,13 +116,13 @@ class Blocks:
         """Something lasts."""
         return self._open is not None and not self._open.done
 
-    def opened(self, kind: type[B], settings: tuple[Any, ...], make: Callable[..., B]) -> B:
+    def opened(self, kind: type[B], settings: tuple[Any, ...], make: Callable[[LinkName], B]) -> B:
         """The open block of this class with these settings; if there is none, it is opened.
 
         Args:
             kind: its class.
             settings: what `make` depends on; another value opens the block again.
-            make: makes the block, over the link that is its argument `link`.
+            make: makes the block, over a link.
 
         Raises:
             LinkError: the block cannot be opened now.
@@ -133,13 +135,13 @@ class Blocks:
         self._open, self._settings = made, settings
         return made
 
-    def _entered(self, make: Callable[..., B]) -> B:
+    def _entered(self, make: Callable[[LinkName], B]) -> B:
         """Open a block over registers if they are free, else over a reverse connection."""
         firmware = self._robot.firmware
         if firmware >= ((5, 3) if firmware.is_e_series else (3, 9)):
             with contextlib.suppress(InputInUse):
-                return make(link="rtde").__enter__()
-        return make(link="reverse").__enter__()
+                return make("rtde").__enter__()
+        return make("reverse").__enter__()
 
     def close(self) -> None:
         """End the block, and wait until the arm stands still, two seconds at most."""
