@@ -211,7 +211,8 @@ class ControlMoves(RtdeInterface):
 
     def getActualToolFlangePose(self) -> list[float]:
         """The pose of the flange."""
-        return list(map(float, self._robot.kinematics.forward(self._robot.realtime.wait(STATE_TIMEOUT).q_actual)))
+        q = self._robot.realtime.wait(STATE_TIMEOUT).q_actual
+        return list(map(float, self._robot.kinematics.forward(q)))
 
     @overload
     def moveJ(
