@@ -99,7 +99,7 @@ class Came:
         return np.array(values, np.float64)
 
     def between(self, moment: float, later: float) -> Came:
-        """The states that came between two moments, s, monotonic."""
+        """The states that came from one moment on and before another, s, monotonic."""
         first, end = (int(each) for each in np.searchsorted(self.arrived, (moment, later)))
         begins = [0, *(at - first for at in self.begins if first < at < end)] if first < end else []
         return Came(self.states[first:end], self.arrivals[first:end], begins=begins)

@@ -25,7 +25,8 @@ _GRAVITY = 9.82
 _UPRIGHT = 0.95
 
 
-#: Fields, between which values each lies on every arm, and the unit; judgements, wide enough for all that was reported.
+#: Of each field the lowest and the highest value of any arm, and the unit; judgements, wide enough for all that was
+#: reported.
 _RANGES = (
     ("q_actual", -100.0, 100.0, "rad"),
     ("q_target", -100.0, 100.0, "rad"),

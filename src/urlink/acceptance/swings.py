@@ -28,7 +28,7 @@ from ..parameters import Parameter, numbers, parameters
 from ..robot import Robot
 from ..simulator.robot.robot_parameters import force_size
 from ..vectors import JOINTS, FloatArray
-from .arrivals import known_arm, moments
+from .arrivals import known_arm
 from .evidence import Evidence
 from .logbook import Logbook
 from .requirements import Check, Measured, NotTried
@@ -197,7 +197,6 @@ def _identified(evidence: Evidence) -> tuple[_Swings, ArmFile]:
         column = swings.packets.column(attrgetter(theirs))
         if column is not None:
             columns[ours] = column
-    columns["timestamp"] = moments("realtime", swings.packets)
     try:
         return swings, identify(Samples(Path("the logbook"), columns, arm.name, swings.packets.arrived))
     except (BadRecording, BadValue) as error:

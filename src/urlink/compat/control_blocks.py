@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from enum import IntEnum
-from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -67,8 +66,14 @@ class ControlBlocks(ControlMoves):
         return succeeds(send)
 
     def _servo(self, lookahead_time: float, gain: float) -> Servo:
-        make = partial(self._robot.motion.servo, watchdog=self._watchdog, lookahead_time=lookahead_time, gain=gain)
-        return self._blocks.opened(Servo, (self._watchdog, lookahead_time, gain), make)
+        watchdog = self._watchdog
+        return self._blocks.opened(
+            Servo,
+            (watchdog, lookahead_time, gain),
+            lambda link: self._robot.motion.servo(
+                watchdog=watchdog, lookahead_time=lookahead_time, gain=gain, link=link
+            ),
+        )
 
     def servoL(
         self, pose: Sequence[float], speed: float, acceleration: float, time: float, lookahead_time: float, gain: float
@@ -101,10 +106,14 @@ class ControlBlocks(ControlMoves):
     def _speed(self, frame: Literal["joints", "base", "tool"], speeds: Sequence[float], acceleration: float) -> bool:
         def go() -> None:
             self._last = None
-            make = partial(
-                self._robot.motion.jog, frame, acceleration=acceleration, timeout=_SPEED_HOLDS, watchdog=_WATCHDOG
+            jog = self._blocks.opened(
+                Jog,
+                (frame, acceleration),
+                lambda link: self._robot.motion.jog(
+                    frame, acceleration=acceleration, timeout=_SPEED_HOLDS, watchdog=_WATCHDOG, link=link
+                ),
             )
-            self._blocks.opened(Jog, (frame, acceleration), make).move(speeds)
+            jog.move(speeds)
 
         return succeeds(go)
 
@@ -160,19 +169,22 @@ class ControlBlocks(ControlMoves):
 
         def press() -> None:
             self._last = None
-            settings = (*task_frame, *selection_vector, type, *limits, self._damping, self._gain)
-            make = partial(
-                self._robot.motion.force_mode,
-                task_frame,
-                selection_vector,
-                wrench,
-                limits,
-                kind=type,
-                damping=self._damping,
-                gain=self._gain,
-                watchdog=_WATCHDOG,
+            pressing = self._blocks.opened(
+                ForceMode,
+                (*task_frame, *selection_vector, type, *limits, self._damping, self._gain),
+                lambda link: self._robot.motion.force_mode(
+                    task_frame,
+                    selection_vector,
+                    wrench,
+                    limits,
+                    kind=type,
+                    damping=self._damping,
+                    gain=self._gain,
+                    watchdog=_WATCHDOG,
+                    link=link,
+                ),
             )
-            self._blocks.opened(ForceMode, settings, make).set_wrench(wrench)
+            pressing.set_wrench(wrench)
 
         return succeeds(press)
 
@@ -196,8 +208,11 @@ class ControlBlocks(ControlMoves):
         def free() -> None:
             self._last = None
             axes = None if all(free_axes) else free_axes
-            make = partial(self._robot.freedrive, axes, frame=feature, watchdog=_WATCHDOG)
-            self._blocks.opened(Freedrive, (*free_axes, *feature), make)
+            self._blocks.opened(
+                Freedrive,
+                (*free_axes, *feature),
+                lambda link: self._robot.freedrive(axes, frame=feature, watchdog=_WATCHDOG, link=link),
+            )
 
         return succeeds(free)
 
@@ -227,8 +242,12 @@ class ControlBlocks(ControlMoves):
 
         def send() -> None:
             self._last = None
-            make = partial(self._robot.motion.torque, friction_compensation=compensates)
-            self._blocks.opened(Torque, (compensates,), make).send(torque)
+            line = self._blocks.opened(
+                Torque,
+                (compensates,),
+                lambda link: self._robot.motion.torque(friction_compensation=compensates, link=link),
+            )
+            line.send(torque)
 
         return succeeds(send)
 

@@ -15,7 +15,7 @@ from ..motion.path import Joint, Linear, Waypoint
 from ..packets import CartesianInfo
 from ..urscript import text
 from ..vectors import six
-from .interface import Blocks, NotOffered, RtdeInterface, succeeds
+from .interface import Blocks, NotOffered, RtdeInterface, is_given, succeeds
 
 __all__ = ["LONGEST", "STATE_TIMEOUT", "AsyncOperationStatus", "ControlMoves", "Path", "PathEntry"]
 
@@ -174,8 +174,9 @@ class ControlMoves(RtdeInterface):
 
     def getForwardKinematics(self, q: Sequence[float] = (), tcp_offset: Sequence[float] = ()) -> list[float]:
         """The pose of the tool at joint positions; without arguments, of the present positions and TCP."""
-        values = q or self._robot.realtime.wait(STATE_TIMEOUT).q_actual
-        return list(map(float, self._robot.kinematics.forward(values, tcp_offset or self.getTCPOffset())))
+        values = q if is_given(q) else self._robot.realtime.wait(STATE_TIMEOUT).q_actual
+        tcp = tcp_offset if is_given(tcp_offset) else self.getTCPOffset()
+        return list(map(float, self._robot.kinematics.forward(values, tcp)))
 
     def getInverseKinematics(
         self,
@@ -191,7 +192,7 @@ class ControlMoves(RtdeInterface):
         Raises:
             Unreachable: the pose is out of reach.
         """
-        near = qnear or self._robot.realtime.wait(STATE_TIMEOUT).q_target
+        near = qnear if is_given(qnear) else self._robot.realtime.wait(STATE_TIMEOUT).q_target
         return list(map(float, self._robot.kinematics.inverse(x, near, self.getTCPOffset())))
 
     def getInverseKinematicsHasSolution(
@@ -210,7 +211,8 @@ class ControlMoves(RtdeInterface):
 
     def getActualToolFlangePose(self) -> list[float]:
         """The pose of the flange."""
-        return list(map(float, self._robot.kinematics.forward(self._robot.realtime.wait(STATE_TIMEOUT).q_actual)))
+        q = self._robot.realtime.wait(STATE_TIMEOUT).q_actual
+        return list(map(float, self._robot.kinematics.forward(q)))
 
     @overload
     def moveJ(

@@ -11,7 +11,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import timedelta
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -24,7 +24,9 @@ from urlink.motion.linked_block import LinkedBlock
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-__all__ = ["Blocks", "NotOffered", "RtdeInterface", "succeeds"]
+    from urlink.motion.motions import LinkName
+
+__all__ = ["Blocks", "NotOffered", "RtdeInterface", "is_given", "succeeds"]
 
 _log = logging.getLogger(__name__)
 
@@ -46,6 +48,11 @@ def succeeds(act: Callable[[], object]) -> bool:
         _log.warning("%s", printable(error))
         return False
     return True
+
+
+def is_given(values: Sequence[object] | None) -> bool:
+    """Whether an argument that may be left out is there. It may be an array, which has no truth of its own."""
+    return values is not None and len(values) > 0
 
 
 class RtdeInterface:
@@ -109,13 +116,13 @@ class Blocks:
         """Something lasts."""
         return self._open is not None and not self._open.done
 
-    def opened(self, kind: type[B], settings: tuple[Any, ...], make: Callable[..., B]) -> B:
+    def opened(self, kind: type[B], settings: tuple[Any, ...], make: Callable[[LinkName], B]) -> B:
         """The open block of this class with these settings; if there is none, it is opened.
 
         Args:
             kind: its class.
             settings: what `make` depends on; another value opens the block again.
-            make: makes the block, over the link that is its argument `link`.
+            make: makes the block, over a link.
 
         Raises:
             LinkError: the block cannot be opened now.
@@ -128,13 +135,13 @@ class Blocks:
         self._open, self._settings = made, settings
         return made
 
-    def _entered(self, make: Callable[..., B]) -> B:
+    def _entered(self, make: Callable[[LinkName], B]) -> B:
         """Open a block over registers if they are free, else over a reverse connection."""
         firmware = self._robot.firmware
         if firmware >= ((5, 3) if firmware.is_e_series else (3, 9)):
             with contextlib.suppress(InputInUse):
-                return make(link="rtde").__enter__()
-        return make(link="reverse").__enter__()
+                return make("rtde").__enter__()
+        return make("reverse").__enter__()
 
     def close(self) -> None:
         """End the block, and wait until the arm stands still, two seconds at most."""

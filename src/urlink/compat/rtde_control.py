@@ -20,7 +20,7 @@ from urlink.urscript import text
 
 from .control_blocks import ControlBlocks, Feature
 from .control_moves import LONGEST, STATE_TIMEOUT, AsyncOperationStatus, Path, PathEntry
-from .interface import NotOffered, succeeds
+from .interface import NotOffered, is_given, succeeds
 
 __all__ = ["AsyncOperationStatus", "Path", "PathEntry", "RTDEControlInterface"]
 
@@ -103,11 +103,11 @@ class RTDEControlInterface(ControlBlocks):
 
     def setPayload(self, mass: float, cog: Sequence[float] = ()) -> bool:
         """Set the payload: mass in kg, centre of gravity in m."""
-        return succeeds(lambda: self._robot.set_payload(mass, cog or None))
+        return succeeds(lambda: self._robot.set_payload(mass, cog if is_given(cog) else None))
 
     def setTargetPayload(self, mass: float, cog: Sequence[float] = (), inertia: Sequence[float] = (0.0,) * 6) -> bool:
         """Set the payload with its inertia, (6,) kg m²; from 5.10 on."""
-        return succeeds(lambda: self._robot.set_payload(mass, cog or None, inertia))
+        return succeeds(lambda: self._robot.set_payload(mass, cog if is_given(cog) else None, inertia))
 
     def poseTrans(self, p_from: Sequence[float], p_from_to: Sequence[float]) -> list[float]:
         """The pose `p_from_to`, which is given in the frame `p_from`, in the frame that `p_from` is given in."""

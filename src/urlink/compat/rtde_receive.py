@@ -16,7 +16,7 @@ from linkcore.streaming.subscription import Subscription
 from urlink.interfaces.enums import SafetyStatusBits
 from urlink.rtde import OutputStream
 
-from .interface import RtdeInterface, succeeds
+from .interface import RtdeInterface, is_given, succeeds
 
 __all__ = ["RTDEReceiveInterface"]
 
@@ -87,9 +87,9 @@ class RTDEReceiveInterface(RtdeInterface):
         self._recording: tuple[Subscription, TextIO] | None = None
         try:
             self._stream: OutputStream[Any] = self._robot.rtde.outputs(
-                *(variables or _VARIABLES),
+                *(variables if is_given(variables) else _VARIABLES),
                 frequency=None if frequency <= 0.0 else frequency,
-                missing="error" if variables else "leave_out",
+                missing="error" if is_given(variables) else "leave_out",
             )
             self._registers = self._robot.rtde.registers(lower=True)
             self._stream.wait(_TIMEOUT)
@@ -226,7 +226,8 @@ class RTDEReceiveInterface(RtdeInterface):
         if self._recording is not None:
             raise LocalError("a recording is under way; stopFileRecording() ends it")
         state = self._stream.wait(_TIMEOUT)
-        names = [name for name in variables or self._stream.names if variables or getattr(state, name) is not None]
+        received = [name for name in self._stream.names if getattr(state, name) is not None]
+        names = list(variables) if is_given(variables) else received
         for name in names:
             self._value(name)
         try:

@@ -7,6 +7,7 @@ import logging
 import os
 import threading
 import time
+from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -229,7 +230,9 @@ class FoxgloveServer:
 
 
 class RobotView:
-    """Shows a robot on a server: `show` sends the newest state of each stream, and all messages since the last call.
+    """Shows a robot on a server: `show` sends the newest state of each stream, and the messages since the last call.
+
+    Until they are sent, no more than the newest 1024 messages are kept.
 
     Args:
         realtime, primary: streams of the robot.
@@ -246,7 +249,7 @@ class RobotView:
         self._streams = {"realtime": realtime, "primary": primary}
         self._shown: dict[str, State] = {}
         self._lock = threading.Lock()
-        self._messages: list[State] = []
+        self._messages: deque[State] = deque(maxlen=_ROOM)
         self._described = -_AGAIN
         realtime.start()
         self._subscription = primary.subscribe(self._keep, RobotMessage, policy=drop_oldest(_ROOM))
@@ -267,7 +270,8 @@ class RobotView:
                 self._shown[name] = state
                 self._server.write(topics_of_states(name, [state], self._arm))
         with self._lock:
-            messages, self._messages = self._messages, []
+            messages = list(self._messages)
+            self._messages.clear()
         self._server.write(topics_of_states("primary", messages, None))
 
     def close(self) -> None:

@@ -40,6 +40,7 @@ _POINTS, _SPARE, _SOON = 25, 10.0, 5.0
 _PROGRAM = 0.2
 #: What rounding may move a standing joint by, rad.
 _STILL = 1e-3
+#: The first firmware that shows its speed slider.
 SHOWS_SLIDER = Firmware(3, 0)
 
 

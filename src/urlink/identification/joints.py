@@ -37,8 +37,8 @@ class JointFit:
         payload: kg.
         payload_cog: (3,) in the frame of the flange, m.
         rotor_inertias, torque_constants, coulomb, viscous: of the six joints, kg m², Nm/A, A, A s/rad.
-        torque_r2, current_r2: (6,) the part of the variance that the fit explains, in these rows; of what is not known
-            is taken that of the model.
+        torque_r2, current_r2: (6,) the part of the variance that the fit explains, in these rows; where a number is not
+            known, with that of the model.
     """
 
     payload: Estimate

@@ -12,6 +12,7 @@ from urlink.acceptance.evidence import Came, Evidence, Note, Wire
 from urlink.acceptance.report import judge
 from urlink.acceptance.requirements import requirements
 from urlink.firmware import Firmware
+from urlink.identification.samples import COLUMNS
 from urlink.identity import described_identity
 
 _PERIOD = 0.002
@@ -147,3 +148,23 @@ def test_an_arm_that_was_not_seen_to_stand_is_not_judged_where_nothing_came(gap:
     notes += [Note(0.59, "cancel", {"event": "told"}), Note(end, "cancel", {"event": "end", "error": None})]
     found, seen = verdict("cancel", evidence(speeds, notes, arrivals))
     assert found == state, seen
+
+
+@pytest.mark.parametrize("name", ["box", "other-joints"])
+def test_a_stage_in_which_no_packet_came_is_not_judged(name: str) -> None:
+    notes = [Note(0.0, "stage", {"number": 2}), Note(9.0, "moving", {"start": [0.0] * 6, "slider": 0.1})]
+    of = evidence(np.zeros((400, 6)), notes)
+    assert verdict(name, of) == ("not tried", "no packet of the real-time interface came")
+
+
+@pytest.mark.parametrize("count", [8, 20])
+def test_swings_of_which_few_packets_came_tell_nothing(count: int) -> None:
+    notes = [Note(0.791, "stage", {"number": 3}), Note(0.791, "swinging", {"start": [0.0] * 6, "slider": 1.0})]
+    notes += [Note(0.791, "swing-elbow", {"event": "begin"}), Note(9.0, "swing-elbow", {"event": "end", "error": None})]
+    of = evidence(np.zeros((395 + count, 6)), notes)
+    of.identity = described_identity({"name": "notes", "firmware": "5.11.0", "model": "UR5e"})
+    for state in of.realtime.states:
+        for field in COLUMNS.values():
+            state.__dict__.setdefault(field, None)
+    expected = f"nothing is told by it: the logbook: {count} rows; 30 or more are expected"
+    assert verdict("swing-moments", of) == ("not tried", expected)

@@ -7,6 +7,7 @@ import logging
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -184,6 +185,28 @@ def test_an_arm_that_yields(controller: Controller, control: RTDEControlInterfac
     controller.push([0.0] * 6)
     assert control.endFreedriveMode()
     assert control.moveJ(HOME, 2.0, 6.0)
+
+
+def test_arrays_are_taken_as_lists_are(controller: Controller, control: RTDEControlInterface, tmp_path: Path) -> None:
+    """Also where an argument that is left out is an empty list: an array has no truth of its own."""
+    # Any, as in the programs of users: the calls are declared to take sequences.
+    zeros: Any = np.zeros(6)
+    joints: Any = np.array(NEAR)
+    tool: Any = np.array([0.0, 0.01, 0.15, 0.1, 0.0, 0.2])
+    cog: Any = np.array([0.0, 0.0, 0.05])
+    assert near(control.getForwardKinematics(zeros, tool), controller.arm.kinematics.forward(zeros, tool))
+    pose: Any = np.array(control.getForwardKinematics(joints, zeros))
+    assert near(pose, controller.arm.kinematics.forward(NEAR))
+    assert near(control.getInverseKinematics(pose, joints), NEAR)
+    assert control.getInverseKinematicsHasSolution(pose, joints)
+    assert control.setPayload(1.0, cog)
+    assert (controller.arm.payload, list(controller.arm.payload_cog)) == (1.0, cog.tolist())
+    assert control.setTargetPayload(1.5, 2.0 * cog, zeros)
+    assert (controller.arm.payload, list(controller.arm.payload_cog)) == (1.5, (2.0 * cog).tolist())
+    names: Any = np.array(["timestamp", "actual_q"])
+    with RTDEReceiveInterface(controller.address, variables=names) as receive:
+        assert receive.startFileRecording(str(tmp_path / "q.csv"), names[1:])
+    assert (tmp_path / "q.csv").read_text(encoding="utf-8").startswith("actual_q_0,")
 
 
 def test_kinematics_tool_and_questions(controller: Controller, control: RTDEControlInterface) -> None:

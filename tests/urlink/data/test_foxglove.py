@@ -8,13 +8,19 @@ import json
 import struct
 import sys
 import threading
+from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 import urlink
 import urlink.cli
+from linkcore.recording.mcap_file import Topic
+from linkcore.wire.packet import State
+from urlink.data import live
 from urlink.data.live import FoxgloveServer, RobotView
+from urlink.packets import TextMessage
 
 WHY = "it is not installed; the session `data` of nox has it"
 
@@ -86,6 +92,24 @@ def test_the_arm_moves_in_the_viewer() -> None:
     assert decoded["/realtime"].robot_mode == urlink.packets.RobotMode.RUNNING
     stamp = decoded["/realtime"].header.stamp
     assert stamp.sec * 10**9 + stamp.nanosec == found["/realtime"][0][0]
+
+
+def test_a_view_that_is_not_shown_keeps_the_newest_messages_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live, "_ROOM", 3)
+    callbacks: list[Callable[[State], None]] = []
+    written: list[list[Topic]] = []
+    primary: Any = SimpleNamespace(latest=None, subscribe=lambda callback, kind, policy: callbacks.append(callback))
+    realtime: Any = SimpleNamespace(latest=None, start=lambda: None)
+    server: Any = SimpleNamespace(write=written.append)
+    shown = RobotView(realtime, primary, None, server)
+    for number in range(5):
+        callbacks[0](TextMessage("5.11", text=f"line {number}"))
+    shown.show()
+    (log,) = written[0]
+    assert [b"line 2" in log.messages[0], b"line 3" in log.messages[1], b"line 4" in log.messages[2]] == [True] * 3
+    assert len(log.messages) == 3
+    shown.show()
+    assert written[1] == [], "each message is shown once"
 
 
 @pytest.mark.real_time
