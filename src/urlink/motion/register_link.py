@@ -22,7 +22,7 @@ from linkcore.streaming.stream import Stream
 
 from ..urscript.buffering import MESSAGE, REPORTED, PointRegisters
 from ..urscript.links import TOKENS, InputRegisters
-from .setpoints import MESSAGE_SIZE, read_message
+from .setpoints import LARGEST, MESSAGE_SIZE, read_message
 
 #: Number of the first float register and of the first integer register of set-points: the last twelve and the last four
 #: of all are used, so that others from 24 on are left to users, and those below 24 to fieldbuses. From 3.9 and 5.3 on.
@@ -49,8 +49,6 @@ _SILENCE = 1.0
 #: How many numbers of a message of a point are whole: what to do, epoch, number, length, degree, and six positions.
 _WHOLE = 11
 _MESSAGE, _REPORT = struct.Struct(f">{MESSAGE + 1}i"), struct.Struct(f">{REPORTED}i")
-#: Largest number of a message, as large as an integer register holds; after it, those of set-points begin at 1 again.
-_MOST = 0x7FFF_FFFF
 
 
 class InputClaim(Protocol):
@@ -176,7 +174,7 @@ class RegisterLink(ProgramRegisters):
             LinkError: it could not be written.
         """
         q, qd, mode = read_message(data[:MESSAGE_SIZE])
-        self._count = self._count % _MOST + 1
+        self._count = self._count % LARGEST + 1
         self._write((*q, *qd, int.from_bytes(data[MESSAGE_SIZE:], "big"), self._count, mode, self.endpoint.token))
 
 
@@ -206,7 +204,7 @@ class PointRegisterLink(ProgramRegisters):
             LinkError: it could not be written.
         """
         numbers = _MESSAGE.unpack(data)
-        self._count = min(self._count + 1, _MOST)
+        self._count = self._count % LARGEST + 1
         own = (numbers[-1], self._count, self.endpoint.token)
         self._write((*numbers[:_WHOLE], *own, *map(float, numbers[_WHOLE:-1])))
 

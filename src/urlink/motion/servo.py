@@ -199,8 +199,10 @@ class Servo(LinkedBlock):
         time = check_number(at, "at")
         state = self._context.state()
         if self._schedule is None:
-            self._schedule = Schedule(self._model, self._cycle, self._delay, self._context.section)
-            self._dialogue.paced = PacedSetpoints(self._servoing, self._schedule)
+            schedule = Schedule(self._model, self._cycle, self._delay, self._context.section)
+            self._dialogue.paced = PacedSetpoints(self._servoing, schedule)
+            # Last: one that an interruption left without its set-points would lead nothing.
+            self._schedule = schedule
         schedule = self._schedule
         here = state.q_target.tolist()
         q = self._joints_of(target, state, schedule.last or here)

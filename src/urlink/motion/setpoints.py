@@ -17,8 +17,9 @@ from ..urscript.streaming import COASTING, streaming
 from .speed_limit import SpeedLimit
 
 _MESSAGE = struct.Struct(">13i")
-#: Largest date, as large as 32 bits hold: after 49 days at 500 Hz.
-_LAST_DATE = 0x7FFF_FFFF
+#: Largest date, and largest number of a message in a register, as large as 32 bits hold: after 49 days at 500 Hz. After
+#: it the numbers begin at 1 again, since 0 is what a register holds that nobody has written.
+LARGEST = 0x7FFF_FFFF
 #: The end of a message with a set-point.
 _FOLLOW_BYTES = FOLLOW.to_bytes(4, "big")
 #: Bytes of a message without its date.
@@ -55,7 +56,7 @@ def dated(message: bytes, date: int, pauses: int = 0) -> bytes:
     """
     if pauses and len(message) == MESSAGE_SIZE and message.endswith(_FOLLOW_BYTES):
         message = message.removesuffix(_FOLLOW_BYTES) + (WAIT + pauses).to_bytes(4, "big")
-    return message + min(date, _LAST_DATE).to_bytes(4, "big")
+    return message + min(date, LARGEST).to_bytes(4, "big")
 
 
 def read_message(message: bytes) -> tuple[list[float], list[float], int]:

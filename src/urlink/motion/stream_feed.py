@@ -42,7 +42,7 @@ from ..urscript.links import SCALE, STOP, WAIT
 from .common_time import MemberPace
 from .controller_clock import ProgramClock
 from .following import AHEAD, Rest
-from .setpoints import LinkDialogue
+from .setpoints import LARGEST, LinkDialogue
 from .stream_steps import Aim, Bounds, Handed, JointMoment, Mark, Step, onto
 
 _MESSAGE, _REPORT = struct.Struct(f">{MESSAGE}i"), struct.Struct(f">{REPORTED}i")
@@ -336,6 +336,8 @@ class StreamFeed(LinkDialogue):
             while len(self._received) >= _REPORT.size:
                 messages, epoch, head, base, passed, phase = _REPORT.unpack_from(self._received)
                 self._received = self._received[_REPORT.size :]
+                # In registers they begin at 1 again after the largest; the program is never ahead of this computer.
+                messages = self._messages - (self._messages - messages) % LARGEST
                 self._take(_Report(messages, epoch, head, base, passed / SCALE, phase))
             if self.pace is not None:
                 is_idle = not (self._steps or self._queue or self._cut)

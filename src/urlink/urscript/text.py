@@ -88,7 +88,8 @@ def vector(values: Iterable[Any], length: int = 6, what: str = "value") -> str:
         raise BadValue(f"{what} is {values!r}; expected {length} numbers") from None
     if len(items) != length:
         raise BadValue(f"{what} has {len(items)} values; expected {length}")
-    return f"[{', '.join(number(item, f'{what}[{index}]') for index, item in enumerate(items))}]"
+    numbers = [number(item, f"{what}[{index}]") for index, item in enumerate(items)]
+    return f"[{', '.join(numbers)}]"
 
 
 def pose(values: Sequence[Any], what: str = "pose") -> str:

@@ -127,13 +127,30 @@ def test_the_outputs_are_asked_for_once() -> None:
     assert asked == [POINT_OUTPUTS]
 
 
-def test_the_number_of_a_message_has_an_end() -> None:
+def test_after_the_largest_number_of_a_message_comes_one() -> None:
+    """Never 0, which is what a register holds that nobody has written."""
     packages: list[dict[str, float]] = []
     link = PointRegisterLink(Inputs(packages.append), lambda: None)
-    link._count = 0x7FFF_FFFE
-    for _ in range(2):
+    link._count = 0x7FFF_FFFE  # as after 49 days at 500 Hz
+    for _ in range(3):
         link.send(StreamFeed.farewell + bytes(4))
-    assert [list(package.values())[12] for package in packages] == [0x7FFF_FFFF] * 2
+    assert [list(package.values())[12] for package in packages] == [0x7FFF_FFFF, 1, 2]
+
+
+@pytest.mark.parametrize("after", [1, 60, 100, 101, 102, 110, 400])
+def test_points_are_taken_and_cuts_answered_whatever_the_numbers_of_the_messages(after: int) -> None:
+    """The numbers begin anew after so many messages: before, during and after a cut, or once the stream is dry."""
+    stream = Registered(E_SERIES, lost=0.2)
+    stream.link._count = stream.feed._messages = stream.feed._last_answered = 0x7FFF_FFFF - after
+    stream.append(waves(0.05, 0.5))
+    stream.run(100)
+    stream.replace(0.3, [wave(0.3 + 0.05 * i) for i in range(1, 7)])
+    stream.run_dry()
+    stream.append(wave(stream.feed.time + 0.5))
+    stream.run_dry()
+    assert stream.link._count < 10_000
+    assert stream.feed.starved == 2
+    assert stream.bench.texts == ["tried started"]
 
 
 def test_outputs_may_stay_away_for_a_second() -> None:

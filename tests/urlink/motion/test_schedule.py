@@ -375,6 +375,20 @@ class TestServo:
                 with pytest.raises(BadValue, match="expected a Joint or Linear without blend and speed"):
                     servo.schedule(refused, at=robot.time + 20)  # type: ignore[arg-type]
 
+    def test_after_an_interruption_the_next_waypoint_leads_the_arm(
+        self, robot: Rehearsal, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        def interrupt(*args: object) -> None:
+            raise KeyboardInterrupt
+
+        with opened(robot) as servo:
+            with monkeypatch.context() as patched:
+                patched.setattr("urlink.motion.servo.PacedSetpoints", interrupt)
+                with pytest.raises(KeyboardInterrupt):
+                    servo.schedule(HOME, at=robot.time + 1)
+            assert servo.schedule(HOME, at=robot.time + 1) is not None
+            assert servo._dialogue.paced is not None
+
     def test_one_way_or_the_other(self, rehearsal: Callable[..., Rehearsal]) -> None:
         for options, message in (({}, "either send or schedule"), ({"target_filter": "jerk_limited"}, "by send")):
             robot = rehearsal()
