@@ -322,6 +322,17 @@ def test_the_end_of_a_program_closes_its_sockets(
         assert peer.recv(1) == b""
 
 
+def test_the_end_of_a_secondary_program_closes_its_sockets(
+    controller: Controller, connect: Connect, listener: socket.socket
+) -> None:
+    port = listener.getsockname()[1]
+    connect(controller, "primary").send(f'sec s():\n  socket_open("127.0.0.1", {port})\nend\n'.encode())
+    peer, _ = listener.accept()
+    with peer:
+        peer.settimeout(10)
+        assert peer.recv(1) == b""
+
+
 def test_heavy_programs_keep_nobody_from_asking_or_closing(controller: Controller, connect: Connect) -> None:
     link = connect(controller, "primary")
     # Cycles that cost many times what they last.

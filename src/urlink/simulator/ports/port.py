@@ -87,18 +87,20 @@ class PortClient(Protocol):
         """Close it now, by a reset."""
 
 
-class PortReceiver:
+class PortReceiver(ABC):
     """Receives the bytes of one client."""
 
+    @abstractmethod
     def feed(self, data: bytes) -> None:
         """Handle bytes, as they came."""
 
     def end(self) -> None:
         """Handle the end of the connection."""
+        return None
 
 
 class Port(ABC):
-    """One interface of the controller. Unless a subclass says otherwise, every firmware has it, and it only answers."""
+    """One interface of the controller. Unless a subclass differs, every firmware has it, and it only answers."""
 
     def is_offered(self) -> bool:
         """Whether the present firmware has this interface; without it connections are refused."""

@@ -104,7 +104,8 @@ class ProgramRunner:
     @property
     def program(self) -> RunningProgram | None:
         """The program that commands the arm, or is paused; None without one."""
-        return self.main if self.main is not None and self.main.is_program else None
+        main = self.main  # read once: other threads ask for its name
+        return main if main is not None and main.is_program else None
 
     @property
     def is_running(self) -> bool:

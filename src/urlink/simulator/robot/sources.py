@@ -21,7 +21,7 @@ HOME = (0.0, -1.5, 2.0, -0.5 - math.pi / 2, -math.pi / 2, 0.0)
 #: brakes is not published; this is a cautious guess.
 BRAKING = number("braking_share")
 
-#: Six zeros, for the speeds and the accelerations of an arm at rest; nobody changes them.
+#: Six zeros, for the speeds and the accelerations of an arm at rest. Many set-points share this list: never change it.
 REST = [0.0] * 6
 
 

@@ -420,5 +420,4 @@ class Execution:
         self._machine.stop()
         if self._machine.has_moved:
             self._world.motion.release()
-        if self.script.kind == "def":
-            self._world.sockets.close_all()
+        self._world.sockets.close_all()

@@ -91,12 +91,12 @@ def test_stopping_ends_the_motion_and_the_sockets() -> None:
     assert world.notes[-2:] == ["2 release", "2 close socket_0"]
 
 
-def test_a_secondary_program_leaves_the_arm_and_the_sockets_alone() -> None:
+def test_a_secondary_program_leaves_the_arm_alone_and_closes_its_sockets() -> None:
     world = NotedWorld()
     world.sockets.peers[1] = [b""]
     world.sockets.open("socket_0", "h", 1)
     run("sec f():\n  set_standard_digital_out(1, True)\nend", world)
-    assert world.notes == ["0 open socket_0 h:1", "0 digital outputs 0x2", "0 over"]
+    assert world.notes == ["0 open socket_0 h:1", "0 close socket_0", "0 digital outputs 0x2", "0 over"]
 
 
 def test_connecting_gives_up() -> None:
