@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
+from linkcore.arguments import check_number
 from linkcore.errors import BadValue, Closed, LinkTimeout
 from linkcore.handle import Lifecycle, Motion
 from linkcore.threads import CallbackThread, started
@@ -369,12 +370,11 @@ class Drive:
 
 
 def _number(name: str, value: float) -> float:
-    if not isinstance(value, (int, float)) or not abs(value) <= _MOST:
-        raise BadValue(f"{name} is {value!r}; expected a number")
-    return float(value)
+    return check_number(value, name, -_MOST, _MOST)
 
 
 def _positive(name: str, value: float) -> float:
-    if not _number(name, value) > 0.0:
+    number = _number(name, value)
+    if number <= 0.0:
         raise BadValue(f"{name} is {value!r}; expected a number above 0")
-    return float(value)
+    return number
