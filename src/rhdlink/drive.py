@@ -146,6 +146,7 @@ class Drive:
 
     Raises:
         BadValue: an argument that cannot be.
+        BadConfiguration: `conf` cannot be read, or says what cannot be.
         AccessDenied, WrongVariables, ...: the robot cannot be driven.
     """
 
