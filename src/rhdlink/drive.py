@@ -162,12 +162,11 @@ class Drive:
         self._speed = _number("speed", speed)
         self._acceleration = _positive("acceleration", acceleration)
         chosen = find_profile(compat)
-        link = open_link(robot)
-        self._owned = None if link is robot else link
-        self._link = link
         self._wake = threading.Event()
         self._closing = threading.Event()
         self._error: Exception | None = None
+        self._link = link = open_link(robot)
+        self._owned = None if link is robot else link
         try:
             controller = MissionController(suitable_conf(conf, link), link.read, link.write, profile=chosen, warm_up=0)
             self._controller = controller
