@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
+from linkcore.arguments import check_number
 from linkcore.errors import BadValue, Closed, LinkTimeout
 from linkcore.handle import Lifecycle, Motion
 from linkcore.threads import CallbackThread, started
@@ -143,6 +144,7 @@ class Drive:
 
     Raises:
         BadValue: an argument that cannot be.
+        BadConfiguration: `conf` cannot be read, or says what cannot be.
         AccessDenied, WrongVariables, ...: the robot cannot be driven.
     """
 
@@ -158,12 +160,11 @@ class Drive:
         self._speed = _number("speed", speed)
         self._acceleration = _positive("acceleration", acceleration)
         chosen = find_profile(compat)
-        link = open_link(robot)
-        self._owned = None if link is robot else link
-        self._link = link
         self._wake = threading.Event()
         self._closing = threading.Event()
         self._error: Exception | None = None
+        self._link = link = open_link(robot)
+        self._owned = None if link is robot else link
         try:
             controller = MissionController(suitable_conf(conf, link), link.read, link.write, profile=chosen, warm_up=0)
             self._controller = controller
@@ -367,12 +368,11 @@ class Drive:
 
 
 def _number(name: str, value: float) -> float:
-    if not isinstance(value, (int, float)) or not abs(value) <= _MOST:
-        raise BadValue(f"{name} is {value!r}; expected a number")
-    return float(value)
+    return check_number(value, name, -_MOST, _MOST)
 
 
 def _positive(name: str, value: float) -> float:
-    if not _number(name, value) > 0.0:
+    number = _number(name, value)
+    if number <= 0.0:
         raise BadValue(f"{name} is {value!r}; expected a number above 0")
-    return float(value)
+    return number

@@ -20,30 +20,34 @@ REDUCTION_STEPS = 100_000
 #: C's int has 32 bits; what does not fit becomes the smallest one on x86.
 _INT_MIN = -(2**31)
 
-#: What C's strtod takes that begins with a digit or a point: hexadecimal, or decimal with an optional exponent.
-NUMBER = re.compile(
+# What C's strtod takes that begins with a digit or a point: hexadecimal, or decimal with an optional exponent.
+_NUMBER = re.compile(
     r"0[xX](?:[0-9a-fA-F]+\.?[0-9a-fA-F]*|\.[0-9a-fA-F]+)(?:[pP][+-]?[0-9]+)?|(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
 )
 
 
-def parse_number(text: str) -> float:
-    """The value of a text that `NUMBER` matches."""
-    if text[:2] not in ("0x", "0X"):
-        return float(text)
+def parse_number(text: str, start: int = 0) -> tuple[float, int] | None:
+    """The number at `start` and the index behind it; None if there is none."""
+    found = _NUMBER.match(text, start)
+    if found is None:
+        return None
+    digits = found.group()
+    if digits[:2] not in ("0x", "0X"):
+        return float(digits), found.end()
     try:
-        return float.fromhex(text)
+        return float.fromhex(digits), found.end()
     except OverflowError:
-        return math.inf
+        return math.inf, found.end()
 
 
 def leading_number(text: str) -> float | None:
     """The number that a text begins with, as C's scanf and atof take it, with a sign; None if there is none."""
     text = text.lstrip(" \t\r\n\v\f")
-    found = NUMBER.match(text, int(text[:1] in ("-", "+")))
+    has_sign = text[:1] in ("-", "+")
+    found = parse_number(text, int(has_sign)) if text else None
     if found is None:
         return None
-    value = parse_number(found.group())
-    return -value if text[0] == "-" else value
+    return -found[0] if text[0] == "-" else found[0]
 
 
 def format_number(value: float) -> str:

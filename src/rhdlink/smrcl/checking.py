@@ -6,7 +6,7 @@ Whether a system variable exists depends on the robot, so that is found only whe
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator
-from dataclasses import fields, is_dataclass
+from dataclasses import is_dataclass
 
 from ..errors import Mistake
 from .commands import COMMANDS, ParameterKind
@@ -121,5 +121,6 @@ def _variables(part: object) -> Iterator[VariableName]:
         for each in part:
             yield from _variables(each)
     elif is_dataclass(part):
-        for field in fields(part):
-            yield from _variables(getattr(part, field.name))
+        # Not by `fields`, with which a check takes a third longer.
+        for each in vars(part).values():
+            yield from _variables(each)

@@ -83,7 +83,7 @@ class ControlFunctions:
         is_sensed, path = _INPUTS[module, function, name]
         owner, _, attribute = path.rpartition(".")
         routes = self._sensed if is_sensed else self._acted
-        routes[path] = attrgetter(owner)(self) if owner else self, attribute, place
+        routes[path] = (attrgetter(owner)(self) if owner else self), attribute, place
         return True
 
     def sense(self, pool: Sequence[float]) -> None:

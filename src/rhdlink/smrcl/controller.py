@@ -84,7 +84,7 @@ class MissionController:
         effects: what commands do.
         failure: why the mission ended early; None if it did not.
         is_finished: the mission is over: what `step` returned last has the robot stand.
-        cycle: of the mission, from 0; -1 once the robot has answered what comes before the first.
+        cycle: of the mission, from 0; -2 before the robot has answered, and -1 after the answer before the first cycle.
     """
 
     def __init__(
@@ -171,8 +171,8 @@ class MissionController:
             self._fail(f"what the robot measures cannot be computed: {error}")
         if self.cycle > self._warm_up:
             is_over = self._program is None or self._program.step()
-            if isinstance(self._program, PlanProgram):
-                self.failure = self._program.run.failure or self.failure
+            if isinstance(self._program, PlanProgram) and self._program.run.failure is not None:
+                self.failure = self._program.run.failure
         written = vehicle.stand() if self.is_held else self._act()
         self._supervise()
         self.effects.log.update()

@@ -85,7 +85,7 @@ class ScriptInterpreter:
         self.commands = commands
         self._parser = Parser(commands, functions)
         self.compiler = Compiler(vehicle.symbols, vehicle.profile, functions)
-        self.perform: Callable[[ScriptCommand, Sequence[float | str], Run, Sequence[Value]], Outcome] | None = None
+        self.perform: Callable[[ScriptCommand, Sequence[float | str], Run, Sequence[Value]], Outcome]
         self.executed = 0
         self.default_end: Callable[[], bool] = never
         self.time = 0.0

@@ -8,29 +8,18 @@ letters and digits: an underscore is not part of one. A string stands between qu
 from __future__ import annotations
 
 import enum
-import re
 from dataclasses import dataclass
 
-from .arithmetic import NUMBER, parse_number
+from .arithmetic import parse_number
 
 #: MRC keeps a name in 80 bytes and overruns them; a longer name is an error here.
 LONGEST_NAME = 79
 
-#: Each kind of token by the name of its `TokenType`, in the order in which they are tried. A string that is not closed
-#: ends the line.
-_TOKEN = re.compile(
-    rf"""
-    (?P<BLANK>   [ \t\r]+ )
-  | (?P<NUMBER>  {NUMBER.pattern} )
-  | (?P<NAME>    [A-Za-z][A-Za-z0-9]* )
-  | \$ (?P<SYSTEM> [A-Za-z][A-Za-z0-9]* )
-  | ["\\] (?P<STRING> [^"\\]* ) ["\\]
-  | (?P<END>     (?=["\\%\n\0]) | \Z )
-  | (?P<FOREIGN> [^\0-\x7f] )
-  | (?P<SYMBOL>  == | != | >= | <= | @v | @a | . )
-    """,
-    re.VERBOSE,
-)
+_LETTERS = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ")
+_ALNUM = _LETTERS | frozenset("0123456789")
+_NUMBER_START = frozenset("0123456789.")
+_BLANK = frozenset(" \t\r")
+_PAIRS = frozenset(("==", "!=", ">=", "<=", "@v", "@a"))
 
 
 class TokenType(enum.Enum):
@@ -74,11 +63,49 @@ class Token:
 def tokenize(line: str) -> list[Token]:
     """The tokens of a line, the last of which is its end. Takes any text; what it means is for the parser."""
     found = []
-    for match in _TOKEN.finditer(line):
-        name = str(match.lastgroup)
-        if name != "BLANK":
-            value = parse_number(match[name]) if name == "NUMBER" else 0.0
-            found.append(Token(TokenType[name], match[name], match.start() + 1, value))
-        if name == "END":
-            break
-    return found
+    place = 0
+    while True:
+        token, place = _next(line, place)
+        found.append(token)
+        if token.type is TokenType.END:
+            return found
+
+
+def _next(line: str, place: int) -> tuple[Token, int]:
+    while place < len(line) and line[place] in _BLANK:
+        place += 1
+    column = place + 1
+    first = line[place : place + 1]
+    if first in ("", "%", "\n", "\0"):
+        return Token(TokenType.END, "", column), place
+    if first in _NUMBER_START:
+        number = parse_number(line, place)
+        if number is None:  # a point alone
+            return Token(TokenType.SYMBOL, first, column), place + 1
+        value, end = number
+        return Token(TokenType.NUMBER, line[place:end], column, value), end
+    if first in ('"', "\\"):
+        # Either mark closes it.
+        end = place + 1
+        while end < len(line) and line[end] not in ('"', "\\"):
+            end += 1
+        if end == len(line):
+            return Token(TokenType.END, "", column), end
+        return Token(TokenType.STRING, line[place + 1 : end], column), end + 1
+    if first in _LETTERS:
+        end = _end_of_name(line, place)
+        return Token(TokenType.NAME, line[place:end], column), end
+    if first == "$" and line[place + 1 : place + 2] in _LETTERS:
+        end = _end_of_name(line, place + 1)
+        return Token(TokenType.SYSTEM, line[place + 1 : end], column), end
+    if line[place : place + 2] in _PAIRS:
+        return Token(TokenType.SYMBOL, line[place : place + 2], column), place + 2
+    if first > "\x7f":
+        return Token(TokenType.FOREIGN, first, column), place + 1
+    return Token(TokenType.SYMBOL, first, column), place + 1
+
+
+def _end_of_name(line: str, place: int) -> int:
+    while place < len(line) and line[place] in _ALNUM:
+        place += 1
+    return place

@@ -148,6 +148,7 @@ class Mission(WithCallbacks):
             LinkTimeout: it was not over in time; the robot stands.
             BadMission: the script cannot work, and has not begun.
             MissionFailed: a line could not be executed.
+            BadConfiguration: `conf` cannot be read, or says what cannot be.
             AccessDenied, WrongVariables, ...: the robot cannot be driven.
             ConnectionLost, LinkTimeout: it went away.
         """

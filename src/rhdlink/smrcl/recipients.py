@@ -276,7 +276,7 @@ class Session:
             self._waiting -= 1
 
     def begin_cycle(self, cycle: int, time: float) -> None:
-        """Send the streamed variables when it is their turn; `time` is ``$time`` of this cycle."""
+        """Send the streamed variables in each cycle in which they are due; `time` is ``$time`` of this one."""
         self._time = time
         if self._streamed and cycle % self._stream_period == 0:
             self._send_streamed(self._streamed)

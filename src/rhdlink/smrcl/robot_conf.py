@@ -316,8 +316,8 @@ def _read(path: Path) -> bytes:
     try:
         with path.open("rb") as file:
             return file.read(LARGEST + 1)
-    except OSError as error:
-        raise BadConfiguration(f"cannot read {path}: {error.strerror or error}") from error
+    except (OSError, ValueError) as error:
+        raise BadConfiguration(f"cannot read {path}: {getattr(error, 'strerror', None) or error}") from error
 
 
 def _numbers(path: Path, count: int | None) -> tuple[float, ...]:

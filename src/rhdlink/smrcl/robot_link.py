@@ -1,4 +1,4 @@
-"""How a mission reaches its robot, over the network or in this process, and what it takes it for.
+"""The link of a mission to its robot, over the network or in this process, and the configuration of that robot.
 
 A link exchanges values once per tick. What a mission does with them is the same for all links.
 """

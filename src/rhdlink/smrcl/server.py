@@ -58,9 +58,9 @@ class MissionServer(Runnable, WithCallbacks):
         failure: what ended it, if it was no `stop`; None while it goes on.
 
     Raises:
-        BadValue: fewer than one client. When it is run: BadAddress, the port cannot be listened on; AccessDenied,
-            WrongVariables and their kin, the robot cannot be driven; ConnectionLost, LinkTimeout, it went away;
-            MissionFailed, a provider or a watch failed.
+        BadValue: fewer than one client. When it is run: BadAddress, the port cannot be listened on; BadConfiguration,
+            `conf` cannot be read, or says what cannot be; AccessDenied, WrongVariables and their kin, the robot cannot
+            be driven; ConnectionLost, LinkTimeout, it went away; MissionFailed, a provider or a watch failed.
     """
 
     def __init__(

@@ -99,7 +99,6 @@ def _command(statement: CommandStatement, interpreter: ScriptInterpreter) -> Ste
             interpreter.output.message(f"Expecting between {command.least}  and {most} parameters\n")
         for mistake in command.mistakes(statement, values, checks_numbers=profile.numbers_are_checked):
             raise LineFault(mistake)
-        assert interpreter.perform is not None
         return interpreter.perform(command, values, run, conditions)
 
     return step

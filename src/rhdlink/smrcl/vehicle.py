@@ -16,6 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from linkcore.errors import BadValue
 
+from ..host.config import BadConfiguration
 from .control_functions import ControlFunctions
 from .motion.basic import FunctionGenerator, Stop
 from .motion.control import DriveKind, MotionControl
@@ -54,6 +55,9 @@ class Vehicle:
         uses_kalman: motions go by the pose of a filter outside.
         cycles: periods since the cycle before; more than 1 where answers of the robot were missed.
         generator_output: the output that `routeoutput` sends `funcgen` to: variable and index.
+
+    Raises:
+        BadConfiguration: an input comes from a place where there is no variable.
     """
 
     def __init__(
@@ -104,6 +108,9 @@ class Vehicle:
             name, index = split_index(route.variable)
             symbol = self.symbols.find_system(name)
             if symbol is not None:
+                # An index beyond the variable leads to what stands behind it, as in MRC; here not beyond the pool.
+                if not 0 <= symbol.place + index < len(self.symbols.pool):
+                    raise BadConfiguration(f"routeinput from {route.variable}: there is no such value")
                 self.functions.route_input(route.module, route.function, route.parameter, symbol.place + index)
 
     def _counter(self, raw: Mapping[str, Sequence[int]], name: str) -> int:

@@ -6,7 +6,9 @@ import asyncio
 import math
 import threading
 from collections.abc import Callable, Iterator
+from typing import Any
 
+import numpy as np
 import pytest
 
 from linkcore.errors import LinkError
@@ -229,6 +231,9 @@ def test_an_obstacle_stops_a_motion_before_it() -> None:
         lambda drive: drive.follow_wall("left", -0.3),
         lambda drive: drive.wheels(0.1, None),
         lambda drive: drive.forward(1.0, speed=math.nan),
+        lambda drive: drive.forward(True),
+        lambda drive: drive.arc(True, 90),
+        lambda drive: drive.forward(1e7),
     ],
 )
 def test_motions_that_cannot_be_are_refused(refused: Callable[[Drive], object]) -> None:
@@ -238,8 +243,16 @@ def test_motions_that_cannot_be_are_refused(refused: Callable[[Drive], object]) 
         assert drive.error is None
 
 
+@pytest.mark.parametrize("kind", [np.int64, np.float32])
+def test_numbers_of_numpy_are_numbers(kind: Any) -> None:
+    robot = Turtle(World(1000.0))
+    with Drive(robot, speed=kind(1), acceleration=kind(1)) as drive:
+        drive.forward(kind(1)).wait(SECONDS)
+    assert pose(robot)[0] == pytest.approx(1.0, abs=0.01)
+
+
 def test_a_drive_that_cannot_be_is_refused() -> None:
-    for arguments in ({"speed": math.nan}, {"acceleration": 0.0}, {"compat": "loud"}):
+    for arguments in ({"speed": math.nan}, {"speed": True}, {"acceleration": 0.0}, {"compat": "loud"}):
         with pytest.raises(BadValue):
             Drive(Turtle(), **arguments)
     with pytest.raises(LinkError):

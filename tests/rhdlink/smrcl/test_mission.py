@@ -5,8 +5,10 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
+import re
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -18,6 +20,7 @@ from rhdlink.plugins.turtle import SmrTurtle, Turtle
 from rhdlink.smrcl.interpreter import MissionLimits
 from rhdlink.smrcl.mission import LARGEST, read_script
 from rhdlink.smrcl.recipients import Said, SaidKind
+from rhdlink.smrcl.robot_conf import VELOMEGA, InputRoute
 from rhdlink.smrcl.robot_link import PluginLink
 from rhdlink.world import World
 from tests.waiting import interrupted, until
@@ -139,6 +142,20 @@ def test_a_mission_that_fails_says_where() -> None:
 def test_limits_are_a_mission_s_own() -> None:
     with pytest.raises(MissionLimit, match="50 lines in one cycle"):
         Mission('n = 1\nlabel "on"\ngoto "on"\n', turtle(), limits=MissionLimits(lines=50)).run()
+
+
+def test_a_speed_can_be_a_whole_number_of_the_robot() -> None:
+    run = Mission("drive @v $tick : ($cmdtime > 0.1)\n", turtle()).run()
+    assert (run.phase, run.error) == (Phase.DONE, None)
+    assert run._execution.controller.vehicle.control.speed > 0.0
+
+
+@pytest.mark.parametrize("compat", ["sound", "mrc"])
+@pytest.mark.parametrize("variable", ["tick[99999]", "tick[-99999]"])
+def test_an_input_that_comes_from_beyond_all_variables_is_refused(variable: str, compat: str) -> None:
+    conf = replace(VELOMEGA, routes=(InputRoute("mrc", "motionconnect", "w2odox", variable),))
+    with pytest.raises(BadConfiguration, match=re.escape(f"{variable}: there is no such value")):
+        Mission("fwd 0.1\n", turtle(), conf=conf, compat=compat).run()
 
 
 def test_a_mission_needs_a_robot_that_it_can_drive(tmp_path: Path) -> None:

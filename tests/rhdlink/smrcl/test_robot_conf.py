@@ -89,6 +89,12 @@ def test_a_file_that_cannot_be_read_says_why(text: str, said: str) -> None:
         parse_robot_conf(text)
 
 
+@pytest.mark.parametrize("path", ["a\0b", "nowhere"])
+def test_a_file_that_cannot_be_opened_is_no_configuration(path: str) -> None:
+    with pytest.raises(BadConfiguration, match="cannot read"):
+        read_robot_conf(path)
+
+
 @pytest.mark.parametrize(
     ("kind", "text", "said"), [("ls", "1 2 3", "has 3 numbers; expected 16"), ("odo", "a b c", "could not convert")]
 )

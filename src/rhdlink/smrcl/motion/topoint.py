@@ -189,8 +189,9 @@ class DriveToPoint(ControlledMotion):
         self._goal = goal
         self._radius = radius
         self._is_absolute = is_absolute
-        # m, of each of the three; and those that are not driven yet.
+        # Of the arc, the line and the arc, m.
         self._lengths = [0.0, 0.0, 0.0]
+        # Those that are not driven yet, each with its direction; None for one that is not there.
         self._pieces: list[tuple[ControlledMotion | None, float]] = []
         self._is_begun = False
 
