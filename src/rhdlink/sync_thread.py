@@ -14,7 +14,7 @@ from linkcore.clock import Stamp
 from linkcore.errors import BadValue, Closed, RemoteError
 from linkcore.streaming.connection_life import Backoff
 from linkcore.streaming.packet_queue import PacketQueue, Policy, check_lifespan, check_policy
-from linkcore.streaming.subscription import Delivery, Subscription, ThreadedDelivery
+from linkcore.streaming.subscription import Delivery, Subscription, ThreadedDelivery, check_deadline
 from linkcore.threads import started
 
 from .variables.snapshot import Change, Update
@@ -169,12 +169,7 @@ class Subscribers:
         """
         check_callable(callback, "callback")
         check_policy(policy)
-        if deadline is not None:
-            check_seconds(deadline, "deadline", positive=True)
-        if on_deadline is not None:
-            check_callable(on_deadline, "on_deadline")
-            if deadline is None:
-                raise BadValue("on_deadline was given without a deadline")
+        deadline = check_deadline(deadline, on_deadline)
         queue = PacketQueue(policy, check_lifespan(lifespan))
 
         def detach(delivery: Delivery) -> None:
