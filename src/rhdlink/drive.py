@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
+from linkcore.arguments import check_choice
 from linkcore.errors import BadValue, Closed, LinkTimeout
 from linkcore.handle import Lifecycle, Motion
 from linkcore.threads import CallbackThread, started
@@ -231,8 +232,7 @@ class Drive:
 
     def follow_wall(self, side: str, distance: float, *, speed: float | None = None) -> Motion:
         """Beside a wall on the "left" or "right", in `distance` m, until another motion begins or it is cancelled."""
-        if side not in ("left", "right"):
-            raise BadValue(f"side is {side!r}; expected 'left' or 'right'")
+        check_choice(side, "side", ("left", "right"))
         return self._begin("follow_wall", FollowWall(side == "left", _positive("distance", distance)), speed)
 
     def wheels(self, left: float, right: float) -> Motion:
