@@ -6,15 +6,15 @@ A URCap of the vendor ("RS485 daemon", on PolyScope X "Tool Comm Forwarder") cop
 
 from __future__ import annotations
 
-import contextlib
 import threading
 import time
-from collections.abc import Iterator
+from contextlib import AbstractContextManager
 
 from linkcore.arguments import check_seconds
 from linkcore.errors import BadValue, Closed, ConnectionLost, LinkTimeout
 from linkcore.net.recall import MAY_STILL
 from linkcore.net.transport import TcpTransport
+from linkcore.threads import held
 
 #: The message where the port is refused.
 _NEEDED = (
@@ -108,14 +108,9 @@ class ToolSerial:
 
     # -- inside, by the thread that has its turn -----------------------------------------------------------
 
-    @contextlib.contextmanager
-    def _turn(self, timeout: float) -> Iterator[None]:
-        if not self._lock.acquire(timeout=timeout):
-            raise LinkTimeout(f"for {timeout:g} s another thread used the tool's serial line; nothing was sent")
-        try:
-            yield
-        finally:
-            self._lock.release()
+    def _turn(self, timeout: float) -> AbstractContextManager[None]:
+        otherwise = f"for {timeout:g} s another thread used the tool's serial line; nothing was sent"
+        return held(self._lock, timeout, otherwise)
 
     def _check(self, timeout: float, *, request: bytes = b"\0", size: int = 1) -> float:
         if not isinstance(request, (bytes, bytearray)) or not request:
