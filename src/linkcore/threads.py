@@ -1,5 +1,5 @@
 """Threads: starting one where the system may have none left, waiting for a lock, the one that calls a user's callbacks,
-and one of its own; and what several of them make at first use.
+and one of its own; what several of them make at first use, and what a block closes at its end.
 
 Callbacks are done callbacks, `on_stop` and `on_text`. No lock is held meanwhile and no robot is kept waiting, so a
 callback may command the robot, wait for a motion, close the robot, be slow or raise. One that is slow keeps those after
@@ -144,7 +144,20 @@ def _run(calls: _Calls, has_ended: threading.Event) -> None:
         has_ended.set()
 
 
-class Runnable(ABC):
+class Closing:
+    """A context manager that closes itself."""
+
+    def close(self) -> None:
+        """End it; idempotent."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+class Runnable(Closing, ABC):
     """A server of one robot: begun, run and ended once. A context manager that starts and closes itself.
 
     Args:
@@ -295,6 +308,3 @@ class Runnable(ABC):
 
     def __enter__(self) -> Self:
         return self.start()
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()

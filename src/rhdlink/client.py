@@ -20,7 +20,7 @@ from linkcore.streaming.connection_life import Backoff, ConnectionEvent, Connect
 from linkcore.streaming.packet_queue import Policy, drop_oldest
 from linkcore.streaming.subscription import Subscription
 from linkcore.text import similar
-from linkcore.threads import held
+from linkcore.threads import Closing, held
 
 from .address import parse_address
 from .connection import Connection, Transport
@@ -110,7 +110,7 @@ def connect(
     return robot
 
 
-class Variables(Declarations):
+class Variables(Declarations, Closing):
     """A robot: its variables, in step with it by `sync`. A context manager that closes itself.
 
     Derive from it to declare variables as properties, see `Read` and `Write`; every variable of the
@@ -407,12 +407,6 @@ class Variables(Declarations):
         self._subscribers.close(until)
         if isinstance(self._transport, RecordedTransport):
             self._transport.finish()
-
-    def __enter__(self: R) -> R:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
     def __del__(self) -> None:
         # A connection that was never made, or was closed in a parent process, needs no warning.

@@ -14,7 +14,7 @@ from linkcore.arguments import check_seconds
 from linkcore.errors import BadValue, Closed, ConnectionLost, LinkTimeout
 from linkcore.net.recall import MAY_STILL
 from linkcore.net.transport import TcpTransport
-from linkcore.threads import held
+from linkcore.threads import Closing, held
 
 #: The message where the port is refused.
 _NEEDED = (
@@ -23,7 +23,7 @@ _NEEDED = (
 )
 
 
-class ToolSerial:
+class ToolSerial(Closing):
     """The bytes of the RS485 line in the tool connector. Connects when it is first used; threads take turns.
 
     The line is set by `robot.io.set_tool_communication`. Nothing of it is interlocked: what is mounted there does what
@@ -99,12 +99,6 @@ class ToolSerial:
         """Disconnect for good. Idempotent; `robot.close()` does it too."""
         self._is_closed = True
         self._transport.close()
-
-    def __enter__(self) -> ToolSerial:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
     # -- inside, by the thread that has its turn -----------------------------------------------------------
 

@@ -13,7 +13,7 @@ from linkcore.arguments import check_whole
 from linkcore.errors import BadValue, Closed, ConnectionLost
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import ConnectionState
-from linkcore.threads import held
+from linkcore.threads import Closing, held
 
 from ..interfaces.rtde.packets import join_names
 from ..interfaces.rtde.protocol import RtdeProtocol, check_names
@@ -97,7 +97,7 @@ def checked(name: str, type: str, value: Any) -> Any:
     return numbers[0] if count is None else numbers
 
 
-class Inputs:
+class Inputs(Closing):
     """Variables that are claimed for as long as this is open. A context manager; made by `Rtde.inputs`.
 
     They are claimed again when the connection was lost and made again; what was sent before is not sent again. A
@@ -203,12 +203,6 @@ class Inputs:
     def close(self, timeout: float = 2.0) -> None:
         """Disconnect, which releases the variables; a controller may take a while for that. Idempotent."""
         self._connection.close(timeout)
-
-    def __enter__(self) -> Inputs:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
     def __repr__(self) -> str:
         return f"<Inputs {join_names(self.names)} of {self._connection.name}: {self.connection.value}>"
