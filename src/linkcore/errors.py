@@ -21,7 +21,7 @@ Two kinds of mistake, two kinds of error::
 from __future__ import annotations
 
 import copy
-from typing import TypeVar
+from typing import Any, TypeVar
 
 E = TypeVar("E", bound=Exception)
 
@@ -112,6 +112,12 @@ class PacketError(RemoteError, ValueError):
         self.expected = expected
         self.actual = actual
         self.offset = offset
+
+
+def altered(error: PacketError, **arguments: Any) -> PacketError:
+    """The same error but for these arguments."""
+    names = ("reason", "packet", "version", "expected", "actual", "offset")
+    return PacketError(**{name: getattr(error, name) for name in names} | arguments)
 
 
 def unraised(error: E) -> E:

@@ -1,5 +1,5 @@
-"""Threads: starting one where the system may have none left, the one that calls a user's callbacks, and one of its own;
-and what several of them make at first use.
+"""Threads: starting one where the system may have none left, waiting for a lock, the one that calls a user's callbacks,
+and one of its own; what several of them make at first use, and what a block closes at its end.
 
 Callbacks are done callbacks, `on_stop` and `on_text`. No lock is held meanwhile and no robot is kept waiting, so a
 callback may command the robot, wait for a motion, close the robot, be slow or raise. One that is slow keeps those after
@@ -9,12 +9,13 @@ it waiting, and nothing else. What is `Runnable` runs once: in the thread that c
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import threading
 import weakref
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
@@ -39,6 +40,21 @@ def started(thread: threading.Thread) -> threading.Thread:
             f"system allows; there are {threading.active_count()} of Python"
         ) from error
     return thread
+
+
+@contextlib.contextmanager
+def held(lock: threading.Lock | threading.RLock, timeout: float, otherwise: str) -> Iterator[None]:
+    """Hold a lock within a block; `timeout` seconds to get it.
+
+    Raises:
+        LinkTimeout: others kept it for so long; `otherwise` is the message.
+    """
+    if not lock.acquire(timeout=timeout):
+        raise LinkTimeout(otherwise)
+    try:
+        yield
+    finally:
+        lock.release()
 
 
 _log = logging.getLogger(__name__)
@@ -128,7 +144,20 @@ def _run(calls: _Calls, has_ended: threading.Event) -> None:
         has_ended.set()
 
 
-class Runnable(ABC):
+class Closing:
+    """A context manager that closes itself."""
+
+    def close(self) -> None:
+        """End it; idempotent."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+class Runnable(Closing, ABC):
     """A server of one robot: begun, run and ended once. A context manager that starts and closes itself.
 
     Args:
@@ -279,6 +308,3 @@ class Runnable(ABC):
 
     def __enter__(self) -> Self:
         return self.start()
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()

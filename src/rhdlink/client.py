@@ -20,6 +20,7 @@ from linkcore.streaming.connection_life import Backoff, ConnectionEvent, Connect
 from linkcore.streaming.packet_queue import Policy, drop_oldest
 from linkcore.streaming.subscription import Subscription
 from linkcore.text import similar
+from linkcore.threads import Closing, held
 
 from .address import parse_address
 from .connection import Connection, Transport
@@ -109,7 +110,7 @@ def connect(
     return robot
 
 
-class Variables(Declarations):
+class Variables(Declarations, Closing):
     """A robot: its variables, in step with it by `sync`. A context manager that closes itself.
 
     Derive from it to declare variables as properties, see `Read` and `Write`; every variable of the
@@ -300,16 +301,13 @@ class Variables(Declarations):
             raise LocalError(f"{self._address} was connected to by the parent process; connect again in this one")
         # One deadline for everything: waiting for another thread, connecting, and each receive take what is left of it.
         until = time.monotonic() + seconds
-        if not self._exchange.acquire(timeout=min(seconds, threading.TIMEOUT_MAX)):
-            raise LinkTimeout(f"{self.address}: another thread has been in sync() for {seconds:g} s")
-        try:
+        otherwise = f"{self.address}: another thread has been in sync() for {seconds:g} s"
+        with held(self._exchange, min(seconds, threading.TIMEOUT_MAX), otherwise):
             if self._closing.is_set():
                 raise Closed(f"{self._address} was closed")
             self._sync(replica, until)
             # Before another thread syncs: what is fresh now is not afterwards, and updates go out in order.
             self._subscribers.update(replica.changes, self._received)
-        finally:
-            self._exchange.release()
 
     def background(self, period: float | None = None, *, backoff: Backoff | None = None) -> SyncThread:
         """Keep in sync from a thread, until it or the robot is closed; reconnects by itself.
@@ -409,12 +407,6 @@ class Variables(Declarations):
         self._subscribers.close(until)
         if isinstance(self._transport, RecordedTransport):
             self._transport.finish()
-
-    def __enter__(self: R) -> R:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
     def __del__(self) -> None:
         # A connection that was never made, or was closed in a parent process, needs no warning.

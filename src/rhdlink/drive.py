@@ -6,12 +6,12 @@ import math
 import os
 import threading
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
-from linkcore.arguments import check_number
+from linkcore.arguments import check_choice, check_number
 from linkcore.errors import BadValue, Closed, LinkTimeout
 from linkcore.handle import Lifecycle, Motion
-from linkcore.threads import CallbackThread, started
+from linkcore.threads import CallbackThread, Closing, started
 
 from .smrcl.controller import MissionController
 from .smrcl.execution import Callbacks, MissionExecution, leaving_at_exit
@@ -27,9 +27,6 @@ from .smrcl.robot_conf import RobotConf
 from .smrcl.robot_link import Robot, open_link, suitable_conf
 from .smrcl.sensors import LineKind
 from .world import Pose
-
-if TYPE_CHECKING:
-    from typing_extensions import Self
 
 #: m, m/s, m/s2 or degrees beyond which no mobile robot is meant.
 _MOST = 1e6
@@ -120,7 +117,7 @@ class _Motions:
                 command.life.fail(error)
 
 
-class Drive:
+class Drive(Closing):
     """Drives a robot by motions; a context manager that closes itself::
 
         with rhdlink.Drive(robot) as drive:
@@ -232,8 +229,7 @@ class Drive:
 
     def follow_wall(self, side: str, distance: float, *, speed: float | None = None) -> Motion:
         """Beside a wall on the "left" or "right", in `distance` m, until another motion begins or it is cancelled."""
-        if side not in ("left", "right"):
-            raise BadValue(f"side is {side!r}; expected 'left' or 'right'")
+        check_choice(side, "side", ("left", "right"))
         return self._begin("follow_wall", FollowWall(side == "left", _positive("distance", distance)), speed)
 
     def wheels(self, left: float, right: float) -> Motion:
@@ -352,12 +348,6 @@ class Drive:
     def _close_link(self) -> None:
         if self._owned is not None:
             self._owned.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
     def __repr__(self) -> str:
         x, y, theta = self.pose

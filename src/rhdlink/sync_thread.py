@@ -14,15 +14,15 @@ from linkcore.clock import Stamp
 from linkcore.errors import BadValue, Closed, RemoteError
 from linkcore.streaming.connection_life import Backoff
 from linkcore.streaming.packet_queue import PacketQueue, Policy, check_lifespan, check_policy
-from linkcore.streaming.subscription import Delivery, Subscription, ThreadedDelivery
-from linkcore.threads import started
+from linkcore.streaming.subscription import Delivery, Subscription, ThreadedDelivery, check_deadline
+from linkcore.threads import Closing, started
 
 from .variables.snapshot import Change, Update
 
 _log = logging.getLogger(__name__)
 
 
-class SyncThread:
+class SyncThread(Closing):
     """Syncs from a thread of its own until closed; a context manager that closes itself.
 
     Made by `Variables.background`. It does not keep the robot alive: when the program drops its last reference to the
@@ -67,12 +67,6 @@ class SyncThread:
         self._closing.set()
         if self._thread is not threading.current_thread():
             self._thread.join(max(timeout, 0.0))
-
-    def __enter__(self) -> SyncThread:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
     def __repr__(self) -> str:
         state = "running" if self.is_running else "ended" if self.failure is None else f"ended by {self.failure!r}"
@@ -169,12 +163,7 @@ class Subscribers:
         """
         check_callable(callback, "callback")
         check_policy(policy)
-        if deadline is not None:
-            check_seconds(deadline, "deadline", positive=True)
-        if on_deadline is not None:
-            check_callable(on_deadline, "on_deadline")
-            if deadline is None:
-                raise BadValue("on_deadline was given without a deadline")
+        deadline = check_deadline(deadline, on_deadline)
         queue = PacketQueue(policy, check_lifespan(lifespan))
 
         def detach(delivery: Delivery) -> None:

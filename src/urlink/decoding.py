@@ -9,7 +9,7 @@ from collections.abc import Callable
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any, Literal, overload
 
-from linkcore.errors import BadValue, BadVersion, PacketError
+from linkcore.errors import BadValue, BadVersion, PacketError, altered
 from linkcore.wire.framing import check_explained, is_strict, strictly
 from linkcore.wire.packet import State
 
@@ -93,14 +93,8 @@ def decode(
                 raise PacketError(f"no packet of the {interface} interface begins with {begin}", packet=name)
             states.append(decode_frame(data[at : at + size]))
         except PacketError as error:
-            raise PacketError(
-                error.reason,
-                packet=error.packet,
-                version=None if version is None else str(version),
-                expected=error.expected,
-                actual=error.actual,
-                offset=at + error.offset,
-            ) from None
+            shown = None if version is None else str(version)
+            raise altered(error, version=shown, offset=at + error.offset) from None
         at += size
     return states
 

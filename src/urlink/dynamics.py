@@ -29,7 +29,7 @@ from linkcore.errors import BadValue
 
 from . import rigid
 from .kinematics import Arm
-from .kinematics.geometry import chain
+from .kinematics.geometry import angles, chain
 from .models import Model
 from .motors import motors_of
 from .rigid import FLOATS, ROWS, Number, Rigid
@@ -202,13 +202,11 @@ class Dynamics:
 
     def _frames(self, q: ArrayLike) -> list[Rigid[float]]:
         """The ends of the links, at the joint positions of one row."""
-        q1, q2, q3, q4, q5, q6 = rigid.floats(q, 6, "joint positions")
-        return chain(self._arm.geometry, FLOATS, (q1, q2, q3, q4, q5, q6))
+        return chain(self._arm.geometry, FLOATS, angles(rigid.floats(q, 6, "joint positions")))
 
     def _frames_of_rows(self, q: FloatArray) -> list[Rigid[FloatArray]]:
         """The ends of the links, at joint positions (n, 6)."""
-        q1, q2, q3, q4, q5, q6 = np.ascontiguousarray(q.T)
-        return chain(self._arm.geometry, ROWS, (q1, q2, q3, q4, q5, q6))
+        return chain(self._arm.geometry, ROWS, angles(np.ascontiguousarray(q.T)))
 
     def _torque(self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, gravity: tuple[float, float, float]) -> FloatArray:
         if rigid.is_single(q) and rigid.is_single(qd) and rigid.is_single(qdd):

@@ -15,7 +15,7 @@ from linkcore.errors import BadValue, Closed, LocalError
 from linkcore.net.recall import Recall
 from linkcore.streaming.stream import Stream
 from linkcore.text import html_table
-from linkcore.threads import MadeOnce
+from linkcore.threads import Closing, MadeOnce
 
 from .address import RecordingAddress, RobotAddress, SimulatorAddress
 from .connect_options import ConnectOptions, takes_connect_options
@@ -29,8 +29,6 @@ from .robot_clock import RobotClock
 from .source import Source, networked, recorded
 
 if TYPE_CHECKING:
-    from typing_extensions import Self
-
     from linkcore.recording.recorder import Recorder
 
     from .commanding.interpreter import Interpreter
@@ -180,7 +178,7 @@ def take_back(robot: Robot, timeout: float) -> None:
     robot._commanded().settle(timeout)
 
 
-class Robot(AnswersForeignNames):
+class Robot(AnswersForeignNames, Closing):
     """A robot: its streams, and what it is. A context manager that closes itself; made by `connect`.
 
     Attributes:
@@ -613,12 +611,6 @@ class Robot(AnswersForeignNames):
             stream.close(max(until - time.monotonic(), 0.0))
         if self._controller is not None:
             self._controller.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
     def __del__(self) -> None:
         # The streams warn for themselves.

@@ -26,7 +26,7 @@ import threading
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
 from ..clock import Stamp
 from ..errors import BadRecording, BadValue, Closed
@@ -88,6 +88,20 @@ def unseen(part: float) -> None:
     """Where nobody wants to know."""
 
 
+def new_file(path: Path, *, buffering: int = -1) -> IO[bytes]:
+    """A file that did not exist, opened to write; `buffering` as for `open`.
+
+    Raises:
+        BadRecording: the file exists, or cannot be made.
+    """
+    try:
+        return path.open("xb", buffering=buffering)
+    except FileExistsError:
+        raise BadRecording(f"{path} exists; a recording never overwrites one") from None
+    except (OSError, ValueError) as error:  # ValueError: no operating system has such names
+        raise BadRecording(f"cannot write {path}: {_reason(error)}") from error
+
+
 class RecordingWriter:
     """Appends records to a new file; may be called from several threads.
 
@@ -97,13 +111,8 @@ class RecordingWriter:
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
-        try:
-            # Unbuffered: bytes that write() has taken are kept by the operating system, also when this process dies.
-            self._file = open(self.path, "xb", buffering=0)  # noqa: SIM115
-        except FileExistsError:
-            raise BadRecording(f"{self.path} exists; a recording never overwrites one") from None
-        except (OSError, ValueError) as error:  # ValueError: no operating system has such names
-            raise BadRecording(f"cannot write {self.path}: {_reason(error)}") from error
+        # Unbuffered: bytes that write() has taken are kept by the operating system, also when this process dies.
+        self._file = new_file(self.path, buffering=0)
         self._lock = threading.Lock()
         self._channels = 0
         #: The first error of the file, in words; nothing is written after it.

@@ -13,13 +13,14 @@ from ..streaming.connection_life import Traffic
 from ..streaming.packet_queue import block
 from ..streaming.stream import Stream
 from ..streaming.subscription import Subscription
+from ..threads import Closing
 from .file import RecordingWriter
 
 #: Seconds for which bytes are gathered before they are written: the most that a killed program loses.
 _GATHER = 0.02
 
 
-class Recorder:
+class Recorder(Closing):
     """Records streams into one file, from now until closed; a context manager.
 
     The reader only puts bytes into a queue; the recorder writes the file in its own threads. Nothing is
@@ -82,9 +83,3 @@ class Recorder:
     def __repr__(self) -> str:
         state = self.failure or f"{len(self._subscriptions)} streams"
         return f"<Recorder {self.path}: {state}>"
-
-    def __enter__(self) -> Recorder:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()

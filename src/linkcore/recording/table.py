@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arguments import check_choice
 from ..errors import BadValue
 from ..lazy import needs
 from ..wire.cycles import Gap, Missing, gaps_of
@@ -258,8 +259,8 @@ class Table:
             BadValue: no such field or library.
             LocalError: the library is not installed; the message says how to install it.
         """
-        if library not in (None, "pandas", "polars"):
-            raise BadValue(f"library={library!r}; expected 'pandas' or 'polars'")
+        if library is not None:
+            check_choice(library, "library", ("pandas", "polars"))
         columns = flat_columns(self, *names)
         if library != "polars":
             with contextlib.suppress(ImportError) if library is None else needs("pandas", "to_frame"):

@@ -8,23 +8,21 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from ..errors import BadValue
+from ..threads import Closing
 from ..wire.packet import State
 from .subscription import Subscription
-
-if TYPE_CHECKING:
-    from typing_extensions import Self
 
 #: Columns that say when the bytes came.
 _WHEN = ("received", "received_wall")
 
 
-class History:
+class History(Closing):
     """The states of the last seconds; made by `Feed.history`. A context manager: close it, or it goes on.
 
     States of before a reconnect to another firmware, whose fields differ, are dropped.
@@ -115,12 +113,6 @@ class History:
     def close(self) -> None:
         """Keep no more; what was kept stays. Idempotent."""
         self._subscription.close(0)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
     def __repr__(self) -> str:
         return f"<History of {len(self)} {self._kind.__name__} in {self._seconds:g} s>"

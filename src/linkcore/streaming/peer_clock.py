@@ -30,6 +30,8 @@ _LEAST = 8
 #: exponential or uniform.
 _RARE = 7.0
 
+_Point = tuple[float, float]
+
 
 class ClockRelation(NamedTuple):
     """How two clocks go beside each other.
@@ -212,7 +214,10 @@ def _line(seconds: Sequence[_Second], round_trip: float) -> ClockRelation:
     """The highest line below the quickest packets: highest in the middle of their time."""
     middle = 0.5 * (seconds[0].moment + seconds[-1].moment)
     points = [(each.moment - middle, each.way) for each in seconds]
-    slope = min(max(_slope(points), -_MOST_DRIFT), _MOST_DRIFT)
+    slope = 0.0
+    if len(points) > 1:
+        (x1, y1), (x2, y2) = lowest_edge(points, 0.0)
+        slope = min(max((y2 - y1) / (x2 - x1), -_MOST_DRIFT), _MOST_DRIFT)
     heights = [way - slope * moment for moment, way in points]
     way = min(heights)
     error = 2.0 * _median(height - way for height in heights) + _median(each.lucky for each in seconds)
@@ -221,9 +226,9 @@ def _line(seconds: Sequence[_Second], round_trip: float) -> ClockRelation:
     return ClockRelation(middle, way, slope, error, unsure, round_trip)
 
 
-def _slope(points: list[tuple[float, float]]) -> float:
-    """The slope of the lower hull of points with increasing times, where its time is 0; 0 for a single point."""
-    hull: list[tuple[float, float]] = []
+def lowest_edge(points: Iterable[_Point], at: float) -> tuple[_Point, _Point]:
+    """The edge of the lower hull of two or more points with increasing x, where x is `at`: none is below its line."""
+    hull: list[_Point] = []
     for x, y in points:
         while len(hull) > 1:
             (x1, y1), (x2, y2) = hull[-2:]
@@ -231,10 +236,7 @@ def _slope(points: list[tuple[float, float]]) -> float:
                 break
             hull.pop()
         hull.append((x, y))
-    for (x1, y1), (x2, y2) in itertools.pairwise(hull):
-        if x2 >= 0.0:
-            return (y2 - y1) / (x2 - x1)
-    return 0.0
+    return next(((one, other) for one, other in itertools.pairwise(hull) if other[0] >= at), (hull[0], hull[-1]))
 
 
 def _median(values: Iterable[float]) -> float:

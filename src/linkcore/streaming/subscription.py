@@ -15,7 +15,7 @@ from typing import Any
 
 from ..arguments import check_callable, check_seconds
 from ..errors import BadValue
-from ..threads import started
+from ..threads import Closing, started
 from .packet_queue import PacketQueue
 from .statistics import SLOW_INLINE, StreamCounters, SubscriptionStatistics, snapshot
 
@@ -331,7 +331,7 @@ class InlineDelivery(Delivery):
             wait = self._late(self._deadline)
 
 
-class Subscription:
+class Subscription(Closing):
     """A callback that gets packets, in order and one at a time, until it is closed.
 
     Made by `Stream.subscribe`; a context manager that closes itself. It need not be kept: the
@@ -382,12 +382,6 @@ class Subscription:
             BadValue: `timeout` is not a number of seconds.
         """
         return self._delivery.join(_NEVER if timeout is None else check_seconds(timeout, "timeout"))
-
-    def __enter__(self) -> Subscription:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
     def __repr__(self) -> str:
         stats = self.stats

@@ -161,7 +161,7 @@ class State:
 
     def to_dict(self) -> dict[str, Any]:
         """name -> plain Python value of every field sent: numbers, lists, text; codes by name."""
-        return {name: _plain(getattr(self, name)) for name in self._layout.places}
+        return {name: plain(getattr(self, name)) for name in self._layout.places}
 
     def __str__(self) -> str:
         shown = ", ".join(f"{name}={_short(getattr(self, name))}" for name in self._layout.places)
@@ -182,16 +182,15 @@ def _restored(cls: type[State], data: bytes, first: Version, has_block: bool, st
     return layout.decode(data, stamp)  # type: ignore[no-any-return]
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, np.ndarray):
+def plain(value: Any) -> Any:
+    """A field's value for JSON: codes by name, bytes in hex."""
+    if isinstance(value, (np.ndarray, np.generic)):
         return value.tolist()
-    if isinstance(value, tuple):
-        return [_plain(element) for element in value]
+    if isinstance(value, (tuple, list)):
+        return [plain(element) for element in value]
     if isinstance(value, OpenInt):
         return value.name
-    if isinstance(value, bytes):
-        return value.hex()
-    return value
+    return value.hex() if isinstance(value, (bytes, bytearray)) else value
 
 
 def _short(value: Any) -> str:

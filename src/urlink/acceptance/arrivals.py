@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from linkcore.streaming.peer_clock import lowest_edge
 from linkcore.wire.cycles import gaps_of
 
 from ..firmware import RELEASES, Firmware, Release, release_of
@@ -284,10 +284,12 @@ def _drift(evidence: Evidence) -> Measured:
     times, delays = times[begin:end], (arrived - times)[begin:end]
     if len(times) < _FEWEST or times[-1] - times[0] < 1.0:
         raise NotTried("the packets span less than 1 s")
-    first, last = _least_delayed(times, delays)
-    length = float(times[last] - times[first])
-    slope = float(delays[last] - delays[first]) / length
-    above = delays - delays[first] - slope * (times - times[first])
+    # Through two packets that nothing has held up: the line is below all others.
+    middle = 0.5 * float(times[0] + times[-1])
+    (begun, least), (ended, most) = lowest_edge(zip(times.tolist(), delays.tolist(), strict=True), middle)
+    length = ended - begun
+    slope = (most - least) / length
+    above = delays - least - slope * (times - begun)
     doubt = (2.0 * float(np.quantile(above, 0.05)) + _STAMPED) / length
     seen = f"{-slope * 1e6:+.0f} ppm, known within {doubt * 1e6:.0f} ppm, in {times[-1] - times[0]:.1f} s"
     if doubt > _MOST_DOUBT:
@@ -296,20 +298,6 @@ def _drift(evidence: Evidence) -> Measured:
     if (late := max(float(part.min()) for part in np.array_split(above, 8))) > _STEP:
         raise NotTried(f"packets were late by {late * 1e3:.0f} ms at once: {seen}")
     return Measured(max(abs(slope) - doubt, 0.0) * 1e6, seen)
-
-
-def _least_delayed(times: NDArray[np.float64], delays: NDArray[np.float64]) -> tuple[int, int]:
-    """Two packets that nothing has held up: the line through them is below all others, and passes the middle."""
-    middle = 0.5 * float(times[0] + times[-1])
-    hull: list[int] = []
-    for at in range(len(times)):
-        while len(hull) > 1:
-            a, b = hull[-2], hull[-1]
-            if (delays[b] - delays[a]) * (times[at] - times[a]) < (delays[at] - delays[a]) * (times[b] - times[a]):
-                break
-            hull.pop()
-        hull.append(at)
-    return next(((a, b) for a, b in itertools.pairwise(hull) if times[b] >= middle), (hull[0], hull[-1]))
 
 
 ARRIVALS: Mapping[str, Check] = {

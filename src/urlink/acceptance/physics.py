@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from .. import poses
 from ..dynamics import Dynamics
 from ..interfaces.enums import JointMode, ProgramState, RobotMode, RobotModeCB2, SafetyMode
+from ..interfaces.primary.robot_state import tool_offset
 from ..motors import motors_of
 from .arrivals import known_arm, moments
 from .evidence import Evidence
@@ -155,11 +156,11 @@ def _velocities(evidence: Evidence) -> Measured:
 def _kinematics(evidence: Evidence) -> Measured:
     known, _ = known_arm(evidence)
     info = next((state.cartesian_info for state in evidence.primary.states if state.cartesian_info is not None), None)
-    if info is None or info.tcp_offset_X is None:
+    tcp = None if info is None else tool_offset(info)
+    if tcp is None:
         raise NotTried("this firmware does not tell the TCP")
-    tcp = [getattr(info, f"tcp_offset_{axis}") for axis in ("X", "Y", "Z", "Rx", "Ry", "Rz")]
     last = evidence.primary.states[-1].cartesian_info
-    if last is None or [getattr(last, f"tcp_offset_{axis}") for axis in ("X", "Y", "Z", "Rx", "Ry", "Rz")] != tcp:
+    if last is None or tool_offset(last) != tcp:
         raise NotTried("the TCP was changed meanwhile")
     q, pose = _wanted(evidence, "q_actual", "tool_vector_actual")
     some = np.linspace(0, len(q) - 1, min(len(q), 200)).astype(int)

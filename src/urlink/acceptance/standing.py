@@ -14,7 +14,7 @@ from ..errors import CompileError
 from ..firmware import Firmware
 from ..identification.exercise import SHOWS_SLIDER, slider_of
 from ..interfaces.primary.robot_message import TextMessage
-from ..interfaces.primary.robot_state import CartesianInfo, RobotModeData
+from ..interfaces.primary.robot_state import CartesianInfo, RobotModeData, tool_offset
 from ..interfaces.rtde.protocol import InputInUse
 from ..robot import Robot
 from ..rtde import INPUTS, OUTPUTS
@@ -100,8 +100,9 @@ def _tcp(robot: Robot) -> Told:
         return {"skipped": "this firmware does not show the TCP"}
 
     def tool() -> list[float]:
-        info = robot.primary.of(CartesianInfo).wait(_SOON)
-        return [float(getattr(info, f"tcp_offset_{axis}")) for axis in ("X", "Y", "Z", "Rx", "Ry", "Rz")]
+        offset = tool_offset(robot.primary.of(CartesianInfo).wait(_SOON))
+        assert offset is not None
+        return offset
 
     before = tool()
     wanted = [*before[:2], before[2] + _TOOL, *before[3:]]

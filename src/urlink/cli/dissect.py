@@ -19,7 +19,7 @@ from linkcore.recording.file import MAGIC, Kind, Progress, RecordingFile
 from linkcore.text import printable, strict_json
 from linkcore.wire.fields import version_text
 from linkcore.wire.framing import Framer
-from linkcore.wire.packet import State
+from linkcore.wire.packet import State, plain
 from linkcore.wire.schema import Row, header_rows
 
 from ..decoding import decode
@@ -31,7 +31,7 @@ from ..interfaces.primary.robot_message import VersionMessage
 from ..interfaces.primary.robot_state import RobotState
 from ..interfaces.realtime.protocol import RealtimeBoundary
 from ..ports import INTERFACES, Interface
-from .values import as_text, plain
+from .values import as_text
 
 _BOUNDARIES: dict[Interface, Callable[[], PackageBoundary | RealtimeBoundary]] = {
     "primary": PackageBoundary,

@@ -13,14 +13,14 @@ from typing import Any
 from linkcore.cli.options import DURATION, argument, command, one_of, positive_int, seconds
 from linkcore.errors import BadValue
 from linkcore.text import strict_json
-from linkcore.wire.packet import State
+from linkcore.wire.packet import State, plain
 
 from ..interfaces.rtde.recipes import Outputs
 from ..robot import Robot, connect
 from ..rtde import INPUTS, OUTPUTS, OutputStream, Variable
 from .echo import measure
 from .options import ADDRESS, Tap, tell
-from .values import as_json, as_text, plain
+from .values import as_json, as_text
 
 
 @command(

@@ -10,7 +10,7 @@ import numpy as np
 
 from linkcore.text import printable
 from linkcore.wire.fields import OpenInt
-from linkcore.wire.packet import State
+from linkcore.wire.packet import State, plain
 
 from ..interfaces.primary.robot_message import OtherPackage
 from ..interfaces.primary.robot_state import SUB_PACKAGES, RobotState, UnknownSubPackage, snake_case
@@ -57,26 +57,18 @@ def _complaint(kind: type[State], path: str, names: list[str]) -> str:
     return f"{kind.__name__} has no field {path!r}{hint}\nIt has:\n{there}{other}"
 
 
-def plain(value: Any) -> Any:
-    """A field's value for JSON: codes by name, bytes in hex."""
-    if isinstance(value, State):
-        return _content(value)
-    if isinstance(value, (np.ndarray, np.generic)):
-        return value.tolist()
-    if isinstance(value, (tuple, list)):
-        return [plain(element) for element in value]
-    if isinstance(value, OpenInt):
-        return value.name
-    return value.hex() if isinstance(value, (bytes, bytearray)) else value
-
-
 def as_json(packet: State, getters: Mapping[str, Callable[[Any], Any]] | None = None) -> dict[str, Any]:
     """A packet as a JSON object: its type, when it arrived (seconds since 1970), all fields or those of `getters`."""
     received = packet.received
     head = {"type": type(packet).__name__, "received": None if received is None else received.wall}
     if getters:
-        return head | {path: plain(get(packet)) for path, get in getters.items()}
+        return head | {path: _shown(get(packet)) for path, get in getters.items()}
     return head | _content(packet)
+
+
+def _shown(value: Any) -> Any:
+    """A field's value, or a whole sub-package, for JSON."""
+    return _content(value) if isinstance(value, State) else plain(value)
 
 
 def _content(packet: State) -> dict[str, Any]:

@@ -37,7 +37,7 @@ from ..bounds import COG, TOOL_LENGTH, check_pose
 from ..errors import NotConfirmed
 from ..firmware import Firmware
 from ..identity import KnownIdentity
-from ..interfaces.primary.robot_state import CartesianInfo, RobotModeData
+from ..interfaces.primary.robot_state import CartesianInfo, RobotModeData, tool_offset
 from ..interfaces.realtime.packets import RealtimeState
 from ..models import indistinguishable
 from ..poses import to_matrix
@@ -251,14 +251,8 @@ class Settings:
         """See `Robot.set_tcp`."""
         text = commands.secondary(commands.tcp(check_pose(pose, "tcp", TOOL_LENGTH).tolist()))
         wanted = to_matrix(pose)
-
-        def shown(info: CartesianInfo) -> list[float] | None:
-            place = (info.tcp_offset_X, info.tcp_offset_Y, info.tcp_offset_Z)
-            turn = (info.tcp_offset_Rx, info.tcp_offset_Ry, info.tcp_offset_Rz)
-            return [each for each in (*place, *turn) if each is not None] or None
-
         # As matrices: of two rotation vectors of one rotation, one may turn by more than 180 degrees.
-        echo = Echo(CartesianInfo, shown, lambda values: _close(to_matrix(values), wanted))
+        echo = Echo(CartesianInfo, tool_offset, lambda values: _close(to_matrix(values), wanted))
         self.apply(text, "the tool centre point", echo if self.firmware >= _SHOWS_TCP else None, confirm)
 
     def gravity(self, acceleration: Sequence[float]) -> None:

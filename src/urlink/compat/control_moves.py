@@ -9,10 +9,10 @@ from typing import Any, overload
 from linkcore.errors import BadValue
 from linkcore.handle import Motion
 
+from ..interfaces.primary.robot_state import CartesianInfo, tool_offset
 from ..kinematics import Unreachable
 from ..motion import PathMotion
 from ..motion.path import Joint, Linear, Waypoint
-from ..packets import CartesianInfo
 from ..urscript import text
 from ..vectors import six
 from .interface import Blocks, NotOffered, RtdeInterface, is_given, succeeds
@@ -167,10 +167,10 @@ class ControlMoves(RtdeInterface):
         """The TCP, a pose in the frame of the flange, m and rad; from 3.2 on."""
         feed = self._robot.primary.of(CartesianInfo)
         info = feed.latest or feed.wait(STATE_TIMEOUT)
-        if info.tcp_offset_X is None:
+        offset = tool_offset(info)
+        if offset is None:
             raise NotOffered("a controller before 3.2 does not send the offset of its tool")
-        turn = (info.tcp_offset_Rx, info.tcp_offset_Ry, info.tcp_offset_Rz)
-        return [float(each or 0.0) for each in (info.tcp_offset_X, info.tcp_offset_Y, info.tcp_offset_Z, *turn)]
+        return offset
 
     def getForwardKinematics(self, q: Sequence[float] = (), tcp_offset: Sequence[float] = ()) -> list[float]:
         """The pose of the tool at joint positions; without arguments, of the present positions and TCP."""

@@ -7,19 +7,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import urlink
 from linkcore.errors import LinkError
 from linkcore.handle import Motion
 from linkcore.streaming.feed import Feed
+from linkcore.threads import Closing
 from urlink import poses
 from urlink.motion.path import Joint, Linear, Waypoint
 from urlink.urscript import text
 from urlink.vectors import six
-
-if TYPE_CHECKING:
-    from typing_extensions import Self
 
 __all__ = ["Robot", "RobotException"]
 
@@ -33,7 +31,7 @@ _LONGEST, _STATE_TIMEOUT = 300.0, 2.0
 _TOOL = 8
 
 
-class Robot:
+class Robot(Closing):
     """A robot, by the calls of urx. A context manager that closes itself.
 
     Args:
@@ -46,12 +44,6 @@ class Robot:
 
     def __init__(self, host: str, use_rt: bool = False) -> None:
         self._robot = urlink.connect(host)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
     def close(self) -> None:
         """Disconnect; a motion that is running ends as with `urlink.Robot.close`."""

@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from linkcore.errors import BadRecording, ConnectFailed, LocalError, WrongPeer
+from linkcore.errors import ConnectFailed, LocalError, WrongPeer
 from linkcore.lazy import needs
 from linkcore.recording.columns import PacketColumns
+from linkcore.recording.file import new_file
 from linkcore.recording.mcap_file import McapFile, Topic
 from linkcore.recording.packets import states_of
 from linkcore.recording.recorder import Recorder
@@ -94,12 +95,7 @@ class _McapWriter:
         self._owners: dict[str, str] = {}
         self._arm: Arm | None = None
         self._is_said = False
-        try:
-            self._file = path.open("xb")
-        except FileExistsError:
-            raise BadRecording(f"{path} exists; a recording never overwrites one") from None
-        except (OSError, ValueError) as error:
-            raise BadRecording(f"cannot write {path}: {getattr(error, 'strerror', None) or error}") from error
+        self._file = new_file(path)
         try:
             self._mcap = McapFile(self._file, _CHUNK)
         except BaseException:

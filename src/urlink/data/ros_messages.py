@@ -77,7 +77,7 @@ _LEVELS = {
 }
 
 
-def topics_of(name: str, table: Table, arm: Arm | None = None) -> Iterator[Topic]:
+def topics_of(name: str, table: Table, arm: Arm | None) -> Iterator[Topic]:
     """The topics of a stream called `name`, as far as it has the fields for them. Fields with text are left out.
 
     With the arm, `/tf` has the frames of its links.

@@ -6,15 +6,15 @@ A URCap of the vendor ("RS485 daemon", on PolyScope X "Tool Comm Forwarder") cop
 
 from __future__ import annotations
 
-import contextlib
 import threading
 import time
-from collections.abc import Iterator
+from contextlib import AbstractContextManager
 
 from linkcore.arguments import check_seconds
 from linkcore.errors import BadValue, Closed, ConnectionLost, LinkTimeout
 from linkcore.net.recall import MAY_STILL
 from linkcore.net.transport import TcpTransport
+from linkcore.threads import Closing, held
 
 #: The message where the port is refused.
 _NEEDED = (
@@ -23,7 +23,7 @@ _NEEDED = (
 )
 
 
-class ToolSerial:
+class ToolSerial(Closing):
     """The bytes of the RS485 line in the tool connector. Connects when it is first used; threads take turns.
 
     The line is set by `robot.io.set_tool_communication`. Nothing of it is interlocked: what is mounted there does what
@@ -100,22 +100,11 @@ class ToolSerial:
         self._is_closed = True
         self._transport.close()
 
-    def __enter__(self) -> ToolSerial:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
-
     # -- inside, by the thread that has its turn -----------------------------------------------------------
 
-    @contextlib.contextmanager
-    def _turn(self, timeout: float) -> Iterator[None]:
-        if not self._lock.acquire(timeout=timeout):
-            raise LinkTimeout(f"for {timeout:g} s another thread used the tool's serial line; nothing was sent")
-        try:
-            yield
-        finally:
-            self._lock.release()
+    def _turn(self, timeout: float) -> AbstractContextManager[None]:
+        otherwise = f"for {timeout:g} s another thread used the tool's serial line; nothing was sent"
+        return held(self._lock, timeout, otherwise)
 
     def _check(self, timeout: float, *, request: bytes = b"\0", size: int = 1) -> float:
         if not isinstance(request, (bytes, bytearray)) or not request:

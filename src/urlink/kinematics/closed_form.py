@@ -93,7 +93,7 @@ def solve(
     return found
 
 
-def solve_rows(lengths: Lengths, targets: Rigid[FloatArray], is_loose: bool = False) -> tuple[FloatArray, FloatArray]:
+def solve_rows(lengths: Lengths, targets: Rigid[FloatArray], is_loose: bool) -> tuple[FloatArray, FloatArray]:
     """The eight branches for each of n poses.
 
     Args:
@@ -143,7 +143,7 @@ def wrist_place(lengths: Lengths, target: Rigid[Number]) -> tuple[Number, Number
     return px - d6 * r02, py - d6 * r12, pz - d6 * r22
 
 
-def _shoulder(f: MathFunctions[Number], d4: float, x5: Number, y5: Number, apart: float = 0.0) -> tuple[Number, Number]:
+def _shoulder(f: MathFunctions[Number], d4: float, x5: Number, y5: Number, apart: float) -> tuple[Number, Number]:
     """Joint 1, both solutions: the origin of frame 5 lies d4 off the plane of the arm, on the side of (s1, -c1, 0).
 
     The solutions meet where that origin is d4 from the axis of the base. `apart` keeps them separate there: about

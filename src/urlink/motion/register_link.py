@@ -17,8 +17,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Generic, Protocol, TypeVar
 
 from linkcore.clock import monotonic
-from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout
+from linkcore.errors import ConnectFailed, ConnectionLost
 from linkcore.streaming.stream import Stream
+from linkcore.threads import held
 
 from ..urscript.buffering import MESSAGE, REPORTED, PointRegisters
 from ..urscript.links import TOKENS, InputRegisters
@@ -92,14 +93,11 @@ class RegisterPort(Generic[L]):
         """
         # A controller gives a register to one connection, so to the first of two threads of this robot only. With a
         # deadline: a signal handler may come here while the main thread, which it keeps, claims them.
-        if not self._claiming.acquire(timeout=self._timeout):
-            raise LinkTimeout(f"the registers of a link are still being claimed after {self._timeout:g} s")
-        try:
+        otherwise = f"the registers of a link are still being claimed after {self._timeout:g} s"
+        with held(self._claiming, self._timeout, otherwise):
             if self._inputs is None:
                 self._inputs = self._claim(self._names)
             return self._make(self._inputs)
-        finally:
-            self._claiming.release()
 
 
 def _random_token() -> int:

@@ -16,6 +16,7 @@ from linkcore.errors import BadValue, Closed, ConnectionLost, LinkTimeout
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import ConnectionState
 from linkcore.streaming.packet_queue import block
+from linkcore.threads import held
 
 from ..interfaces.rtde.packets import InputsReply, InputsRequest, PauseRequest, StartRequest, join_names
 from ..interfaces.rtde.protocol import Requests, claim_of
@@ -96,9 +97,8 @@ class Claims:
         """
         self._connection.start()
         # With a deadline: a signal handler may come here while the main thread, which it keeps, waits for a reply.
-        if not self._lock.acquire(timeout=self._timeout):
-            raise LinkTimeout(f"{self._connection.name}: another claim is not answered yet, after {self._timeout:g} s")
-        try:
+        otherwise = f"{self._connection.name}: another claim is not answered yet, after {self._timeout:g} s"
+        with held(self._lock, self._timeout, otherwise):
             dialogue = dialogue_of(self._connection, self._transport)
             if names in self._plan.inputs:
                 return
@@ -107,8 +107,6 @@ class Claims:
                 raise ConnectionLost(f"{self._connection.name}: the connection was lost while {names} were claimed")
             dialogue.claims.append(recipe)
             self._plan.inputs.append(names)
-        finally:
-            self._lock.release()
 
     def _package(self, values: Mapping[str, Any]) -> bytes:
         claims = dialogue_of(self._connection, self._transport).claims

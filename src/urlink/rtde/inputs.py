@@ -10,9 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from linkcore.arguments import check_whole
-from linkcore.errors import BadValue, Closed, ConnectionLost, LinkTimeout
+from linkcore.errors import BadValue, Closed, ConnectionLost
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import ConnectionState
+from linkcore.threads import Closing, held
 
 from ..interfaces.rtde.packets import join_names
 from ..interfaces.rtde.protocol import RtdeProtocol, check_names
@@ -96,7 +97,7 @@ def checked(name: str, type: str, value: Any) -> Any:
     return numbers[0] if count is None else numbers
 
 
-class Inputs:
+class Inputs(Closing):
     """Variables that are claimed for as long as this is open. A context manager; made by `Rtde.inputs`.
 
     They are claimed again when the connection was lost and made again; what was sent before is not sent again. A
@@ -155,15 +156,12 @@ class Inputs:
             raise BadValue(f"cannot send {', '.join(sorted(unknown)) or 'nothing'}; there is {', '.join(self.names)}")
         # In turn: a package made beside another one would put back what that one changes. With a deadline: a signal
         # handler may come here while the main thread, which it keeps, sends.
-        if not self._sending.acquire(timeout=self._timeout):
-            raise LinkTimeout(f"{self._connection.name}: another package was not sent within {self._timeout:g} s")
-        try:
+        otherwise = f"{self._connection.name}: another package was not sent within {self._timeout:g} s"
+        with held(self._sending, self._timeout, otherwise):
             recipe = self._recipe()
             package = self._package(recipe, values)
             self._connection.send(recipe.encode(package), self._timeout)
             self._last |= {name: value for name, value in package.items() if name not in _MASKS}
-        finally:
-            self._sending.release()
 
     def _write(self, values: Mapping[str, Any]) -> None:
         """Write every variable of the recipe, masks included, without waiting and unchecked: for set-points.
@@ -205,12 +203,6 @@ class Inputs:
     def close(self, timeout: float = 2.0) -> None:
         """Disconnect, which releases the variables; a controller may take a while for that. Idempotent."""
         self._connection.close(timeout)
-
-    def __enter__(self) -> Inputs:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
     def __repr__(self) -> str:
         return f"<Inputs {join_names(self.names)} of {self._connection.name}: {self.connection.value}>"

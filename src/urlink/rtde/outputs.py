@@ -12,6 +12,7 @@ from linkcore.net.transport import Transport
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.fanout import FanOut
 from linkcore.streaming.stream import Stream
+from linkcore.threads import Closing
 
 from ..firmware import Firmware
 from ..interfaces.rtde.packets import REPLIES
@@ -20,8 +21,6 @@ from ..interfaces.rtde.recipes import Outputs, Recipe
 from ..interfaces.rtde.transport import RtdeTransport
 
 if TYPE_CHECKING:
-    from typing_extensions import Self
-
     from ..source import Source
 
 T = TypeVar("T", bound=Outputs)
@@ -76,7 +75,7 @@ def recorded_plan(info: Mapping[str, Any], kind: type[Outputs]) -> Requests:
         raise BadRecording(f"the recording does not say which RTDE variables it holds ({error})") from None
 
 
-class OutputStream(Stream[T]):
+class OutputStream(Stream[T], Closing):
     """The data packages of one recipe, on a connection of its own. Made by `Rtde.outputs`.
 
     Text from the controller and its replies come on it too: ``stream.of(RtdeMessage)``.
@@ -122,12 +121,6 @@ class OutputStream(Stream[T]):
     def is_over(self) -> bool:
         """No state will ever come again: it was closed, or a recording has ended."""
         return self._connection.is_over
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
     def description(self) -> dict[str, Any]:
         """The recipe, which a recording needs, since it may begin after the controller has sent it; connects for that.

@@ -13,6 +13,7 @@ import numpy as np
 
 from linkcore.errors import BadValue, LinkError
 from linkcore.text import similar
+from linkcore.threads import Closing
 
 from ..kinematics import Arm
 from ..motion.jog import FULL_SPEED, FrameName, Jog
@@ -40,7 +41,7 @@ _NAMES = {
 }
 
 
-class ArmView:
+class ArmView(Closing):
     """An arm on a page: where it is and where it is wanted, the trail of its TCP, the force on it, and its state.
 
     A notebook shows it in the cell. A context manager.
@@ -179,12 +180,6 @@ class ArmView:
         if self._jog is not None:
             self._jog.close()
         self.page.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
     def __repr__(self) -> str:
         return f"<ArmView of a {self._model} at {self.address}>"

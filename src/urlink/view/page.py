@@ -13,15 +13,13 @@ import http
 import io
 import threading
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import urlsplit
 
 from linkcore.errors import BadAddress, ConnectFailed, LocalError
 from linkcore.lazy import needs
 from linkcore.net.listener import bound_socket
-
-if TYPE_CHECKING:
-    from typing_extensions import Self
+from linkcore.threads import Closing
 
 #: The names of this computer for itself.
 LOOPBACK = frozenset({"127.0.0.1", "localhost", "::1"})
@@ -51,7 +49,7 @@ def refusal(host: str | None, origin: str | None, is_upgrade: bool, names: froze
     return None
 
 
-class Page:
+class Page(Closing):
     """A server of viser. A context manager.
 
     Args:
@@ -102,12 +100,6 @@ class Page:
         """Disconnect every browser; idempotent."""
         with contextlib.redirect_stdout(io.StringIO()):
             self.server.stop()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
 
 @contextlib.contextmanager

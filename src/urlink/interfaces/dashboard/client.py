@@ -13,13 +13,14 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError, PacketError
 from linkcore.net.dialogue import Dialogue
 from linkcore.net.http_client import HttpClient
 from linkcore.net.recall import Recall, TakeBack
 from linkcore.net.transport import TcpTransport
+from linkcore.threads import Closing
 from linkcore.wire.fields import version_text
 
 from ...firmware import Firmware
@@ -45,9 +46,6 @@ from .protocol import (
 from .robot_api import RobotApi
 from .stored_programs import StoredProgram
 
-if TYPE_CHECKING:
-    from typing_extensions import Self
-
 #: Seconds between two looks at the robot mode while it starts.
 _POLL = 0.2
 #: Seconds within which an arm no longer runs after the command to switch off.
@@ -57,7 +55,7 @@ _OFF_WITHIN = 5.0
 _NOT_ALLOWED = NOT_IN_REMOTE_CONTROL.partition(" due to ")[0].casefold()
 
 
-class Dashboard:
+class Dashboard(Closing):
     """A client of the dashboard server of one controller, or of the Robot API of PolyScope X.
 
     Both have the same methods, as far as the firmware supports them. The Robot API has a connection for each request;
@@ -392,12 +390,6 @@ class Dashboard:
             self._recall.close(self)
         self._http.close()
         self._dialogue.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
     def __repr__(self) -> str:
         return f"<Dashboard {self._transport.name}>"

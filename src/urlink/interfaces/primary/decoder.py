@@ -13,7 +13,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from linkcore.clock import Stamp
-from linkcore.errors import PacketError
+from linkcore.errors import PacketError, altered
 from linkcore.wire.fields import Version
 from linkcore.wire.packet import State
 
@@ -185,14 +185,7 @@ class PackageDecoder:
             try:
                 decode(part, None)
             except PacketError as error:
-                return PacketError(
-                    f"in a robot state, {error.reason}",
-                    packet=error.packet,
-                    version=error.version,
-                    expected=error.expected,
-                    actual=error.actual,
-                    offset=at,
-                )
+                return altered(error, reason=f"in a robot state, {error.reason}", offset=at)
             at += len(part)
         raise AssertionError("one of them raised before")
 

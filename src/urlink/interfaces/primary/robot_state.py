@@ -170,6 +170,13 @@ class CartesianInfo(SubPackage):
     tcp_offset_Rz: float | None = wire(Float64b, "rad", "rotation of the tool on the flange", since="3.2")
 
 
+def tool_offset(info: CartesianInfo) -> list[float] | None:
+    """The pose of the tool in the frame of the flange, m and rad; None where it is not sent."""
+    if info.tcp_offset_X is None:
+        return None
+    return [getattr(info, f"tcp_offset_{axis}") for axis in ("X", "Y", "Z", "Rx", "Ry", "Rz")]
+
+
 @packet(header=PACKAGE, type=5)
 class KinematicsInfo(SubPackage):
     """Denavit-Hartenberg parameters of this very arm; only in the first state of a connection."""

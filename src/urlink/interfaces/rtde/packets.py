@@ -17,7 +17,7 @@ from types import MappingProxyType
 from typing import Literal
 
 from linkcore.clock import Stamp
-from linkcore.errors import PacketError
+from linkcore.errors import PacketError, altered
 from linkcore.wire.fields import Coded, Float64b, Header, Int8ub, Int16ub, Int32ub, OpenInt, Raw, Text
 from linkcore.wire.packet import State, packet, wire
 
@@ -237,9 +237,7 @@ def _decode(frame: bytes, kinds: Mapping[int, type[State]], protocol: Protocol, 
     try:
         return kind.LAYOUTS.of((protocol, 0)).decode(frame, stamp)  # type: ignore[no-any-return]
     except PacketError as error:  # without the version, which is that of the protocol and not of a firmware
-        raise PacketError(
-            error.reason, packet=error.packet, expected=error.expected, actual=error.actual, offset=error.offset
-        ) from None
+        raise altered(error, version=None) from None
 
 
 # -- frame boundaries ------------------------------------------------------------------------------
