@@ -554,13 +554,14 @@ class Observed:
         assert sent.ended is not None
         closed, known = self._closed.get(sent.computer, math.inf), self._known.get(sent.computer)
         is_unaware = known is not None and known.next_stopped > 0
-        return any(
-            begun <= sent.ended + _KEPT
-            and sent.ended <= over + _KEPT
-            and (is_unaware or min(closed, self._sim.now) <= over + _KEPT)
-            and self.played[-1:] > [over]
-            for begun, over in self.stopped
-        )
+        until = sent.ended + _KEPT  # a stop that begins later finds it stopped, but for one just after another
+        for begun, over in self.stopped:
+            if begun <= until and sent.ended <= over + _KEPT:
+                until = max(until, over + _KEPT)
+                is_in_time = is_unaware or min(closed, self._sim.now) <= over + _KEPT
+                if is_in_time and self.played[-1:] > [over]:
+                    return True
+        return False
 
     # -- at the end --------------------------------------------------------------------------------------
 
