@@ -379,7 +379,7 @@ def test_clocks_are_called_and_not_kept() -> None:
 #: and 550, impedance 3 and 480, streams over registers 1 and 130, stage 3 of the test of controllers 2 and 230,
 #: threads that yield between lines 1 and 130, a scene of bodies 1 and 90, whose class is called as that of mobile
 #: robots.
-MOST = {"modules": 409, "lines of code": 54_600, "classes of one name": 14}
+MOST = {"modules": 409, "lines of code": 54_601, "classes of one name": 14}
 
 
 def test_there_is_no_more_than_can_be_read() -> None:

@@ -100,12 +100,20 @@ class CallbackThread:
     def __init__(self, name: str) -> None:
         self._name = name
         self._calls: _Calls = SimpleQueue()
+        self._is_closed = False
         # With the event of its end: a thread that another one is just starting cannot be joined yet.
         self._thread: MadeOnce[tuple[threading.Thread, threading.Event]] = MadeOnce()
         weakref.finalize(self, self._calls.put, None)
 
     def call(self, function: Callable[..., object], *arguments: Any) -> None:
         """Call `function(*arguments)` soon. Where the system has no thread left, the log says so instead."""
+        if self._has_thread(function):
+            self._calls.put((function, arguments))
+            # A reader that is just ending may call after `close`, which may have taken the thread before this call.
+            if self._is_closed and self._has_thread(function):
+                self.close(0.0)
+
+    def _has_thread(self, function: Callable[..., object]) -> bool:
         if self._thread.made is None:
             has_ended = threading.Event()
             made = threading.Thread(target=_run, args=(self._calls, has_ended), name=self._name, daemon=True), has_ended
@@ -116,11 +124,12 @@ class CallbackThread:
                     self._thread.take()
                     has_ended.set()
                     _log.exception("%r is not called", function)
-                    return
-        self._calls.put((function, arguments))
+                    return False
+        return True
 
     def close(self, timeout: float) -> None:
         """Make the calls that wait, and end the thread, within `timeout` seconds. Idempotent."""
+        self._is_closed = True
         made = self._thread.take()
         if made is None:
             return

@@ -418,8 +418,7 @@ class Observed:
             def taken(text: str) -> bool:
                 if text.startswith("sec urlink_permission"):
                     for sent in self.programs.values():
-                        is_its = sent.grant == text and sent.computer.address == host
-                        if is_its and sent.begun is not None and sent.over is None:
+                        if self._permits(text, host, sent) and sent.begun is not None and sent.over is None:
                             sent.granted = self._sim.now
                 has_taken: bool = on_program(text)
                 return has_taken
@@ -427,6 +426,13 @@ class Observed:
             make(receiver, client, counters, on_line, taken)
 
         return wrapped
+
+    @staticmethod
+    def _permits(text: str, host: str, sent: Sent) -> bool:
+        """From its own client; or on flags, in which two programs can share a token by chance (docs/motion-ends.md)."""
+        permission = sent.wrapped.permission
+        is_unique = permission is not None and permission.place.register is not None
+        return sent.grant == text and (sent.computer.address == host or not is_unique)
 
     def _begun(self, start: Callable[..., None]) -> Callable[..., None]:
         def wrapped(script: Any) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import threading
+from typing import Any, cast
 
 import pytest
 
@@ -58,6 +59,38 @@ def test_callbacks_end_while_their_thread_is_being_started(monkeypatch: pytest.M
     callbacks.call(print)
     threads[0].join(10)
     assert not threads[0].is_alive()
+
+
+def test_a_call_after_the_end_is_made_and_leaves_no_thread() -> None:
+    """A reader that is just ending hands over the end of a program (world 170528)."""
+    callbacks, called = CallbackThread("late callbacks"), threading.Event()
+    callbacks.close(1.0)
+    callbacks.call(called.set)
+    assert called.wait(10)
+    until(lambda: "late callbacks" not in [thread.name for thread in threading.enumerate()])
+
+
+class ClosedBefore:
+    """The queue of a `CallbackThread` that another thread closes just before each call is put."""
+
+    def __init__(self, callbacks: CallbackThread) -> None:
+        self._callbacks = callbacks
+        self._calls = callbacks._calls
+        self.get = self._calls.get
+
+    def put(self, call: Any) -> None:
+        if call is not None:
+            self._callbacks.close(0.0)
+        self._calls.put(call)
+
+
+def test_a_call_is_made_whose_thread_is_ended_just_before_it() -> None:
+    callbacks, called = CallbackThread("ended callbacks"), threading.Event()
+    callbacks.call(print)
+    callbacks._calls = cast(Any, ClosedBefore(callbacks))
+    callbacks.call(called.set)
+    assert called.wait(10)
+    until(lambda: "ended callbacks" not in [thread.name for thread in threading.enumerate()])
 
 
 class Packet:
