@@ -154,10 +154,9 @@ def _run(calls: _Calls, has_ended: threading.Event) -> None:
 
 
 class Closing:
-    """A context manager that closes itself."""
+    """A context manager that closes itself: a class with this base has a `close`, which is idempotent."""
 
-    def close(self) -> None:
-        """End it; idempotent."""
+    close: Callable[..., object]
 
     def __enter__(self) -> Self:
         return self

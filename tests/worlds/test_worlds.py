@@ -25,7 +25,8 @@ pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pyte
 
 #: Seeds that have shown a mistake of the library, of the simulator or of the oracles.
 FAILED = [1010, 1389, 2786, 5233, 6725, 10_052, 11_072, 15_114, 16_722, 26_852, 29_855, 30_459, 31_502, 34_459, 58_908]
-FAILED += [59_665, 59_800, 65_347, 66_459, 82_445, 103_700, 115_143, 120_411, 127_182]
+FAILED += [59_665, 59_800, 65_347, 66_459, 82_445, 103_700, 115_143, 120_411, 127_182, 159_034, 166_641]
+FAILED += [170_528, 171_407]
 
 ROOT = Path(__file__).resolve().parents[2]
 
