@@ -9,8 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from tests import counts
-
 SRC = Path(__file__).resolve().parents[1] / "src"
 
 #: The only modules that may import `socket`.
@@ -372,39 +370,3 @@ def test_clocks_are_called_and_not_kept() -> None:
     assert clocks_as_values("def f(clock=time.monotonic):\n    time.sleep(1)") == [1]
     kept = {module: lines for module in MODULES if (lines := clocks_as_values(source(module)))}
     assert kept.keys() <= {"linkcore.simulated.takeover", "linkcore.simulated.primitives"}, kept
-
-
-#: What there may be at most: modules, lines of code, and classes of one name. They go down, but for what is new: the
-#: test of controllers took 20 modules and 3,000 lines, the identification of arms 9 and 800, the view in a browser 7
-#: and 550, impedance 3 and 480, streams over registers 1 and 130, stage 3 of the test of controllers 2 and 230,
-#: threads that yield between lines 1 and 130, a scene of bodies 1 and 90, whose class is called as that of mobile
-#: robots.
-MOST = {"modules": 409, "lines of code": 54_601, "classes of one name": 14}
-
-
-def test_there_is_no_more_than_can_be_read() -> None:
-    found = counts.modules()
-    there = {
-        "modules": len(found),
-        "lines of code": sum(module.code for module in found),
-        "classes of one name": len(counts.of_one_name(found)),
-    }
-    assert {name: count for name, count in there.items() if count > MOST[name]} == {}
-
-
-def test_code_is_counted_without_blanks_comments_and_docstrings() -> None:
-    text = """
-# why
-class A:
-    '''One,
-    two.'''
-
-    x = (
-        1  # one
-    )
-
-    def f(self):
-        'None.'
-        return 'a string'
-"""
-    assert counts.lines_of_code(text) == 6
