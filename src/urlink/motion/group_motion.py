@@ -8,10 +8,10 @@ import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from linkcore.arguments import check_number, check_seconds, check_wait
-from linkcore.errors import BadValue, Cancelled, LinkError
+from linkcore.errors import BadValue, Cancelled, LinkError, RemoteError, unraised
 from linkcore.handle import Lifecycle, Motion
 from linkcore.threads import CallbackThread
 
@@ -21,6 +21,8 @@ from .stream_steps import Aim, Handed
 
 if TYPE_CHECKING:
     from typing_extensions import Self
+
+E = TypeVar("E", bound=Exception)
 
 #: s by which the points of two arms may end at different times.
 _SAME_TIME = 1e-6
@@ -64,7 +66,7 @@ class GroupMotion(Motion):
             if isinstance(error, Cancelled):
                 self._life.cancel(f"cancelled with that of {self._names[number]}: {error}")
             else:
-                self._life.fail(error)
+                self._life.fail(of_arm(error, self._names[number]))
         elif all(each.done and each.error is None for each in self.motions):
             self._life.finish()
 
@@ -98,8 +100,9 @@ class GroupStream(GroupMotion):
         """
         try:
             with contextlib.ExitStack() as begun:
-                for stream in self.motions:
-                    begun.enter_context(stream)
+                for stream, name in zip(self.motions, self._names, strict=True):
+                    with naming(name):
+                        begun.enter_context(stream)
                 self._block = begun.pop_all()
         except BaseException as error:
             self._life.fail(error if isinstance(error, Exception) else Cancelled(f"{self.name} was interrupted"))
@@ -283,6 +286,23 @@ def _check_ends(aims: Sequence[Sequence[Aim]]) -> None:
     ends = [each[-1].time for each in aims]
     if max(ends) - min(ends) > _SAME_TIME:
         raise BadValue(f"the points end at {', '.join(f'{end:g}' for end in ends)} s; expected the same time for all")
+
+
+def of_arm(error: E, name: str) -> E:
+    """A copy of the error of one arm, whose message begins with the name of the arm."""
+    named = unraised(error)
+    if error.args and isinstance(error.args[0], str):
+        named.args = (f"{name}: {error.args[0]}", *error.args[1:])
+    return named
+
+
+@contextlib.contextmanager
+def naming(name: str) -> Iterator[None]:
+    """Raise a `RemoteError` of one arm with the name of the arm."""
+    try:
+        yield
+    except RemoteError as error:
+        raise of_arm(error, name) from error.__cause__
 
 
 def end_all(lives: Sequence[Lifecycle], why: str) -> None:
