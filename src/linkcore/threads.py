@@ -105,6 +105,15 @@ class CallbackThread:
         self._thread: MadeOnce[tuple[threading.Thread, threading.Event]] = MadeOnce()
         weakref.finalize(self, self._calls.put, None)
 
+    def start(self) -> None:
+        """Start the thread now, if it does not run yet: a later call cannot fail for want of a thread.
+
+        Raises:
+            LocalError: If the system has no thread left.
+        """
+        if not self._has_thread(self.start):
+            raise LocalError(f"no thread could be started for {self._name}; nothing was sent")
+
     def call(self, function: Callable[..., object], *arguments: Any) -> None:
         """Call `function(*arguments)` soon. Where the system has no thread left, the log says so instead."""
         if self._has_thread(function):

@@ -12,12 +12,14 @@ from queue import Empty, SimpleQueue
 from typing import Any
 
 from linkcore.clock import monotonic
-from linkcore.errors import LinkError
+from linkcore.errors import Cancelled, LinkError
+from linkcore.pending_call import stopped_here
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from linkcore.threads import CallbackThread
 from linkcore.wire.packet import State
 
+from ..errors import SafetyStop
 from ..interfaces.primary.robot_message import SafetyModeMessage
 from ..interfaces.primary.robot_state import RobotState
 from ..interfaces.realtime.packets import RealtimeState
@@ -88,6 +90,8 @@ class SafetyMonitor:
         self._hooks: list[_Stop] = []
         self._silence_hooks: list[Callable[[float], object]] = []
         self._stop_callbacks: dict[object, _Stop] = {}
+        #: number of the last stop, and what it was; see `linkcore.pending_call`
+        self._last_stop: tuple[int, str] = (0, "")
         self.is_closed = False
 
     # -- questions -----------------------------------------------------------------------------------
@@ -117,6 +121,18 @@ class SafetyMonitor:
         """
         with self._section:
             raise_if(self._interlock.absence(self.clock()))
+
+    # -- the order of calls and stops ------------------------------------------------------------------
+
+    def overtake(self, why: str) -> None:
+        """Refuse every motion whose call was entered before this moment; `why` names the stop, for messages."""
+        with self._section:
+            self._last_stop = (stopped_here(), why)
+
+    def overtaken(self, order: int) -> Cancelled | None:
+        """The error of a call of this number if a stop came after it was entered, else None."""
+        stop, why = self._last_stop
+        return Cancelled(f"{why} after this call was entered, so it sends nothing") if order < stop else None
 
     # -- waiting for news ----------------------------------------------------------------------------
 
@@ -283,6 +299,8 @@ class SafetyMonitor:
         with self._section:
             closed = change()
         if closed is not None:
+            if isinstance(closed, SafetyStop):
+                self.overtake(str(closed))
             for hook in tuple(self._hooks):
                 hook(closed)
             for callback in tuple(self._stop_callbacks.values()):
@@ -298,6 +316,7 @@ class SafetyMonitor:
     def close(self) -> None:
         """Listen no more, and let nothing through. Users are not notified: it is not a stop of the robot."""
         self.is_closed = True
+        self.overtake("the robot was closed")
         self._stop_callbacks.clear()
         for name, listening in tuple(self._listening.items()):
             listening.end()

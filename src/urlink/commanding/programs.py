@@ -37,6 +37,7 @@ from ..interfaces.primary.robot_state import RobotModeData, RobotState
 from ..urscript import commands, wrapping
 from ..urscript.wrapping import Permission, StartPlace, Wrapped
 from .channel import CommandChannel
+from .interlock import raise_if
 from .monitor import SafetyMonitor
 from .section import Section
 
@@ -223,6 +224,8 @@ class Programs:
                 raise Closed("the robot was closed")
             if life.error is not None:
                 raise life.error
+            if not is_stop:
+                raise_if(self._monitor.overtaken(life.order))
             run.sent = self._clock()
             self._runs[run.name] = run
             newest = self._newest()
@@ -241,8 +244,12 @@ class Programs:
             self._listen()
             replaces = not (is_stop or wrapped.is_secondary)
             self._channel.motion(wrapped.text, is_stop=is_stop, replaces=replaces, claim=claim)
-        except BaseException as error:
-            life.fail(error if isinstance(error, Exception) else Cancelled(f"{life.name} was interrupted"))
+        except Exception as error:
+            life.fail(error)
+            raise
+        except BaseException:
+            # The text may have left, or a part of it.
+            life.fail(Cancelled(f"{life.name} was interrupted"), brake=True)
             raise
 
     def stop(self, life: Lifecycle) -> None:
@@ -399,6 +406,7 @@ class Programs:
         def claim() -> None:
             if not run.life.is_wanted:
                 raise Cancelled(f"{run.life.name} is over, or was given up")
+            raise_if(self._monitor.overtaken(run.life.order))
 
         try:
             # Without waiting: this is the reader thread.

@@ -9,7 +9,8 @@ from pathlib import Path
 
 from linkcore.arguments import check_callable, check_wait
 from linkcore.errors import BadValue
-from linkcore.handle import Handle, Lifecycle
+from linkcore.handle import Handle, Lifecycle, waited
+from linkcore.pending_call import starts_motion
 from linkcore.threads import CallbackThread
 
 from .channel import CommandChannel
@@ -54,6 +55,7 @@ class Scripts:
         self._channel = channel
         self._callbacks = callbacks
 
+    @starts_motion
     def run(
         self,
         source: str | os.PathLike[str],
@@ -88,10 +90,9 @@ class Scripts:
         program = Program(life)
         receive = program._receiver(self._callbacks, on_text)
         self._programs.start(wrapped, life, is_motion=False, left_alone="it may still run", on_text=receive)
-        if seconds:
-            program.wait(seconds)
-        return program
+        return waited(program, seconds)
 
+    @starts_motion
     def send_line(self, line: str) -> None:
         """Send one line as it is, such as ``set speed 0.5``; what the controller makes of it is not reported.
 
