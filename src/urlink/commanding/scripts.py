@@ -61,6 +61,7 @@ class Scripts:
         source: str | os.PathLike[str],
         *,
         wait: bool | float = False,
+        detached: bool = False,
         on_text: Callable[[str], object] | None = None,
     ) -> Program:
         """Send a program; it preempts the one that runs, unless it is a `sec`, which runs beside it.
@@ -70,6 +71,8 @@ class Scripts:
                 statements. Where the last thing at the top is a ``def``, which may take no arguments, it is called
                 after what stands above it.
             wait: until it is over: False not at all, True for up to 60 s, a number for so many seconds.
+            detached: Whether the program keeps running when the robot object is closed or this process ends. By default
+                it is stopped then, and the arm brakes, as a motion does.
             on_text: called with each line of its `textmsg`, in the robot's thread for callbacks, so for the last lines
                 perhaps after `wait` has returned; `texts` has them by then. Not for a `sec`: a message does not say
                 which program it is of, and the program beside which it runs may say something too.
@@ -89,7 +92,9 @@ class Scripts:
         life = self._programs.life(wrapped.name)
         program = Program(life)
         receive = program._receiver(self._callbacks, on_text)
-        self._programs.start(wrapped, life, is_motion=False, left_alone="it may still run", on_text=receive)
+        self._programs.start(
+            wrapped, life, is_motion=False, is_detached=detached, left_alone="it may still run", on_text=receive
+        )
         return waited(program, seconds)
 
     @starts_motion
