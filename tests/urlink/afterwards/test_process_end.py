@@ -69,7 +69,7 @@ def test_arm_stops_when_the_process_ends(controller: Controller, robot: urlink.R
     assert child.returncode == {"exit": 0, "SIGTERM": -signal.SIGTERM, "SIGINT": -signal.SIGINT}[end]
     if begin == "detached":
         assert robot.safety.is_enabled
-        assert abs(robot.realtime.wait().qd_actual).max() > 0.1
+        robot.realtime.wait_until(lambda state: abs(state.qd_actual).max() > 0.15, timeout=3.0)
     else:
         robot.realtime.wait_until(lambda state: abs(state.qd_actual).max() < 1e-3, timeout=3.0)
         assert "its robot was not closed" in errors
