@@ -99,11 +99,11 @@ class PendingCall:
         if self.is_given_up:
             raise Cancelled("the task that awaited this call was cancelled; nothing more is sent")
 
-    def give_up(self, submit: Callable[[Callable[[], object]], object]) -> None:
-        """Send nothing more, and cancel what it has started. Returns at once; idempotent.
+    def give_up(self, submit: Callable[[Callable[[], object]], object] = lambda call: call()) -> None:
+        """Send nothing more, and cancel what it has started; the robot brakes. Idempotent, from any thread.
 
         Args:
-            submit: Runs a function in a thread. The function sends the robot a stop, which may wait.
+            submit: Runs a function, which sends the robot a stop and may wait for that; by default in this thread.
         """
         self.is_given_up = True
         for life in self._started.live():

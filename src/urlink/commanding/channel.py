@@ -17,10 +17,9 @@ from collections.abc import Callable
 from linkcore.clock import monotonic
 from linkcore.errors import ConnectionLost, LinkTimeout
 from linkcore.net.recall import Recall
-from linkcore.pending_call import Call, PendingCall, check_wanted, current_call, regardless
+from linkcore.pending_call import check_wanted, regardless
 from linkcore.streaming.connection import Connection
 
-from .interlock import raise_if
 from .monitor import SafetyMonitor
 from .section import Section
 
@@ -107,12 +106,8 @@ class CommandChannel:
             if not is_stop and self._section.may_wait:
                 self._recall.settle(_TAKE_BACK)
 
-        call = current_call()
-
         def decide() -> None:
             self._monitor.require(is_stop)
-            if not is_stop:
-                self._require_order(call)
             claim()
 
         self._send(text, decide, SEND_TIMEOUT if wait else 0.0)
@@ -122,11 +117,6 @@ class CommandChannel:
     def overtake(self, why: str) -> None:
         """Send no motion whose call was entered before this moment; `why` names the stop, for messages."""
         self._monitor.overtake(why)
-
-    def _require_order(self, call: Call | PendingCall | None) -> None:
-        """Raise `Cancelled` if the robot was stopped after this call was entered."""
-        if call is not None and call.order is not None:
-            raise_if(self._monitor.overtaken(call.order))
 
     def command(self, text: str) -> None:
         """Send URScript that moves nothing: outputs, payload, popups. It needs no more than a running robot.
@@ -154,7 +144,7 @@ class CommandChannel:
             NotRunning: the robot does not run; `send` was not called.
             Exception: whatever `send` raises.
         """
-        with self._section:
+        with self._section.lock:
             self._monitor.require_running()
             send()
 
@@ -165,18 +155,15 @@ class CommandChannel:
             SafetyStop, NotRunning: as `motion`; `send` was not called.
             Exception: whatever `send` raises.
         """
-        call = None if is_stop else current_call()
-        with self._section:
+        with self._section.lock:
             refusal = self._monitor.refusal(is_stop)
             if refusal is None:
-                self._require_order(call)
                 send()
                 return
         # This process may have been held up, and has states to read that arrived meanwhile.
         self._monitor.await_news(moves=True)
-        with self._section:
+        with self._section.lock:
             self._monitor.require(is_stop)
-            self._require_order(call)
             send()
 
     def discard(self, seconds: float) -> None:
@@ -193,7 +180,7 @@ class CommandChannel:
         until = self._clock() + timeout
         try:
             while True:
-                with self._section:
+                with self._section.lock:
                     if self._has_turn(outgoing):
                         self._send_some(outgoing, decide)
                 if not outgoing.rest:
@@ -208,7 +195,7 @@ class CommandChannel:
         finally:
             # Part of it has left, and time is up, the rest is refused, or the waiting for room was interrupted.
             if self._unfinished is outgoing:
-                with self._section:
+                with self._section.lock:
                     self._give_up()
         raise LinkTimeout(
             f"the controller has not taken a text of {outgoing.size} bytes within {timeout:g} s; it was not sent"
