@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterator
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
+from . import clock
 from .arguments import check_seconds
 from .errors import Closed, LinkTimeout, LocalError
 
@@ -46,12 +47,17 @@ def started(thread: threading.Thread) -> threading.Thread:
 def acquired(lock: threading.Lock | threading.RLock, timeout: float) -> Iterator[bool]:
     """Acquire a lock for a block, within `timeout` seconds; yields whether that was possible."""
     got: list[bool] = []
-    try:
+
+    def attempt(seconds: float | None) -> bool:
         # Acquired and noted in one step: Ctrl-C can come between two of them, and would leave the lock locked for ever.
-        got.extend(map(lock.acquire, (True,), (timeout,)))
-        yield got[0]
+        got.extend(map(lock.acquire, (True,), (-1 if seconds is None else seconds,)))
+        return got[-1]
+
+    try:
+        clock.wait(attempt, timeout)
+        yield True in got
     finally:
-        if got and got[0]:
+        if True in got:  # without a call, after which Ctrl-C could come
             lock.release()
 
 

@@ -34,4 +34,5 @@ class Clock:
 
     def replace(self, module: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
         """Have a module take its time from here."""
-        monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=self, sleep=self.sleep))
+        fake = SimpleNamespace(now=self, sleep=self.sleep, left=lambda until: max(until - self.now, 0.0))
+        monkeypatch.setattr(module, "clock", fake)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 import math
 import threading
-import time
 from collections.abc import Iterator
 
+from .. import clock
 from ..clock import Stamp
 from ..errors import BadValue, ConnectFailed, ConnectionLost, LinkTimeout
 from ..net.transport import Finished
@@ -35,13 +35,13 @@ class ReplayClock:
         """Start the time line, unless it has started."""
         with self._lock:
             if self._started is None:
-                self._started = time.monotonic()
+                self._started = clock.now()
 
     def delay(self, stamp: Stamp) -> float:
         """Seconds until bytes with this stamp are due; negative if they are late."""
         if self.rate == 0 or self._started is None:
             return 0.0
-        return self._started + (stamp.monotonic - self._first) / self.rate - time.monotonic()
+        return self._started + (stamp.monotonic - self._first) / self.rate - clock.now()
 
 
 class ReplayTransport:
@@ -103,7 +103,7 @@ class ReplayTransport:
             if state == "lost":
                 raise ConnectionLost(f"{self.name}: as recorded: {error}")
             if record.kind is Kind.BYTES:
-                return record.payload, Stamp(time.monotonic(), record.stamp.wall)
+                return record.payload, Stamp(clock.now(), record.stamp.wall)
         raise Finished
 
     def _peek(self) -> Record | None:

@@ -10,10 +10,10 @@ from __future__ import annotations
 import abc
 import logging
 import threading
-import time
 from collections.abc import Callable
 from typing import Any
 
+from .. import clock
 from ..clock import Stamp
 from ..errors import Cancelled, Closed, ConnectionLost, LinkTimeout, LocalError, RemoteError, unraised
 from ..net.transport import Finished, Transport
@@ -192,20 +192,20 @@ class Connection(abc.ABC):
 
     def join(self, timeout: float) -> bool:
         """Wait until no packet will come any more and all are delivered; False when time is up."""
-        until = time.monotonic() + timeout
+        until = clock.now() + timeout
         if not self._join_reader(timeout):
             return False
-        return all(delivery.join(max(until - time.monotonic(), 0.0)) for delivery in self.fan_out.deliveries)
+        return all(delivery.join(clock.left(until)) for delivery in self.fan_out.deliveries)
 
     def close(self, timeout: float) -> None:
         """Disconnect and end every queue and callback; within `timeout` seconds. Idempotent, from any thread."""
-        until = time.monotonic() + timeout
+        until = clock.now() + timeout
         self._stop()
         self.fan_out.close(all=False)
         self._hang_up()
         has_ended = self._join_reader(timeout)
         for delivery in self.fan_out.deliveries:
-            delivery.join(max(until - time.monotonic(), 0.0))
+            delivery.join(clock.left(until))
             if isinstance(delivery, InlineDelivery):  # which holds this connection
                 self.fan_out.remove_delivery(delivery)
         if not has_ended:
@@ -235,7 +235,7 @@ class Connection(abc.ABC):
             RemoteError, LocalError, Closed: as `start` and `send_some`.
         """
         self.start()
-        until = time.monotonic() + timeout
+        until = clock.now() + timeout
         rest = memoryview(data)
         with self._sending:
             while rest:
@@ -246,7 +246,7 @@ class Connection(abc.ABC):
                         self.abort()
                     raise
                 rest = rest[sent:]
-                if not sent and not self.wait_for_room(max(until - time.monotonic(), 0.0)):
+                if not sent and not self.wait_for_room(clock.left(until)):
                     self.abort()
                     raise LinkTimeout(f"{self.name} did not take what was sent within {timeout:g} s")
 

@@ -7,8 +7,8 @@ transport -> receiver -> fan-out -> queues -> callbacks
 from __future__ import annotations
 
 import threading
-import time
 
+from .. import clock
 from ..errors import LinkTimeout, LocalError
 from ..realtime import urgent
 from ..threads import started
@@ -90,7 +90,7 @@ class ThreadConnection(Connection):
     def _receive(self, receiver: Receiver) -> None:
         """Hand out what comes, until the transport raises or the peer has been silent for too long."""
         receive, take, silence = self._transport.receive, self._take, self.silence
-        silence.end(time.monotonic())
+        silence.end(clock.now())
         while True:
             try:
                 data, stamp = receive(silence.wait)

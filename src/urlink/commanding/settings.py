@@ -27,8 +27,8 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from linkcore import clock
 from linkcore.arguments import check_number, other_unit
-from linkcore.clock import monotonic
 from linkcore.errors import BadValue, Closed, ConnectionLost, LinkError, LocalError
 from linkcore.streaming.connection import Connection
 from linkcore.text import printable
@@ -96,7 +96,7 @@ class SettingChannel:
         connection: Connection,
         section: Section,
         inputs: Callable[[], BriefInputs] | None,
-        clock: Callable[[], float] = monotonic,
+        clock: Callable[[], float] = clock.now,
     ) -> None:
         self._channel = channel
         self._connection = connection

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import threading
-import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from functools import partial
 from typing import TYPE_CHECKING
 
+from linkcore import clock
 from linkcore.arguments import check_number, check_seconds, check_wait
 from linkcore.errors import BadValue, Cancelled, LinkError
 from linkcore.handle import Lifecycle, Motion
@@ -150,10 +150,10 @@ class GroupStream(GroupMotion):
                 _check_ends([aims for _, aims in checked])
                 with self._handing:
                     handed = [stream._add(*each) for stream, each in zip(self.motions, checked, strict=True)]
-            until = time.monotonic() + seconds
+            until = clock.now() + seconds
             for stream, each in zip(self.motions, handed, strict=True):
                 if seconds and each is not None:
-                    stream._await_room(each, max(until - time.monotonic(), 0.0))
+                    stream._await_room(each, clock.left(until))
         return self.room
 
     def replace(self, from_time: float, points: Sequence[Points]) -> float:
@@ -229,10 +229,10 @@ class GroupStream(GroupMotion):
             LinkTimeout: they have not, in `timeout` seconds; they go on.
             LocalError, LinkError: as for `append`.
         """
-        until = time.monotonic() + check_seconds(timeout, "timeout", finite=True)
+        until = clock.now() + check_seconds(timeout, "timeout", finite=True)
         with self._reasons():
             for stream in self.motions:
-                stream.wait_until_dry(max(until - time.monotonic(), 0.0))
+                stream.wait_until_dry(clock.left(until))
 
     @property
     def time(self) -> float:

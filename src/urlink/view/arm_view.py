@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import threading
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 
+from linkcore import clock
 from linkcore.errors import BadValue, LinkError
 from linkcore.text import similar
 from linkcore.threads import Closing
@@ -201,7 +201,7 @@ class _Player:
 
     def play(self) -> None:
         """Go on, if it plays, and show the moment of the slider."""
-        now = time.monotonic()
+        now = clock.now()
         if self._plays.value and self._last is not None:
             self._time.value = min(self._time.value + (now - self._last) * self._rate.value, self._end)
             if self._time.value >= self._end:
