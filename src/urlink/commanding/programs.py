@@ -245,7 +245,6 @@ class Programs:
 
         life.fire(Event.SEND)
         life.on_end(end)
-        abandon_at_end(self)
         try:
             self._listen()
             replaces = not (is_stop or wrapped.is_secondary)
@@ -344,6 +343,7 @@ class Programs:
     def _listen(self) -> None:
         if self._subscriptions.made is not None:
             return
+        abandon_at_end(self)
         subscriptions: list[Subscription] = []
 
         def only_once(on_packet: Callable[[Any], None], packet: Any) -> None:
