@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterator
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
+from . import clock
 from .arguments import check_seconds
 from .errors import Closed, LinkTimeout, LocalError
 
@@ -49,7 +50,7 @@ def held(lock: threading.Lock | threading.RLock, timeout: float, otherwise: str)
     Raises:
         LinkTimeout: others kept it for so long; `otherwise` is the message.
     """
-    if not lock.acquire(timeout=timeout):
+    if not clock.acquire(lock, timeout):
         raise LinkTimeout(otherwise)
     try:
         yield
@@ -135,7 +136,11 @@ class CallbackThread:
             return
         thread, has_ended = made
         self._calls.put(None)
-        if thread is not threading.current_thread() and has_ended.wait(max(timeout, 0.0)) and thread.ident is not None:
+        if (
+            thread is not threading.current_thread()
+            and clock.wait(has_ended.wait, timeout)
+            and thread.ident is not None
+        ):
             thread.join()
 
 
@@ -287,8 +292,8 @@ class Runnable(Closing, ABC):
             LinkError: what ended it by itself: see the class.
         """
         if timeout is not None:
-            timeout = min(check_seconds(timeout, "timeout"), threading.TIMEOUT_MAX)
-        if not self._ended.wait(timeout):
+            timeout = check_seconds(timeout, "timeout")
+        if not clock.wait(self._ended.wait, timeout):
             return False
         if self.failure is not None:
             raise self.failure

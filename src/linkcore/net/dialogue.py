@@ -88,7 +88,7 @@ class Dialogue:
             LinkError: whatever the protocol or the gate raises.
         """
         until = clock.now() + timeout
-        if not self._lock.acquire(timeout=timeout):
+        if not clock.acquire(self._lock, timeout):
             raise LinkTimeout(
                 f"{self._name}: {text!r} was not sent, since for {timeout:g} s another thread waited for its own reply"
             )

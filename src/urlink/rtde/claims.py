@@ -168,7 +168,7 @@ class BriefClaims:
         """
         self._used = clock.now()
         # In a signal handler, who has the lock waits for this very call to end.
-        if not self._lock.acquire(timeout=CLAIM_TIMEOUT if wait else 0.0):
+        if not clock.acquire(self._lock, CLAIM_TIMEOUT if wait else 0.0):
             return None
         try:
             claims = self._standing
