@@ -38,6 +38,9 @@ if sys.platform == "win32":
     # Before CPython 3.13 `time.monotonic` has steps of 15.6 ms there. Both clocks include the time of a suspend.
     _read: Callable[[], float] = time.perf_counter
 
+    #: Smallest step of `now`, in seconds.
+    RESOLUTION = time.get_clock_info("perf_counter").resolution
+
     def now() -> float:
         """Time in seconds, on a monotonic clock that includes the time for which this computer was suspended."""
         return _read()
@@ -55,6 +58,8 @@ else:
         return time.CLOCK_MONOTONIC
 
     _CLOCK = _which()
+    #: Smallest step of `now`, in seconds.
+    RESOLUTION = time.clock_getres(_CLOCK)
 
     def now() -> float:
         """Time in seconds, on a monotonic clock that includes the time for which this computer was suspended."""

@@ -161,7 +161,11 @@ class CallbackThread:
             return
         thread, has_ended = made
         self._calls.put(None)
-        if thread is not threading.current_thread() and has_ended.wait(max(timeout, 0.0)) and thread.ident is not None:
+        if (
+            thread is not threading.current_thread()
+            and clock.wait(has_ended.wait, timeout)
+            and thread.ident is not None
+        ):
             thread.join()
 
 
@@ -313,8 +317,8 @@ class Runnable(Closing, ABC):
             LinkError: what ended it by itself: see the class.
         """
         if timeout is not None:
-            timeout = min(check_seconds(timeout, "timeout"), threading.TIMEOUT_MAX)
-        if not self._ended.wait(timeout):
+            timeout = check_seconds(timeout, "timeout")
+        if not clock.wait(self._ended.wait, timeout):
             return False
         if self.failure is not None:
             raise self.failure

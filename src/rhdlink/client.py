@@ -302,7 +302,7 @@ class Variables(Declarations, Closing):
         # One deadline for everything: waiting for another thread, connecting, and each receive take what is left of it.
         until = clock.now() + seconds
         otherwise = f"{self.address}: another thread has been in sync() for {seconds:g} s"
-        with held(self._exchange, min(seconds, threading.TIMEOUT_MAX), otherwise):
+        with held(self._exchange, seconds, otherwise):
             if self._closing.is_set():
                 raise Closed(f"{self._address} was closed")
             self._sync(replica, until)

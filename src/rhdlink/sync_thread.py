@@ -66,7 +66,7 @@ class SyncThread(Closing):
         """Sync no more; waits up to `timeout` seconds for a sync that is under way. Idempotent."""
         self._closing.set()
         if self._thread is not threading.current_thread():
-            self._thread.join(max(timeout, 0.0))
+            clock.join(self._thread, timeout)
 
     def __repr__(self) -> str:
         state = "running" if self.is_running else "ended" if self.failure is None else f"ended by {self.failure!r}"
@@ -107,12 +107,12 @@ class SyncThread(Closing):
             finally:
                 del sync  # or the robot would live as long as this thread waits
             if wait is not None:
-                self._closing.wait(wait)
+                clock.wait(self._closing.wait, wait)
                 due = clock.now()
             elif self._period is not None:
                 # On absolute deadlines; one that was missed is not made up for.
                 due = max(due + self._period, clock.now())
-                self._closing.wait(due - clock.now())
+                clock.wait(self._closing.wait, due - clock.now())
 
 
 class _Subscriber(NamedTuple):

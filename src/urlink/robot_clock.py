@@ -19,9 +19,9 @@ class RobotClock:
     """The clock of a controller, and this computer's monotonic clock; made by `Robot.clock`.
 
     The controller's is that of `RealtimeState.time`, and of ``timestamp`` in RTDE: seconds since it was started. This
-    computer's is `linkcore.clock.now`, which `state.received.monotonic` has too. It equals `time.monotonic` until this
-    computer is suspended for the first time. All of these wait for the first state, if none has come yet, and raise
-    `LinkTimeout` if none does.
+    computer's is `linkcore.clock.now`, which `state.received.monotonic` has too. On Linux it equals `time.monotonic`
+    until this computer is suspended for the first time. All of these wait for the first state, if none has come yet,
+    and raise `LinkTimeout` if none does.
     """
 
     def __init__(self, stream: Stream[RealtimeState], who: KnownIdentity) -> None:

@@ -152,7 +152,7 @@ class LoopConnection(Connection):
     def _join_reader(self, timeout: float) -> bool:
         if self.reads_here():
             return True
-        return self._has_ended.wait(min(timeout, threading.TIMEOUT_MAX))
+        return clock.wait(self._has_ended.wait, timeout)
 
     def _hang_up(self) -> None:
         """The task disconnects: `_stop` has woken it."""
@@ -203,7 +203,7 @@ class LoopConnection(Connection):
 
         with contextlib.suppress(LocalError):
             self.call(abort)
-            done.wait(_HANDOVER)
+            clock.wait(done.wait, _HANDOVER)
         self._transport.abort()
 
     def _abort_here(self) -> None:

@@ -34,7 +34,6 @@ import weakref
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
-from concurrent.futures import TimeoutError as FutureTimeout
 
 from .. import clock
 from ..errors import BadAddress, LinkTimeout
@@ -512,13 +511,10 @@ class SelectorLoop:
             change()
             return
         self.wake()
-        try:
-            done.result(timeout)
-        except FutureTimeout:
-            if done.done():
-                raise  # `change` itself raised it
+        if not clock.is_done(done, timeout):
             done.cancel()
-            raise LinkTimeout(f"the server's thread did not answer within {timeout:g} s") from None
+            raise LinkTimeout(f"the server's thread did not answer within {timeout:g} s")
+        done.result()
 
     # -- the owner's thread ----------------------------------------------------------------------------
 

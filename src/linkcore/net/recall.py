@@ -146,7 +146,7 @@ class Recall:
             thread = self._thread
             if thread is None or thread is threading.current_thread() or clock.now() >= until:
                 return False
-            thread.join(_POLL)
+            clock.join(thread, _POLL)
         return True
 
     def drop(self) -> None:
@@ -224,7 +224,7 @@ class Recall:
             if self._pending:
                 if clock.now() - began > _PAUSE:
                     pause = _PAUSE
-                self._closed.wait(pause)
+                clock.wait(self._closed.wait, pause)
                 pause = min(2.0 * pause, _LONGEST)
 
     def _try(self, name: str, take_back: TakeBack[Any]) -> None:

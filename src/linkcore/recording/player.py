@@ -122,7 +122,7 @@ class ReplayTransport:
         """Wait until bytes with this stamp are due, at most `most` seconds; False if they are not due by then."""
         delay = self._clock.delay(stamp)
         if delay > 0:
-            self._closed.wait(min(delay, most, threading.TIMEOUT_MAX))
+            clock.wait(self._closed.wait, min(delay, most))
         return delay <= most
 
     def send(self, data: bytes, timeout: float) -> None:

@@ -51,7 +51,7 @@ _KEPT = (
 
 #: Modules of C or with locks of their own, imported before the first simulation rather than in it: they keep what they
 #: find as they are imported, so that the first run in a process would differ from the next.
-_BEFORE = ("asyncio", "concurrent.futures.thread", "multiprocessing.process", "numpy.random")
+_BEFORE = ("asyncio", "concurrent.futures.thread", "linkcore.clock", "multiprocessing.process", "numpy.random")
 
 #: What can happen to a computer, and how it is written.
 _OF_COMPUTERS = ("suspend", "resume", "hold", "release", "kill", "power_off", "power_on")

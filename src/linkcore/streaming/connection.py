@@ -11,6 +11,7 @@ import abc
 import logging
 import threading
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from .. import clock
@@ -156,14 +157,14 @@ class Connection(abc.ABC):
             if self._life.is_ending or not self._is_settled:
                 self.refuse_to_wait("connecting")
             # A reader that ends closes its subscriptions: one that begins now belongs to the next reader.
-            self._changed.wait_for(lambda: not self._life.is_ending, self._timeout)
+            clock.wait(partial(self._changed.wait_for, lambda: not self._life.is_ending), self._timeout)
             if self._life.is_closed:
                 raise Closed(f"{self.name} was closed")
             if add is not None:
                 add()
             self._begin(is_patient=False)
             attempt = self._life.attempt
-            if not self._changed.wait_for(lambda: attempt.is_settled, self._timeout + 1.0):
+            if not clock.wait(partial(self._changed.wait_for, lambda: attempt.is_settled), self._timeout + 1.0):
                 raise self.error or LinkTimeout(f"{self.name}: no connection within {self._timeout:g} s")
         if attempt.failure is not None:
             raise unraised(attempt.failure)

@@ -229,7 +229,7 @@ class PacketQueue:
                     return None
             self._consumer_sleeps = True
             if not packets and not self._is_ended:
-                left = None if until is None else min(until - now, threading.TIMEOUT_MAX)
+                left = clock.slice_of(None if until is None else until - now)
                 with contextlib.suppress(Empty):
                     self._to_consumer.get(True, left)
             self._consumer_sleeps = False

@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from typing import Any
 
 from .. import clock
@@ -195,7 +196,7 @@ class ThreadedDelivery(Delivery):
 
     def join(self, timeout: float) -> bool:
         if not self.runs_here():
-            self._thread.join(min(timeout, threading.TIMEOUT_MAX))
+            clock.join(self._thread, timeout)
         return not self._thread.is_alive()
 
     def runs_here(self) -> bool:
@@ -318,7 +319,7 @@ class InlineDelivery(Delivery):
 
     def _waits_closed(self, timeout: float) -> bool:
         with self._closing:
-            return self._closing.wait_for(lambda: self._is_closed, min(timeout, threading.TIMEOUT_MAX))
+            return clock.wait(partial(self._closing.wait_for, lambda: self._is_closed), timeout)
 
     def runs_here(self) -> bool:
         return self._is_calling and self._reads_here()

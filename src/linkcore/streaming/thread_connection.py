@@ -7,6 +7,7 @@ transport -> receiver -> fan-out -> queues -> callbacks
 from __future__ import annotations
 
 import threading
+from functools import partial
 
 from .. import clock
 from ..errors import LinkTimeout, LocalError
@@ -59,8 +60,7 @@ class ThreadConnection(Connection):
         reader = self._reader
         if reader is None or self.reads_here():
             return True
-        reader.join(min(timeout, threading.TIMEOUT_MAX))
-        return not reader.is_alive()
+        return clock.join(reader, timeout)
 
     # -- the reader thread -----------------------------------------------------------------------
 
@@ -76,7 +76,7 @@ class ThreadConnection(Connection):
             if wait is None:
                 return
             with self._changed:
-                if self._changed.wait_for(lambda: self._life.is_closed, wait):
+                if clock.wait(partial(self._changed.wait_for, lambda: self._life.is_closed), wait):
                     break
         self._finish(None)
 

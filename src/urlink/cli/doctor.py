@@ -6,7 +6,6 @@ import argparse
 import itertools
 import math
 import statistics
-import time
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NamedTuple
 
@@ -143,7 +142,7 @@ def _scheduling() -> Finding:
         late.append(clock.now() - due)
     worst, median = max(late), statistics.median(late)
     seen = f"woken {median * 1e3:.2f} ms late as a rule, {worst * 1e3:.2f} ms at worst (200 sleeps)"
-    if time.get_clock_info("monotonic").resolution > _LATE_OK:
+    if clock.RESOLUTION > _LATE_OK:
         return Finding("BAD", "computer", "its clock is coarser than 1 ms", "timing cannot be trusted here")
     if worst > _LATE_BAD:
         return Finding(

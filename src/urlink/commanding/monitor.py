@@ -200,7 +200,7 @@ class SafetyMonitor:
                 if left <= 0.0 or self.is_closed:
                     return False
                 with self._section.waiting(), contextlib.suppress(Empty):
-                    news.get(timeout=left)
+                    clock.get(news, left)
             return True
         finally:
             self._waiting.remove(news)

@@ -324,7 +324,7 @@ class Settings:
             self._channel.send(text, values)
             try:
                 with self._section.waiting():
-                    is_shown.get(timeout=timeout)
+                    clock.get(is_shown, timeout)
             except Empty:
                 self._channel.doubt()
                 raise self._not_confirmed(what, shown[0], timeout) from None

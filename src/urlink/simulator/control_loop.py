@@ -110,7 +110,7 @@ def passing(step: Callable[[int], object], rate: int, speed: float) -> Iterator[
 
     def run() -> None:
         due = clock.now()
-        while not over.wait(clock.left(due)):
+        while not clock.wait(over.wait, due - clock.now()):
             # The thread that serves may get no processor time for seconds: time stands still then, and goes on.
             with contextlib.suppress(LinkTimeout):
                 step(cycles)
@@ -121,4 +121,4 @@ def passing(step: Callable[[int], object], rate: int, speed: float) -> Iterator[
         yield
     finally:
         over.set()
-        thread.join()
+        clock.join(thread)

@@ -165,7 +165,7 @@ class ArmView(Closing):
         """Call `show` in a thread of its own, `rate` times a second, until the view is closed."""
 
         def run() -> None:
-            while not self._over.wait(1.0 / rate):
+            while not clock.wait(self._over.wait, 1.0 / rate):
                 self.show()
 
         self._thread = threading.Thread(target=run, name="view", daemon=True)
@@ -176,7 +176,7 @@ class ArmView(Closing):
         """End a jog, and the page; idempotent."""
         self._over.set()
         if self._thread is not None:
-            self._thread.join()
+            clock.join(self._thread)
         if self._jog is not None:
             self._jog.close()
         self.page.close()

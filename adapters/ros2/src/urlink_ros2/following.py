@@ -126,7 +126,7 @@ class TrajectoryAction:
         The executor has to go on meanwhile, since it sends the results.
         """
         with self._idle:
-            self._idle.wait_for(lambda: self._running == 0, seconds)
+            clock.wait(partial(self._idle.wait_for, lambda: self._running == 0), seconds)
             left = self._last_end + _SENDING - clock.now()
         if left > 0.0:
             clock.sleep(left)

@@ -6,6 +6,7 @@ import contextlib
 import logging
 import threading
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -140,7 +141,9 @@ class Commander:
     def _follow_wires(self) -> None:
         while not self._is_closed:
             with self._changed:
-                self._changed.wait_for(lambda: self._is_closed or self._mode.endswith("_command"), 1.0)
+                clock.wait(
+                    partial(self._changed.wait_for, lambda: self._is_closed or self._mode.endswith("_command")), 1.0
+                )
                 mode = self._mode
             try:
                 if mode == "position_command":

@@ -80,7 +80,7 @@ class Clients:
         until = clock.now() + _ANNOUNCED
         with self._changed:
             while client not in self._alive:
-                if not self._changed.wait(clock.left(until)) and client not in self._alive:
+                if not clock.wait(self._changed.wait, until - clock.now()) and client not in self._alive:
                     raise LocalError(
                         f"no client is alive that is called {client}; expected a token {self._key}/{client}"
                     )

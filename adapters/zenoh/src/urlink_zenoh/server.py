@@ -95,7 +95,7 @@ class Server:
     def _tell(self) -> None:
         """Publish how each robot is, evenly."""
         due = clock.now()
-        while not self._ended.wait(clock.left(due)):
+        while not clock.wait(self._ended.wait, due - clock.now()):
             for served in self._served:
                 try:
                     served.tell_status()
