@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import os
 import sys
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from . import clock
 from .errors import BadRecording, BadValue
 from .lazy import needs
 
@@ -177,14 +177,14 @@ class LivePlot:
                 self._handle = display(plot, display_id=True)
             else:
                 self._handle.update(plot)
-            time.sleep(pause)
+            clock.sleep(pause)
             return
         if self._figure is None:
             self._figure = self._pyplot.figure(figsize=plot.size)
         self._figure.clear()
         plot.draw(self._figure)
         if self._pyplot.get_backend().lower() == "agg":
-            time.sleep(pause)  # there is no window that could have events
+            clock.sleep(pause)  # there is no window that could have events
         else:
             self._pyplot.pause(pause)
 

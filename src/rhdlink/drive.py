@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable
 from typing import NamedTuple
 
+from linkcore import clock
 from linkcore.arguments import check_choice, check_number
 from linkcore.errors import BadValue, Closed, LinkTimeout
 from linkcore.handle import Lifecycle, Motion
@@ -304,7 +305,7 @@ class Drive(Closing):
     def _leave(self) -> None:
         self._closing.set()
         self._wake.set()
-        self._thread.join(_CLOSE_TIMEOUT)
+        clock.join(self._thread, _CLOSE_TIMEOUT)
 
     def _run(self) -> None:
         settling = 0
@@ -333,7 +334,7 @@ class Drive(Closing):
     def _rest(self) -> None:
         """Let the robot's time stand still until there is a motion."""
         while self._motions.is_idle and not self._closing.is_set():
-            self._wake.wait()
+            clock.wait(self._wake.wait)
             self._wake.clear()
 
     @property

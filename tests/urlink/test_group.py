@@ -10,6 +10,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
+import linkcore.clock
 import urlink
 from linkcore.errors import BadValue, Cancelled, LinkTimeout, LocalError
 from linkcore.handle import Phase
@@ -63,7 +64,7 @@ class Side:
         controller = self.controller
         assert controller._server is not None
         with self.sim.on(self.computer):
-            cycles = (time.monotonic() - controller._server._epoch) * self.rate + controller._server._first
+            cycles = (linkcore.clock.now() - controller._server._epoch) * self.rate + controller._server._first
         self.marks.append((self.sim.now, (cycles - (controller._state.cycle - controller._state.uptime)) / self.rate))
 
     def path(self) -> tuple[FloatArray, FloatArray, FloatArray]:

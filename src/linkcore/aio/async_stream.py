@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import Callable
 from typing import Any, Generic, TypeVar
 
+from .. import clock
 from ..arguments import check_callable, check_seconds
 from ..streaming.connection_life import ConnectionState
 from ..streaming.feed import LAGGARD, Feed
@@ -79,14 +79,14 @@ class AsyncFeed(Generic[T]):
         """
         check_callable(condition, "condition")
         timeout = check_seconds(timeout, "timeout")
-        end = time.monotonic() + timeout
+        end = clock.now() + timeout
         looked_at = 0
         async with self._packets(drop_oldest(LAGGARD), timeout) as packets:
             await packets.open()
             newest = None if self._feed._has_events else self.latest
             if newest is not None and condition(newest):
                 return newest
-            while (packet := await packets.next(max(end - time.monotonic(), 0.0))) is not None:
+            while (packet := await packets.next(clock.left(end))) is not None:
                 looked_at += 1
                 if condition(packet):
                     return packet
@@ -178,12 +178,12 @@ class AsyncFeed(Generic[T]):
         seconds = check_seconds(seconds, "seconds", positive=True, finite=True)
         period = check_seconds(period, "period", positive=True, finite=True)
         live = LivePlot()
-        end = time.monotonic() + seconds
+        end = clock.now() + seconds
         try:
             with await self.history(window) as history:
                 for picture in self._feed._pictures(history, fields, end):
                     if picture is None:
-                        await self.wait(max(end - time.monotonic(), 0.0))
+                        await self.wait(clock.left(end))
                     else:
                         live.update(picture, _EVENTS)
                         await asyncio.sleep(period)

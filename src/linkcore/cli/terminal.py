@@ -7,11 +7,11 @@ import math
 import os
 import signal
 import sys
-import time
 from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from .. import clock
 from ..text import printable
 
 if TYPE_CHECKING:
@@ -75,12 +75,12 @@ class Interruption:
 
     def end_after(self, duration: float | None) -> None:
         """Be over `duration` seconds from now."""
-        self._until = math.inf if duration is None else time.monotonic() + duration
+        self._until = math.inf if duration is None else clock.now() + duration
 
     @property
     def is_over(self) -> bool:
         """Whether a signal has come, or the duration is over."""
-        return self.number is not None or time.monotonic() >= self._until
+        return self.number is not None or clock.now() >= self._until
 
     @property
     def status(self) -> int:
@@ -89,10 +89,10 @@ class Interruption:
 
     def wait(self, seconds: float) -> bool:
         """Sleep until it is over, at most `seconds`; returns whether it is."""
-        until = min(time.monotonic() + seconds, self._until)
+        until = min(clock.now() + seconds, self._until)
         # A signal that is only noted does not end a sleep, so it sleeps in short steps.
-        while self.number is None and (left := until - time.monotonic()) > 0:
-            time.sleep(min(left, 0.05))
+        while self.number is None and (left := until - clock.now()) > 0:
+            clock.sleep(min(left, 0.05))
         return self.is_over
 
     def __enter__(self) -> Interruption:
@@ -123,12 +123,12 @@ class ProgressBar:
     def __init__(self, text: str, quiet: bool = False) -> None:
         self._text = text
         self.is_shown = sys.stderr.isatty() and not quiet
-        self._next = time.monotonic() + _PERIOD
+        self._next = clock.now() + _PERIOD
         self._is_drawn = False
 
     def __call__(self, part: float) -> None:
         """Draw it, if the last drawing is old enough."""
-        now = time.monotonic()
+        now = clock.now()
         if not self.is_shown or now < self._next or part <= 0.0:  # 0: there is no progress to show
             return
         self._next = now + _PERIOD

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import TYPE_CHECKING, Generic, TypeVar
 
+from .. import clock
 from ..arguments import check_callable, check_seconds
 from ..errors import BadValue, Closed, LinkTimeout
 from ..wire.packet import State
@@ -81,7 +81,7 @@ class Feed(Generic[T]):
         """
         check_callable(condition, "condition")
         timeout = check_seconds(timeout, "timeout")
-        end = time.monotonic() + timeout
+        end = clock.now() + timeout
         connection, kind = self._connection, self._kind
         connection.refuse_to_wait("wait_until()")
         queue = connection.open_queue(kind, drop_oldest(LAGGARD))
@@ -91,7 +91,7 @@ class Feed(Generic[T]):
             newest = None if self._has_events else connection.fan_out.newest(kind)
             if newest is not None and condition(newest):
                 return newest
-            while (packet := queue.next(max(end - time.monotonic(), 0.0))) is not None:
+            while (packet := queue.next(clock.left(end))) is not None:
                 for each in connection.fan_out.expand(kind, packet):
                     looked_at += 1
                     if condition(each):
@@ -242,12 +242,12 @@ class Feed(Generic[T]):
         seconds = check_seconds(seconds, "seconds", positive=True, finite=True)
         period = check_seconds(period, "period", positive=True, finite=True)
         live = LivePlot()
-        end = time.monotonic() + seconds
+        end = clock.now() + seconds
         try:
             with self.history(window) as history:
                 for picture in self._pictures(history, fields, end):
                     if picture is None:
-                        self.wait(max(end - time.monotonic(), 0.0))
+                        self.wait(clock.left(end))
                     else:
                         live.update(picture, period)
                 if not len(history):
@@ -260,10 +260,10 @@ class Feed(Generic[T]):
         from ..plotting import Curves, Plot
 
         units = {name: field.unit for name, field in getattr(self._kind, "FIELDS", {}).items()}
-        while time.monotonic() < end:
+        while clock.now() < end:
             states = history.array(*fields)
             if len(states):
-                when = states["received"] - time.monotonic()  # after the last state has been received
+                when = states["received"] - clock.now()  # after the last state has been received
                 curves = [Curves(name, units.get(name, ""), when, states[name]) for name in fields]
                 yield Plot(curves, self._connection.name)
             else:

@@ -12,11 +12,11 @@ counters; sums that do not add up after that are an error in counting.
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
+from .. import clock
 from ..wire.cycles import MissedCycles, Missing
 from ..wire.framing import PacketProtocol
 from .peer_clock import ClockEstimator
@@ -106,7 +106,7 @@ S = TypeVar("S", StreamStatistics, SubscriptionStatistics)
 
 def snapshot(take: Callable[[], S]) -> S:
     """What `take` returns, as soon as its sum holds; after a moment as it is."""
-    until = time.monotonic() + _MOMENT
+    until = clock.now() + _MOMENT
     while True:
         statistics = take()
         if isinstance(statistics, StreamStatistics):
@@ -114,9 +114,9 @@ def snapshot(take: Callable[[], S]) -> S:
         else:
             taken = statistics.delivered + statistics.dropped + statistics.raised + statistics.waiting
             rest = statistics.offered - taken
-        if not rest or time.monotonic() >= until:
+        if not rest or clock.now() >= until:
             return statistics
-        time.sleep(_MOMENT / 100)
+        clock.sleep(_MOMENT / 100)
 
 
 class Loop(Protocol):
@@ -132,10 +132,10 @@ class StreamCounters:
 
     Attributes:
         received, decoded, failed, slow_inline, bytes, connections: see `StreamStatistics`.
-        arrived: when the last packet was read, by `time.monotonic`; None before the first.
+        arrived: when the last packet was read, by `linkcore.clock.now`; None before the first.
         clock: of the peer, by the times of its packets.
         window_ends: when `next_window` is due: the rate is that of the last whole window of about a second.
-        due: when `look` is due, by `time.monotonic`.
+        due: when `look` is due, by `linkcore.clock.now`.
     """
 
     def __init__(self) -> None:
@@ -159,13 +159,13 @@ class StreamCounters:
         self._rate = 0.0
         self.clock = ClockEstimator()
         self.due = 0.0
-        self._begin_window(time.monotonic())
+        self._begin_window(clock.now())
 
     def connected(self, protocol: PacketProtocol, round_trip: float) -> None:
         """A connection was made, by a handshake of so many seconds; what its protocol counts belongs to the stream."""
         self._protocol = protocol
         self.connections += 1
-        self._begin_window(time.monotonic())
+        self._begin_window(clock.now())
         self._rate = 0.0
         self.clock.connected(round_trip)
         self.due = 0.0
@@ -220,7 +220,7 @@ class StreamCounters:
     def _look(self) -> StreamStatistics:
         # The reader goes on meanwhile. Times before the present, and what past connections have counted before what the
         # present one has: an age is never negative, and nothing counts twice.
-        arrived, now = self.arrived, time.monotonic()
+        arrived, now = self.arrived, clock.now()
         skipped, resyncs, unknown, tails = self._skipped, self._resyncs, self._unknown, self._tails
         missing, duplicates = self._missing, self._duplicates
         with self._changing_loops:

@@ -6,9 +6,9 @@ import argparse
 import contextlib
 import math
 import sys
-import time
 from pathlib import Path
 
+from linkcore import clock
 from linkcore.cli.options import argument, command, one_of, seconds
 from linkcore.cli.terminal import Interruption
 from linkcore.errors import LinkError
@@ -128,13 +128,13 @@ def _execute(args: argparse.Namespace) -> int:
 def _watch(run: MissionRun, interruption: Interruption, args: argparse.Namespace) -> None:
     """Wait for the end; if stderr is a terminal, show the progress."""
     is_seen = sys.stderr.isatty() and not args.quiet and not args.trace and args.profile != "mrc"
-    due = time.monotonic() + _VIEW
+    due = clock.now() + _VIEW
     while not run.done:
         if interruption.wait(0.02):
             run.cancel()
             break
-        if is_seen and time.monotonic() >= due:
-            due = time.monotonic() + _VIEW
+        if is_seen and clock.now() >= due:
+            due = clock.now() + _VIEW
             print(f"\r\x1b[K{_view(run)}", end="", file=sys.stderr, flush=True)
     # After a signal the robot is stopped, and has time to answer.
     with contextlib.suppress(LinkError):

@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+from linkcore import clock
 from linkcore.cli.options import DURATION, RECORDING, argument, command, export, exporting, positive_int, seconds
 from linkcore.cli.terminal import Interruption, ProgressBar
 from linkcore.errors import BadRecording
@@ -89,11 +90,11 @@ def _record(args: argparse.Namespace) -> int:
         ProgressBar("recording", args.quiet) as progress,
     ):
         tell(f"recording {robot.address} into {args.file}; Ctrl-C ends it")
-        begin = time.monotonic()
+        begin = clock.now()
         interruption.end_after(args.duration)
         sync_thread = robot.background(args.period)
         while not interruption.wait(0.02) and (args.count is None or sync_thread.syncs < args.count):
-            by_time = 0.0 if args.duration is None else (time.monotonic() - begin) / args.duration
+            by_time = 0.0 if args.duration is None else (clock.now() - begin) / args.duration
             progress(max(by_time, 0.0 if args.count is None else sync_thread.syncs / args.count))
             if sync_thread.failure is not None:
                 raise sync_thread.failure

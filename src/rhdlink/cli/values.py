@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 import itertools
 import re
-import time
 from collections.abc import Collection, Iterable
 
+from linkcore import clock
 from linkcore.cli.options import DURATION, argument, command, positive_int, seconds
 from linkcore.cli.terminal import Interruption, drawing
 from linkcore.streaming.packet_queue import PacketQueue, drop_oldest
@@ -200,7 +200,7 @@ def _lines(robot: Variables, args: argparse.Namespace, interruption: Interruptio
 
 
 def _views(robot: Variables, args: argparse.Namespace, interruption: Interruption) -> None:
-    counter = RateCounter(time.monotonic())
+    counter = RateCounter(clock.now())
     robot.subscribe(counter.on_update, *args.names)
     robot.subscribe_connection(counter.on_connection)
     sync_thread = robot.background(args.period)
@@ -217,7 +217,7 @@ def _views(robot: Variables, args: argparse.Namespace, interruption: Interruptio
 
 
 def _view(robot: Variables, counter: RateCounter, names: frozenset[str]) -> View:
-    rate, rates = counter.rates(time.monotonic())
+    rate, rates = counter.rates(clock.now())
     return View(
         robot=robot.address,
         connection=robot.connection,

@@ -6,13 +6,13 @@ A link exchanges values once per tick. What a mission does with them is the same
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
 
+from linkcore import clock
 from linkcore.errors import BadValue
 
 from ..client import Variables, connect
@@ -163,7 +163,7 @@ class PluginLink:
         self.write: dict[str, Sequence[int]] = {
             row.name: self.database.write.value(place).tolist() for place, row in enumerate(self.database.write)
         }
-        self._due = time.monotonic()
+        self._due = clock.now()
         self._is_closed = False
         self._call_plugins()
 
@@ -172,8 +172,8 @@ class PluginLink:
         if self._is_closed:
             raise BadValue(f"{self.name}: the link was closed")
         if not self.is_lockstep:
-            self._due = max(self._due + self.period, time.monotonic() - self.period)
-            time.sleep(max(self._due - time.monotonic(), 0.0))
+            self._due = max(self._due + self.period, clock.now() - self.period)
+            clock.sleep(self._due - clock.now())
         self.tick += 1
         micros = round(self.tick * self.period * 1e6)
         self._now = TimeStamp(micros // 1_000_000, micros % 1_000_000)

@@ -6,10 +6,10 @@ import argparse
 import itertools
 import math
 import statistics
-import time
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NamedTuple
 
+from linkcore import clock
 from linkcore.cli.options import argument, command, seconds
 from linkcore.errors import BadValue, ConnectFailed, LinkError, LinkTimeout, RemoteError
 from linkcore.net.transport import TcpTransport
@@ -137,12 +137,12 @@ def _scheduling() -> Finding:
     """How late this computer wakes a thread that sleeps for 1 ms, which a loop at 500 Hz depends on."""
     late = []
     for _ in range(200):
-        due = time.monotonic() + 0.001
-        time.sleep(0.001)
-        late.append(time.monotonic() - due)
+        due = clock.now() + 0.001
+        clock.sleep(0.001)
+        late.append(clock.now() - due)
     worst, median = max(late), statistics.median(late)
     seen = f"woken {median * 1e3:.2f} ms late as a rule, {worst * 1e3:.2f} ms at worst (200 sleeps)"
-    if time.get_clock_info("monotonic").resolution > _LATE_OK:
+    if clock.RESOLUTION > _LATE_OK:
         return Finding("BAD", "computer", "its clock is coarser than 1 ms", "timing cannot be trusted here")
     if worst > _LATE_BAD:
         return Finding(
@@ -158,7 +158,7 @@ def _ports(place: RobotAddress, timeout: float) -> Iterator[Finding]:
     for name, purpose in _PORTS.items():
         port = place.ports[name]
         transport = TcpTransport(place.host, port, silence=timeout)
-        began = time.monotonic()
+        began = clock.now()
         try:
             transport.open(timeout)
         except LinkTimeout:
@@ -167,7 +167,7 @@ def _ports(place: RobotAddress, timeout: float) -> Iterator[Finding]:
             remedy = f"needed for {purpose}: is the service switched off (Settings, Security, Services)?"
             yield Finding("BAD", f"port {port}", f"{name}: {error}", remedy)
         else:
-            took = time.monotonic() - began
+            took = clock.now() - began
             yield Finding("ok", f"port {port}", f"{name}: open, {took * 1e3:.1f} ms to connect")
         finally:
             transport.abort()

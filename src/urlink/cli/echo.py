@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 import itertools
 import math
-import time
 from collections import deque
 from collections.abc import Callable
 from typing import Any, TypeGuard
 
+from linkcore import clock
 from linkcore.cli.options import DURATION, argument, command, positive_int, seconds
 from linkcore.errors import LinkTimeout
 from linkcore.streaming.statistics import StreamStatistics
@@ -164,18 +164,18 @@ def measure(
     last: float | None = None
     fresh = lines = 0
     with Tap(stream, kind) as tap:
-        until = math.inf if duration is None else time.monotonic() + duration
-        due = min(time.monotonic() + 1.0, until)
+        until = math.inf if duration is None else clock.now() + duration
+        due = min(clock.now() + 1.0, until)
         is_over = False
         while not is_over:
-            packets = tap.take(max(due - time.monotonic(), 0.0))
+            packets = tap.take(clock.left(due))
             for packet in packets or ():
                 arrived = packet.received.monotonic
                 if last is not None:
                     periods.append(arrived - last)
                 last = arrived
                 fresh += 1
-            now = time.monotonic()
+            now = clock.now()
             is_over = packets is None or now >= until
             if now >= due or is_over:
                 print(line(periods, fresh, stream.stats), flush=True)

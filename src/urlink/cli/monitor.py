@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
+from linkcore import clock
 from linkcore.cli.options import DURATION, argument, command
 from linkcore.cli.terminal import Interruption, drawing
 from linkcore.errors import LinkError, LinkTimeout
@@ -81,8 +82,8 @@ def with_motion(address: str) -> str:
 
 def _await_first(glances: Iterator[Glance], interruption: Interruption) -> None:
     """Wait briefly for the first state, so that the first picture has values."""
-    deadline = time.monotonic() + 0.5
-    while time.monotonic() < deadline:
+    deadline = clock.now() + 0.5
+    while clock.now() < deadline:
         glance = next(glances)
         if glance.reading is not None or glance.status is StreamStatus.ENDED or interruption.wait(0.01):
             break
@@ -115,7 +116,7 @@ def watch(robot: Robot, interface: str) -> Iterator[Glance]:
         stream.subscribe(on_message, RobotMessage)
     stream.subscribe(on_connection, ConnectionEvent)
     reading: Reading | None = None
-    since, counted = time.monotonic(), 0
+    since, counted = clock.now(), 0
     while True:
         if stream.failure is not None:
             raise stream.failure
@@ -124,9 +125,9 @@ def watch(robot: Robot, interface: str) -> Iterator[Glance]:
             reading = read(state)
         stats = stream.stats
         if connection is not ConnectionState.CONNECTED or stats.reconnects != counted:
-            since, counted = time.monotonic(), stats.reconnects
+            since, counted = clock.now(), stats.reconnects
         # Less than a second is too short to measure a rate.
-        rate = stats.rate if time.monotonic() - since > 1.1 else None
+        rate = stats.rate if clock.now() - since > 1.1 else None
         yield Glance(
             robot=identity.after(stats.reconnects),
             address=f"{robot.address} {interface}",

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 import sys
-import time
 from collections.abc import Iterator, Sequence
 from typing import Any, Literal
 
+from linkcore import clock
 from linkcore.cli.options import Row, argument, seconds
 from linkcore.errors import LinkTimeout
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
@@ -89,8 +89,8 @@ class Tap:
             LinkTimeout: none came for `silence` seconds.
             RemoteError: the stream gave up.
         """
-        until = math.inf if duration is None else time.monotonic() + duration
-        while (left := until - time.monotonic()) > 0.0:
+        until = math.inf if duration is None else clock.now() + duration
+        while (left := until - clock.now()) > 0.0:
             is_last = left < (math.inf if silence is None else silence)
             packets = self.take(left if is_last else silence)
             if packets is None:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from linkcore import clock
 from linkcore.cli.options import (
     DURATION,
     RECORDING,
@@ -69,11 +69,11 @@ def _record(args: argparse.Namespace) -> int:
         streams = [getattr(robot, name) for name in interfaces]
         with robot.record(args.file, interfaces), ProgressBar("recording", args.quiet) as progress:
             tell(f"recording {' and '.join(interfaces)} of {args.address} into {args.file}; Ctrl-C ends it")
-            begin = time.monotonic()
+            begin = clock.now()
             interruption.end_after(args.duration)
             while not interruption.wait(0.05):
                 fewest = min(stream.stats.received for stream in streams)
-                progress(max((time.monotonic() - begin) / longest, fewest / most))
+                progress(max((clock.now() - begin) / longest, fewest / most))
                 if fewest >= most:
                     break
                 for stream in streams:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from linkcore import clock
 from linkcore.cli.options import DURATION, argument, command, positive_number
 from linkcore.cli.terminal import Interruption
 from linkcore.errors import LocalError, WrongPeer
@@ -74,7 +74,7 @@ def keep_showing(
         RemoteError: a stream gave up.
     """
     with Interruption(duration) as interruption:
-        due = time.monotonic()
+        due = clock.now()
         while not interruption.is_over and not (
             streams and all(each.connection is ConnectionState.CLOSED for each in streams)
         ):
@@ -83,8 +83,8 @@ def keep_showing(
                 if stream.failure is not None:
                     raise stream.failure
             # At absolute times: the rate does not depend on how long a round takes.
-            due = max(due + 1 / rate, time.monotonic())
-            interruption.wait(due - time.monotonic())
+            due = max(due + 1 / rate, clock.now())
+            interruption.wait(due - clock.now())
     return interruption.status
 
 

@@ -27,8 +27,8 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from linkcore import clock
 from linkcore.arguments import check_number, other_unit
-from linkcore.clock import monotonic
 from linkcore.errors import BadValue, Closed, ConnectionLost, LinkError, LocalError
 from linkcore.streaming.connection import Connection
 from linkcore.text import printable
@@ -97,7 +97,7 @@ class SettingChannel:
         connection: Connection,
         section: Section,
         inputs: Callable[[], BriefInputs] | None,
-        clock: Callable[[], float] = monotonic,
+        clock: Callable[[], float] = clock.now,
     ) -> None:
         self._channel = channel
         self._connection = connection
@@ -332,7 +332,7 @@ class Settings:
             self._channel.send(text, values)
             try:
                 with self._section.waiting():
-                    is_shown.get(timeout=timeout)
+                    clock.get(is_shown, timeout)
             except Empty:
                 self._channel.doubt()
                 raise self._not_confirmed(what, shown[0], timeout) from None

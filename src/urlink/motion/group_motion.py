@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import threading
-import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
+from linkcore import clock
 from linkcore.arguments import check_number, check_seconds, check_wait
 from linkcore.errors import BadValue, Cancelled, LinkError, RemoteError, unraised
 from linkcore.handle import Lifecycle, Motion
+from linkcore.pending_call import starts_motion
 from linkcore.threads import CallbackThread
 
 from .point_stream import PointStream
@@ -46,6 +47,7 @@ class GroupMotion(Motion):
         super().__init__(life)
         self.motions = tuple(motions)
         self._names = tuple(names)
+        self._stopping = stopping
         lives = [motion._life for motion in motions]
         life.brake = partial(end_all, lives, f"cancelled with its group of {len(lives)}")
         for number, each in enumerate(lives):
@@ -92,12 +94,14 @@ class GroupStream(GroupMotion):
         #: points are handed to all arms, or taken from all; re-entrant, for signal handlers
         self._handing = threading.RLock()
 
+    @starts_motion
     def __enter__(self) -> Self:
         """Upload the programs and wait until all have connected.
 
         Raises:
             LocalError, LinkError: as `PointStream`; none has moved.
         """
+        self._stopping.start()
         try:
             with contextlib.ExitStack() as begun:
                 for stream, name in zip(self.motions, self._names, strict=True):
@@ -112,12 +116,16 @@ class GroupStream(GroupMotion):
 
     def __exit__(self, *exc: object) -> None:
         """Stop all arms, and wait until they stand still. Raises no earlier error."""
-        with self._block:
-            for stream in self.motions:
-                with contextlib.suppress(LinkError):
-                    stream._program.finish()
-        with contextlib.suppress(LinkError):
-            self.wait(_REASON)
+        try:
+            with self._block:
+                for stream in self.motions:
+                    with contextlib.suppress(LinkError):
+                        stream._program.finish()
+            with contextlib.suppress(LinkError):
+                self.wait(_REASON)
+        except BaseException as error:
+            self._give_up(error)
+            raise
 
     def append(self, points: Sequence[Points], *, wait: bool | float = True) -> float:
         """Append points for each arm; see `PointStream.append`.
@@ -145,10 +153,10 @@ class GroupStream(GroupMotion):
                 _check_ends([aims for _, aims in checked])
                 with self._handing:
                     handed = [stream._add(*each) for stream, each in zip(self.motions, checked, strict=True)]
-            until = time.monotonic() + seconds
+            until = clock.now() + seconds
             for stream, each in zip(self.motions, handed, strict=True):
                 if seconds and each is not None:
-                    stream._await_room(each, max(until - time.monotonic(), 0.0))
+                    stream._await_room(each, clock.left(until))
         return self.room
 
     def replace(self, from_time: float, points: Sequence[Points]) -> float:
@@ -224,10 +232,10 @@ class GroupStream(GroupMotion):
             LinkTimeout: they have not, in `timeout` seconds; they go on.
             LocalError, LinkError: as for `append`.
         """
-        until = time.monotonic() + check_seconds(timeout, "timeout", finite=True)
+        until = clock.now() + check_seconds(timeout, "timeout", finite=True)
         with self._reasons():
             for stream in self.motions:
-                stream.wait_until_dry(max(until - time.monotonic(), 0.0))
+                stream.wait_until_dry(clock.left(until))
 
     @property
     def time(self) -> float:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Literal
 
-from linkcore.clock import monotonic
+from linkcore import clock
 from linkcore.errors import BadValue, LocalError
 from urlink import models
 from urlink.address import RobotAddress
@@ -157,7 +157,7 @@ class Controller:
         self._reachable = frozenset(map(_numeric, reachable))
         self._server: Server | None = None
         self._stepped = SteppedClock(chosen.rate) if stepped else None
-        self._clock: Callable[[], float] = self._stepped or monotonic
+        self._clock: Callable[[], float] = self._stepped or clock.now
         # Of the cycles that were stepped, until they are taken.
         self._messages: deque[bytes] = deque()
         source = motion or Still()

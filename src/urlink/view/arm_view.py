@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import threading
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 
+from linkcore import clock
 from linkcore.errors import BadValue, LinkError
 from linkcore.text import similar
 from linkcore.threads import Closing
@@ -165,7 +165,7 @@ class ArmView(Closing):
         """Call `show` in a thread of its own, `rate` times a second, until the view is closed."""
 
         def run() -> None:
-            while not self._over.wait(1.0 / rate):
+            while not clock.wait(self._over.wait, 1.0 / rate):
                 self.show()
 
         self._thread = threading.Thread(target=run, name="view", daemon=True)
@@ -176,7 +176,7 @@ class ArmView(Closing):
         """End a jog, and the page; idempotent."""
         self._over.set()
         if self._thread is not None:
-            self._thread.join()
+            clock.join(self._thread)
         if self._jog is not None:
             self._jog.close()
         self.page.close()
@@ -201,7 +201,7 @@ class _Player:
 
     def play(self) -> None:
         """Go on, if it plays, and show the moment of the slider."""
-        now = time.monotonic()
+        now = clock.now()
         if self._plays.value and self._last is not None:
             self._time.value = min(self._time.value + (now - self._last) * self._rate.value, self._end)
             if self._time.value >= self._end:

@@ -13,6 +13,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule, run_state_machine_as_test
 
+import linkcore.clock
 from linkcore.errors import ConnectionLost
 from linkcore.net.transport import Finished
 from linkcore.streaming.packet_queue import Policy, block, drop_oldest, latest
@@ -26,7 +27,7 @@ pytestmark = pytest.mark.simulated_time
 
 
 def test_a_packet_that_comes_while_the_counters_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
-    counters, clock = StreamCounters(), time.monotonic
+    counters, clock = StreamCounters(), linkcore.clock.now
     counters.arrived = clock()
 
     def late() -> float:
@@ -36,7 +37,7 @@ def test_a_packet_that_comes_while_the_counters_are_looked_at(monkeypatch: pytes
         counters.arrived = arrived  # by the reader, before this thread goes on
         return now
 
-    monkeypatch.setattr(time, "monotonic", late)
+    monkeypatch.setattr(linkcore.clock, "now", late)
     age = counters.statistics.age
     assert age is not None
     assert age >= 0

@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
+import linkcore.clock
 import urlink
 from linkcore.streaming.connection_life import ConnectionState
 from linkcore.streaming.statistics import StreamStatistics
@@ -62,11 +63,11 @@ def painted(glance: Glance, width: int = 100, colour: bool = False) -> str:
 
 def until(glances: Iterator[Glance], wanted: Callable[[Glance], bool]) -> Glance:
     """The first glance that is wanted; within ten seconds."""
-    deadline = time.monotonic() + 10
+    deadline = linkcore.clock.now() + 10
     for glance in glances:
         if wanted(glance):
             return glance
-        assert time.monotonic() < deadline, f"still {glance}"
+        assert linkcore.clock.now() < deadline, f"still {glance}"
         time.sleep(0.005)
     raise AssertionError("no more glances")
 
@@ -183,7 +184,7 @@ def test_controller_that_comes_back_with_other_firmware() -> None:
     ],
 )
 def test_status(connection: ConnectionState, has_latest: bool, age: float | None, status: StreamStatus) -> None:
-    reading = None if age is None else Reading(urlink.packets.Stamp(time.monotonic() - age, 0.0))
+    reading = None if age is None else Reading(urlink.packets.Stamp(linkcore.clock.now() - age, 0.0))
     assert status_of(connection, has_latest, reading) is status
 
 
