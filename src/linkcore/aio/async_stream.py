@@ -108,7 +108,8 @@ class AsyncFeed(Generic[T]):
                 when its turn comes is dropped and counted as `expired`.
 
         Returns:
-            The iterator; its `stats` count what was offered, delivered and dropped.
+            The iterator; its `stats` count what was offered, delivered and dropped. `AsyncStream.stats` counts what
+            slow loops drop, as `dropped`.
 
         Raises:
             BadValue: no policy, or no number of seconds.
@@ -118,10 +119,11 @@ class AsyncFeed(Generic[T]):
         policy = self._feed._policy(policy, latest)
         if timeout is not None:
             timeout = check_seconds(timeout, "timeout")
-        return self._packets(policy, timeout, check_lifespan(lifespan))
+        lifespan = check_lifespan(lifespan)
+        return Packets(self._loop_connection, self._feed, policy, timeout, lifespan, is_loop=True)
 
-    def _packets(self, policy: Policy, timeout: float | None, lifespan: float | None = None) -> Packets[T]:
-        return Packets(self._loop_connection, self._feed, policy, timeout, lifespan)
+    def _packets(self, policy: Policy, timeout: float) -> Packets[T]:
+        return Packets(self._loop_connection, self._feed, policy, timeout, None, is_loop=False)
 
     def __aiter__(self) -> Packets[T]:
         return self.iterate()

@@ -59,7 +59,7 @@ class Feed(Generic[T]):
         """
         timeout = check_seconds(timeout, "timeout")
         self._connection.refuse_to_wait("wait()")
-        with contextlib.closing(self._packets(latest, timeout, None)) as packets:
+        with contextlib.closing(self._packets(latest, timeout, None, is_loop=False)) as packets:
             for packet in packets:
                 return packet
         raise self._why_nothing(timeout)
@@ -105,6 +105,8 @@ class Feed(Generic[T]):
     ) -> Iterator[T]:
         """Iterate with a policy or a timeout of your own; a plain ``for`` keeps the newest state, or 1024 events.
 
+        `Stream.stats` counts the packets that a slow loop does not get, as `dropped`.
+
         Ends when the stream is closed, or a recording is over. Without a timeout it waits for as long as the back-off
         allows for a robot that went away; `ConnectionEvent` tells of that.
 
@@ -126,11 +128,15 @@ class Feed(Generic[T]):
         self._connection.refuse_to_wait("iterating")
         return self._packets(policy, timeout, lifespan)
 
-    def _packets(self, policy: Policy, timeout: float | None, lifespan: float | None) -> Generator[T, None, None]:
+    def _packets(
+        self, policy: Policy, timeout: float | None, lifespan: float | None, *, is_loop: bool = True
+    ) -> Generator[T, None, None]:
         connection, kind = self._connection, self._kind
         expand = connection.fan_out.expander(kind)
         queue = connection.open_queue(kind, policy, lifespan)
         take = queue.next
+        if is_loop:
+            connection.counters.loop_began(queue)
         try:
             while True:
                 packet = take(timeout)
@@ -145,6 +151,7 @@ class Feed(Generic[T]):
                     raise self._why_nothing(timeout)
         finally:
             connection.close_queue(queue)
+            connection.counters.loop_ended(queue)
         if connection.failure is not None:
             raise connection.failure
 

@@ -133,6 +133,11 @@ class PacketQueue:
         return self._evicted + self._discarded + self.expired
 
     @property
+    def overtaken(self) -> int:
+        """Packets among `dropped` that newer ones replaced, or that had expired: the consumer fell behind."""
+        return self._evicted + self.expired
+
+    @property
     def waiting(self) -> int:
         """Packets in the queue."""
         return len(self._packets)

@@ -27,7 +27,7 @@ from ..variables.declarations import bind, create_variables
 from ..variables.value_types import wrapped
 from ..wire.decoder import Limits
 from .config import Configuration, Element, read_config
-from .plugin import Plugin
+from .plugin import Plugin, check_methods
 from .server import Server, TickSchedule
 from .service import Resend, Service
 
@@ -133,9 +133,9 @@ class Host(Runnable):
         failure: why it ended by itself, or None.
 
     Raises:
-        BadValue: an argument that cannot be. When it is run: PluginFailed, a critical plugin raised; BadAddress, the
-            port cannot be listened on; LocalError, plugins declare what cannot be together; HostFailed, it ended
-            because of an unexpected exception.
+        BadValue: an argument that cannot be, such as a plugin without `periodic`. When it is run: PluginFailed, a
+            critical plugin raised; BadAddress, the port cannot be listened on; LocalError, plugins declare what cannot
+            be together; HostFailed, it ended because of an unexpected exception.
     """
 
     def __init__(
@@ -204,6 +204,10 @@ class Host(Runnable):
             plugin = entry.load()
             if not isinstance(plugin, Plugin):
                 entry.config.reject(f"{entry.lib} is no rhdlink.Plugin")
+            try:
+                check_methods(plugin)
+            except BadValue as error:
+                entry.config.reject(str(error))
             plugin.name, plugin.is_critical, plugin.safety = entry.name, entry.is_critical, entry.safety
             plugins.append(plugin)
             elements[id(plugin)] = entry.config
@@ -435,6 +439,7 @@ def _checked(plugins: Iterable[Plugin]) -> list[Plugin]:
     for plugin in checked:
         if not isinstance(plugin, Plugin):
             raise BadValue(f"{plugin!r} is no plugin; expected instances of classes that derive from rhdlink.Plugin")
+        check_methods(plugin)
     if len(set(map(id, checked))) != len(checked):
         raise BadValue("a plugin is given twice")
     return checked

@@ -18,7 +18,7 @@ from linkcore.errors import BadValue
 from ..client import Variables, connect
 from ..errors import AccessDenied, WrongVariables
 from ..host.config import Element
-from ..host.plugin import Plugin
+from ..host.plugin import Plugin, check_methods
 from ..variables.database import Database, TimeStamp
 from ..variables.declarations import bind, create_variables
 from ..variables.value_types import wrapped
@@ -137,6 +137,8 @@ class PluginLink:
 
     def __init__(self, plugins: Iterable[Plugin], *, period: float = 0.01, is_realtime: bool = False) -> None:
         self._plugins = list(plugins)
+        for plugin in self._plugins:
+            check_methods(plugin)
         self.period = period
         self.writers = 1
         self.tick = 0

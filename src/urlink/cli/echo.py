@@ -136,10 +136,10 @@ def _hz(args: argparse.Namespace) -> int:
     """Measure how regularly states come, by the times at which their bytes arrived here.
 
     One line a second: the rate, the shortest, mean and longest period and its standard deviation over the
-    last --window periods, and what the stream has counted since the start; missed is what never came, by the
-    controller's own clock. States that arrive in one segment have a period of zero between them. On e-Series
-    the real-time interface sends 500 states a second, on CB2 and CB3 125, the primary and secondary interface
-    10.
+    last --window periods, and what the stream has counted since the start; missed is what never came, and
+    duplicates what came twice, by the controller's own clock. States that arrive in one segment have a period
+    of zero between them. On e-Series the real-time interface sends 500 states a second, on CB2 and CB3 125,
+    the primary and secondary interface 10.
 
     examples:
       urlink hz 192.168.56.101

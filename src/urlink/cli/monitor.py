@@ -40,10 +40,10 @@ def run(args: argparse.Namespace) -> int:
 
     On a terminal the view is drawn ten times a second; elsewhere it is one line a second, as with --plain. It
     says SLOW where less than 95 % of the states that the controller sends arrive, and counts as missed what
-    never came by the controller's own clock. When the connection is lost the view says LOST, shows the last
-    values as old, and goes on as soon as the controller is back. The real-time interface shows tool speed and
-    force 125 or 500 times a second; the primary interface ten times a second, with the analogue signals and
-    the messages of the controller.
+    never came, and as duplicates what came twice, by the controller's own clock. When the connection is lost
+    the view says LOST, shows the last values as old, and goes on as soon as the controller is back. The
+    real-time interface shows tool speed and force 125 or 500 times a second; the primary interface ten times
+    a second, with the analogue signals and the messages of the controller.
 
     examples:
       urlink monitor 192.168.56.101

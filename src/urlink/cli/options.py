@@ -115,6 +115,8 @@ class Tap:
         if stats.missed:
             missing = Missing(stats.missed, stats.gaps, stats.longest_gap)
             tell(f"{missing.text(stats.received)} by the clock of the controller, which did not send them")
+        if stats.duplicates:
+            tell(f"{stats.duplicates} packets arrived twice, by the clock of the controller")
         if stats.skipped:
             tell(f"{stats.skipped} bytes belonged to no packet")
 

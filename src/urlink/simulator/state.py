@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from linkcore.errors import BadValue
-from urlink.firmware import Firmware, known_firmware
+from urlink.firmware import Firmware, existing_firmware
 from urlink.interfaces.enums import ControlMode, ProgramState, TimeScaleSource
 from urlink.kinematics import Arm as Kinematics
 from urlink.models import Model
@@ -315,7 +315,7 @@ def firmware_for(model: Model, firmware: str | Firmware) -> Firmware:
         BadVersion: no such firmware.
         BadValue: it does not run on the model.
     """
-    parsed = known_firmware(firmware)
+    parsed = existing_firmware(firmware)
     if model.generation == "e":
         suits, needs = parsed.is_e_series, "5.0 or later"
     elif model.name == "UR3":

@@ -59,6 +59,40 @@ def test_each_counter_of_a_stream(stream: Stream[Count], transport: ScriptedTran
     assert (stats.unknown, stats.tails, stats.slow_inline) == (0, 0, 0)
 
 
+def test_stats_count_what_a_slow_loop_drops(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    loop = stream.iterate(latest)
+    transport.put(counts(1))
+    assert next(loop).number == 1
+    transport.put(counts(2, 3, 4), counts(5))
+    until(lambda: stream.stats.dropped == 3)
+    assert next(loop).number == 5
+    transport.put(counts(6, 7))
+    until(lambda: stream.stats.dropped == 4)
+    # The one that waits when the loop ends was not passed over.
+    loop.close()  # type: ignore[attr-defined]
+    transport.put(counts(8, 9), counts(10))
+    until(lambda: stream.stats.received == 10)
+    assert stream.stats.dropped == 4
+
+
+def test_stats_count_what_expires_in_a_loop(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    loop = stream.iterate(drop_oldest(10), lifespan=0.5)
+    transport.put(counts(1))
+    assert next(loop).number == 1
+    transport.put(counts(2, 3))
+    until(lambda: stream.stats.received == 3)
+    time.sleep(1.0)
+    transport.put(counts(4))
+    assert next(loop).number == 4
+    assert stream.stats.dropped == 2
+
+
+def test_stats_do_not_count_what_a_wait_drops(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    transport.put(counts(1, 2, 3))
+    assert stream.wait(10).number == 3
+    assert stream.stats.dropped == 0
+
+
 def test_what_a_protocol_counts_is_the_streams(stream: Stream[Count], transport: ScriptedTransport) -> None:
     """While the connection lasts, and afterwards."""
     stream.start()

@@ -47,6 +47,7 @@ _STATS = StreamStatistics(
     unknown=0,
     tails=0,
     age=0.1,
+    duplicates=4,
 )
 Spawn = Callable[..., "subprocess.Popen[str]"]
 
@@ -296,7 +297,8 @@ def test_picture_shows_it_all() -> None:
         "CONNECTED", "125.0 Hz", "180.00", "3.1416", "nan", "inf", "1.25", "41.5", "FAULT", "UNKNOWN_99", "0.2000",
         "0.12", "robot RUNNING", "safety PROTECTIVE_STOP", "program PAUSED", "speed 50%",
         "0-7 ●○○○○○○○   8-15 ○●○○○○○○",
-        "and 0x10000000000", "16-17 ○●", "received 7", "missed 7", "failed 1", "reconnects 2", "skipped 3",
+        "and 0x10000000000", "16-17 ○●", "received 7", "missed 7", "duplicates 4", "failed 1", "reconnects 2",
+        "skipped 3",
     ):  # fmt: skip
         assert part in text, part
     assert len(text.splitlines()) <= 24
