@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from linkcore.cli.options import argument, command, positive_int
-from linkcore.cli.terminal import ProgressBar
+from linkcore.cli.progress import ProgressBar
 from linkcore.errors import BadRecording, PacketError, WrongPeer
 from linkcore.recording.file import MAGIC, Kind, Progress, RecordingFile
 from linkcore.text import printable, strict_json

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING
 
 from linkcore.cli.options import argument, command, seconds
 
-from ..robot import connect
-from .options import ADDRESS, agrees, tell
+from .options import ADDRESS, agrees, connected, tell
 
 if TYPE_CHECKING:
     from ..arm_file import ArmFile, Estimate
@@ -53,7 +52,7 @@ def _exercise(args: argparse.Namespace) -> int:
     """
     from ..identification.exercise import BESIDE, Guard, exercise, input_is_on, plan_from_here, slider_of
 
-    with connect(args.address, timeout=args.connect_timeout) as robot:
+    with connected(args) as robot:
         planned = plan_from_here(robot, math.radians(args.swing))
         slider = slider_of(robot)
         print(_box_text(str(robot.model), planned, slider), flush=True)

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from linkcore.cli.options import DURATION, argument, command
+from linkcore.cli.progress import ProgressBar
 from linkcore.cli.terminal import Interruption, drawing
 from linkcore.errors import LinkError, LinkTimeout
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
@@ -17,9 +18,9 @@ from linkcore.streaming.stream import Stream
 
 from ..address import RecordingAddress, SimulatorAddress, parse_address
 from ..interfaces.primary.robot_message import RobotMessage, UnnamedMessage12, VersionMessage
-from ..robot import Robot, connect
+from ..robot import Robot
 from .glance import Glance, Reading, StreamStatus, line, read, status_of
-from .options import ADDRESS, interface_of, tell
+from .options import ADDRESS, connected, interface_of, tell
 from .values import as_text
 
 if TYPE_CHECKING:
@@ -49,9 +50,10 @@ def run(args: argparse.Namespace) -> int:
       urlink monitor 'sim://ur10?firmware=3.4' --interface primary
       urlink monitor 'replay:///tmp/run.urlog?rate=2' --plain
     """
-    with connect(with_motion(args.address), timeout=args.connect_timeout) as robot:
+    with connected(args, with_motion(args.address)) as robot:
         glances = watch(robot, args.interface)
-        next(glances)  # connects: an error is printed before anything is drawn
+        with ProgressBar(f"connecting to {args.address}", args.quiet):
+            next(glances)  # connects: an error is printed before anything is drawn
         with Interruption(args.duration) as interruption, drawing(args.plain, tell, _line, _picture) as (draw, pause):
             _await_first(glances, interruption)
             while True:
