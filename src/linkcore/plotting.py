@@ -18,6 +18,8 @@ from .lazy import needs
 
 #: Points of a line from which on only the least and the greatest of each stretch are drawn.
 _MOST_POINTS = 8000
+#: Seconds that a window has at least for its events; matplotlib takes 0 for ever.
+SHORTEST = 0.01
 #: Of a pose, a speed or a force: its unit names two.
 _SPATIAL = ("x", "y", "z", "rx", "ry", "rz")
 _SUFFIXES = (".png", ".svg", ".pdf")
@@ -162,11 +164,14 @@ class LivePlot:
     def __init__(self) -> None:
         self._handle: Any = None
         self._figure: Any = None
-        if is_in_notebook():
-            return
+        # Imported before states are received: the first import takes seconds.
         with needs("plot", "a live plot"):
-            from matplotlib import pyplot
-        self._pyplot = pyplot
+            if is_in_notebook():
+                from matplotlib import figure  # noqa: F401
+            else:
+                from matplotlib import pyplot
+
+                self._pyplot = pyplot
 
     def update(self, plot: Plot, pause: float) -> None:
         """Show a plot in place of the one before, and give a window `pause` seconds for its events."""

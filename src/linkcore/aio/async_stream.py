@@ -176,15 +176,15 @@ class AsyncFeed(Generic[T]):
         seconds = check_seconds(seconds, "seconds", positive=True, finite=True)
         period = check_seconds(period, "period", positive=True, finite=True)
         live = LivePlot()
-        end = time.monotonic() + seconds
         try:
             with await self.history(window) as history:
+                end = time.monotonic() + seconds
                 for picture in self._feed._pictures(history, fields, end):
                     if picture is None:
                         await self.wait(max(end - time.monotonic(), 0.0))
                     else:
                         live.update(picture, _EVENTS)
-                        await asyncio.sleep(period)
+                        await asyncio.sleep(min(period, max(end - time.monotonic(), 0.0)))
                 if not len(history):
                     raise self._feed._why_nothing(seconds)
         finally:

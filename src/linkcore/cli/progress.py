@@ -42,7 +42,7 @@ class ProgressBar:
     def __init__(self, text: str, quiet: bool = False) -> None:
         self.text = text
         self.part = 0.0
-        self.begun = time.monotonic()
+        self._begun = self._updated = time.monotonic()
         self._quiet = quiet
         self._opened: _Screen | None = None
         self._outer: ProgressBar | None = None
@@ -51,6 +51,7 @@ class ProgressBar:
         """Set the fraction that is done, 0 to 1, and the description; None leaves either as it is."""
         if part is not None:
             self.part = part
+            self._updated = time.monotonic()
         if text is not None:
             self.text = text
         screen = ProgressBar._screen
@@ -59,6 +60,11 @@ class ProgressBar:
             if text is not None:
                 # A question on the same line was answered, since the program continues.
                 screen.is_at_start = True
+
+    def next(self, text: str) -> None:
+        """Begin the next part of the work, with a fraction and a duration of its own."""
+        self._begun = time.monotonic()
+        self(0.0, text)
 
     @property
     def line(self) -> str:
@@ -77,13 +83,14 @@ class ProgressBar:
         return f"{printable(self.text)[: max(columns - 1 - len(end), 0)]}{end}"[: columns - 1]
 
     def _elapsed(self) -> str:
-        elapsed = time.monotonic() - self.begun
+        elapsed = time.monotonic() - self._begun
         if self.part < _KNOWN or self.part >= 1.0 or elapsed < _SETTLED:
             return _duration(elapsed)
-        return f"{_duration(elapsed)}, about {_duration(elapsed / self.part - elapsed)} left"
+        left = max((self._updated - self._begun) / self.part - elapsed, 0.0)
+        return f"{_duration(elapsed)}, about {_duration(left)} left"
 
     def __enter__(self) -> ProgressBar:
-        self.begun = time.monotonic()
+        self._begun = self._updated = time.monotonic()
         if self._quiet:
             return self
         screen = ProgressBar._screen

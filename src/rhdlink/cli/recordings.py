@@ -132,7 +132,7 @@ def _replay(args: argparse.Namespace) -> int:
     # On a terminal this is shown only while nothing is printed.
     with ProgressBar(f"reading {args.file}", args.quiet) as progress, Interruption() as interruption:
         recording = RecordingFile(args.file, progress)
-        progress(0.0, f"playing {args.file}")
+        progress.next(f"playing {args.file}")
         for update in itertools.islice(_updates(recording, args, interruption, progress), args.count):
             print(strict_json(update_as_json(update)) if args.json else _line(update), flush=True)
     return interruption.status

@@ -87,7 +87,7 @@ def _test(args: argparse.Namespace, logbook: Path, bundle: Path) -> None:
             timeout=args.connect_timeout,
             progress=progress,
         )
-        progress(0.0, "packing the evidence")
+        progress.next("packing the evidence")
         pack(logbook, bundle, wanted, site, secrets)
 
 
@@ -96,7 +96,7 @@ def _page(path: Path, args: argparse.Namespace) -> int:
     with ExitStack() as stack:
         with ProgressBar("reading the evidence", args.quiet) as progress:
             bundle = stack.enter_context(opened(path))
-            progress(text="judging the evidence")
+            progress.next("judging the evidence")
             verdicts = judge(bundle.evidence, bundle.requirements, progress)
         print(report.as_text(bundle.evidence, verdicts, bundle.site, bundle.digest))
         if to is not None:

@@ -130,10 +130,10 @@ def _compare(args: argparse.Namespace) -> int:
             like = read_arm_file(args.like)
         else:
             # The geometry alone: the rest is that of the model.
-            progress(0.0, "identifying the geometry of the arm")
+            progress.next("identifying the geometry of the arm")
             found = identify(samples, args.model)
             like = ArmFile(found.model, {}, found.calibration, found.tcp)
-        progress(0.0, "running the movements on the simulator")
+        progress.next("running the movements on the simulator")
         difference = compare(samples, like, progress)
     begin, worst = float(samples["timestamp"][0]), 0.0
     for each in difference.movements:
@@ -174,7 +174,7 @@ def _identify(args: argparse.Namespace) -> int:
 
     with ProgressBar(f"reading {args.recording}", args.quiet) as progress:
         samples = _samples(args.recording, progress)
-        progress(0.0, "identifying the arm")
+        progress.next("identifying the arm")
         found = identify(samples, args.model)
     if args.out is not None:
         found.write(args.out)

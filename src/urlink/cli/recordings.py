@@ -208,7 +208,7 @@ def _plot(args: argparse.Namespace) -> int:
         plot = recording.plot(*args.fields, start=args.start, end=args.end)
         missing = recording.missing
         if args.output is not None:
-            progress(0.0, f"drawing {args.output}")
+            progress.next(f"drawing {args.output}")
             plot.save(args.output)
     for each in missing:
         tell(f"missing: {each}")

@@ -139,7 +139,7 @@ def _view(args: argparse.Namespace) -> int:
                 robot = stack.enter_context(connected(args, address))
                 arm, window, jog = robot.kinematics, LiveWindow(robot.realtime), robot.motion.jog if args.jog else None
                 streams.append(robot.realtime)
-            progress(0.0)
+            progress.next("starting the view")
             fields = {} if args.plot is None else {"plots": args.plot}
             view = stack.enter_context(ArmView(page, arm, window, urdf=args.urdf, jog=jog, **fields))
         tell(f"{args.address} is at {view.address}; Ctrl-C ends it")
