@@ -39,7 +39,9 @@ def test_a_panel_for_each_field_and_a_line_for_each_element(run: urlink.Recordin
         "primary.robot_mode_data.robot_mode",
     ]
     assert [len(panel.lines) for panel in panels] == [6, 6, 1]
-    assert [line.get_label() for line in panels[1].lines] == ["x", "y", "z", "rx", "ry", "rz"]
+    assert [line.get_label() for line in panels[1].lines] == ["x, N", "y, N", "z, N", "rx, Nm", "ry, Nm", "rz, Nm"]
+    assert [panel.get_ylabel() for panel in panels] == ["rad", "N, Nm", ""]
+    assert [panel.get_legend() is not None for panel in panels] == [True, True, False]
     line = panels[0].lines[2]
     part = run.realtime.between(0.1, 0.2)
     assert line.get_xdata().tolist() == part.time.tolist()
