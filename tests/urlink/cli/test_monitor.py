@@ -133,7 +133,7 @@ def test_recording_ends_by_itself(run: Run, recording: Path) -> None:
 def test_next_step_depends_on_what_was_shown(
     status: StreamStatus, counts: dict[str, int], address: str, step: str
 ) -> None:
-    stats = replace(_STATS, **({"missed": 0, "reconnects": 0} | counts))  # type: ignore[arg-type]
+    stats = replace(_STATS, **({"missed": 0, "reconnects": 0} | counts))
     glance = Glance("UR5e", address, status, Reading(None), stats)
     assert monitor.next_step(glance, address).startswith(f"next: {step} ")
 
