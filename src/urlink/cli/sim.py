@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import get_args
 
 from linkcore.cli.options import DURATION, argument, command
+from linkcore.cli.progress import ProgressBar
 from linkcore.cli.terminal import Interruption
 
 from ..address import Motion
@@ -110,16 +111,17 @@ def run(args: argparse.Namespace) -> int:
     posture, files = HOME, dict(args.program)
     if args.like == "ursim":
         posture, files = _URSIM_POSTURE, {**_URSIM_FILES, **files}
-    controller = Controller(
-        args.model,
-        args.firmware,
-        host=args.host,
-        ports=args.ports,
-        files=files,
-        motion=Demonstration(posture) if args.motion == "demo" else Still(posture),
-        noise=args.noise == "on",
-        scene=args.scene,
-    )
+    with ProgressBar("starting the simulator", args.quiet):
+        controller = Controller(
+            args.model,
+            args.firmware,
+            host=args.host,
+            ports=args.ports,
+            files=files,
+            motion=Demonstration(posture) if args.motion == "demo" else Still(posture),
+            noise=args.noise == "on",
+            scene=args.scene,
+        )
     if args.like == "ursim":
         controller.pendant.load(_URSIM_PROGRAM)
         controller.pendant.directory = "/ursim/programs"
