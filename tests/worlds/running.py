@@ -40,6 +40,8 @@ LATE = 1.5
 BEGUN, ENDED = 20.0, 30.0
 #: s for which `then` waits for a motion, and for a block, which does not end by itself.
 WAIT, WAIT_IN_BLOCK = 20.0, 0.5
+#: Checks in a row, a tenth of the braking time apart, after which nothing is expected to move any more.
+QUIET = 3
 #: s of simulated time for everything.
 LIMIT = 400.0
 #: Between whose lines threads yield: of the library, but for what a process keeps from one world for the next.
@@ -140,11 +142,13 @@ class Run:
         self.owners: list[set[int]] = [set() for _ in world.clients]
         self._numbers = itertools.count()
         self._begun = 0.0
+        self._threads_of_robot = 0
         #: those who press what is at the pendant
         self.hands: list[threading.Thread] = []
 
     def everything(self) -> None:
         self._begun = self.sim.now
+        self._threads_of_robot = len(self.sim.threads)
         if self.world.lines:
             self.sim.preempt(*PREEMPTED)
             self.sim.at(self._begun + self.world.lines, self.sim.preempt)
@@ -173,7 +177,7 @@ class Run:
                 self.watch.fault(f"client {number} has not come to its end\n{self.sim.stacks()}")
         for hand in self.hands:
             hand.join(60.0)
-        time.sleep(2 * BRAKING)
+        self._settle()
         with self.sim.on(self.robot):
             self.controller.close()
         left = [
@@ -184,6 +188,17 @@ class Run:
         self.watch.observed.check_ends()
         if not self.gone and self.sim.open_sockets:
             self.watch.fault(f"{self.sim.open_sockets} sockets are left")
+
+    def _settle(self) -> None:
+        """Watch the arm until nothing can move it any more: for `BRAKING` twice, or until all is at rest and empty."""
+        until = self.sim.now + 2 * BRAKING
+        quiet = 0
+        while self.sim.now < until and quiet < QUIET:
+            time.sleep(BRAKING / 10)
+            has_arrived = all(map(self.watch.observed.has_arrived, self.computers))
+            is_alone = len(self.sim.threads) <= self._threads_of_robot and not self.gone
+            is_quiet = is_alone and has_arrived and self.controller.stopped_since is None
+            quiet = quiet + 1 if is_quiet and self.watch.is_at_rest else 0
 
     def _until(self, ask: Ask) -> float:
         """Seconds until it is asked for."""

@@ -133,6 +133,11 @@ class Watch:
         """A safeguard stop is over, and the controller goes on with its program by itself."""
         self.observed.played.append(self._sim.now)
 
+    @property
+    def is_at_rest(self) -> bool:
+        """Whether no program is on the controller and the arm does not move."""
+        return not self._controller.is_running_program and max(map(abs, self._qd)) <= MOVES
+
     def _look(self) -> None:
         controller, observed = self._controller, self.observed
         setpoint = controller.arm.setpoint
