@@ -9,7 +9,23 @@ from dataclasses import replace
 from urlink.firmware import RELEASES
 
 from .scenes import SCENES
-from .world import ASKED, BLOCKS, CABLES, CALLS, HAPPENS, MOTIONS, STOPS, THEN, Ask, Client, Event, World
+from .surface import ACTIONS
+from .world import (
+    ASKED,
+    BLOCKS,
+    CABLES,
+    CALLS,
+    HAPPENS,
+    LACKS,
+    MOTIONS,
+    STOPS,
+    THEN,
+    THEN_OR_SIGNAL,
+    Ask,
+    Client,
+    Event,
+    World,
+)
 
 _KINDS = ("threads",) * 8 + ("asyncio",) * 4 + ("rtde", "dashboard", "ur_rtde", "urx", "foreign", "foreign")
 _FIRMWARES = [str(row.since) for row in RELEASES for _ in range(1 if row.since.is_cb2 else 3)]
@@ -17,8 +33,62 @@ _FIRMWARES = [str(row.since) for row in RELEASES for _ in range(1 if row.since.i
 _SCENES = 4
 
 
+#: Actions of `surface` by kind, and how often each kind is drawn.
+_ACTIONS = {kind: [name for name, each in ACTIONS.items() if each.kind == kind] for kind in ("motion", "block", "call")}
+_ACTION_KINDS = ("motion",) * 4 + ("block",) * 4 + ("call",) * 3
+#: What races with what another thread prepares.
+_ENDING = ("motion.stop", "motion.stop", "close", "cancel_current", "cancel_current", "dashboard.stop", "robot.close")
+
+
 def draw(seed: int) -> World:
-    """The world of a seed: a few kinds of asks and of events, which come again and again.
+    """The world of a seed: every other one has actions of the whole surface, the others are as `written` has them."""
+    return public(seed) if seed % _SCENES in (2, 3) else written(seed)
+
+
+def public(seed: int) -> World:
+    """A world whose actions come from `surface`, few of them, in one of five situations."""
+    chance = random.Random(f"public {seed}")
+    situation = chance.choice(("race", "race", "signal", "lacks", "busy", "any", "any"))
+    kind = {"signal": "threads", "busy": "asyncio"}.get(situation, chance.choice(("threads", "asyncio")))
+    at = chance.uniform(0.05, 0.3)
+    thens = THEN_OR_SIGNAL if situation == "signal" else THEN
+    menu = [_action(chance) for _ in range(3)]
+    asks = [_public_ask(chance, chance.choice(menu), thens, at) for _ in range(chance.choice((1, 1, 1, 2, 3)))]
+    events: list[Event] = []
+    if situation == "signal":
+        asks[0] = replace(asks[0], then="signal")
+    elif situation == "busy":
+        busy = Ask("busy", "wait", 0.0, chance.random(), 0.05 * chance.random())
+        asks = [busy, *asks, *(_public_ask(chance, chance.choice(("motion.stop", menu[0])), thens, at) for _ in "1")]
+    elif situation == "race":
+        after = chance.choice((0.0, 0.001, 0.01, 0.1)) * chance.random()
+        other = chance.choice(_ENDING) if chance.random() < 0.7 else _action(chance)
+        asks = [asks[0], replace(_public_ask(chance, other, thens, at), thread=1, after=after)]
+    elif situation == "lacks":
+        what = chance.choice((*LACKS, "no_threads"))
+        events.append(Event(what, 0.01 * chance.random(), 2.0 * chance.random(), 0, chance.random(), 0))
+    if chance.random() < 0.25:
+        events.append(_event(chance, at, HAPPENS, (Client(tuple(asks), 0.0),)))
+    start = chance.choice(("register",) * 6 + ("flags",))
+    clients = [Client(tuple(asks), chance.uniform(-1e-4, 1e-4), kind, "never", start)]
+    if chance.random() < 0.15:
+        clients.append(_client(chance, at, _menu(chance)))
+    latency, jitter = chance.choice((5e-5, 5e-4, 5e-3)), chance.choice((0.0, 2e-4))
+    lines = chance.choice((0.0, at + 0.1 * chance.random())) if situation in ("race", "busy") else 0.0
+    return World(seed, chance.choice(_FIRMWARES), latency, jitter, tuple(clients), tuple(events), lines)
+
+
+def _action(chance: random.Random) -> str:
+    return chance.choice(_ACTIONS[chance.choice(_ACTION_KINDS)])
+
+
+def _public_ask(chance: random.Random, what: str, thens: Sequence[str], at: float) -> Ask:
+    patience = chance.choice((0.002, 0.05, 0.5, 1.5)) * chance.random()
+    return Ask(what, chance.choice(thens), 0.0, chance.random(), patience, 0, at)
+
+
+def written(seed: int) -> World:
+    """The world of a seed from the actions of `asked`: a few kinds of asks and of events, which come again and again.
 
     In every other world they meet: threads and clients begin the same few things in the same moment, and what happens
     happens then. One in four is a scene instead, with other numbers and other motions.

@@ -18,7 +18,7 @@ from urlink.simulator import Controller
 from .counted import Counted
 from .observed import ADMITS, BRAKING, Observed, here
 
-__all__ = ["BRAKING", "Outcome", "Watch"]
+__all__ = ["ADMITS", "BRAKING", "Outcome", "Watch"]
 
 #: rad/s above which the arm moves.
 MOVES = 0.01

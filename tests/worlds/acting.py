@@ -1,0 +1,178 @@
+"""What is done with the actions of `surface`: called with drawn arguments, entered, used, and checked."""
+
+from __future__ import annotations
+
+import contextlib
+import inspect
+import itertools
+import random
+import time
+from collections.abc import AsyncIterator, Iterator
+from typing import Any
+
+import numpy as np
+
+from linkcore.errors import LinkError, LocalError
+from linkcore.streaming.subscription import Subscription
+from urlink.motion.jog import Jog
+from urlink.poses import rotvec_to_matrix
+
+from .surface import ACTIONS, OF_BLOCKS, Drawing, drawn_arguments
+from .world import Ask
+
+__all__ = ["begin", "call", "drawing", "during", "during_awaited", "limit", "on_call", "use", "use_awaited"]
+
+#: Arguments that say how long a call may take, s.
+_TIMES = ("timeout", "start_timeout", "finish_timeout", "duration", "seconds", "time", "goal_time", "transition_time")
+#: s that a call may take beyond its arguments: connecting, sending and being confirmed.
+_BESIDE = 12.0
+#: s for which a motion is waited for with `wait=True`.
+_WAITED = 60.0
+
+
+def drawing(robot: Any, ask: Ask, step: int = 0) -> Drawing:
+    """What the arguments of an ask are drawn by. Those of its numbers are the same each time."""
+    made = Drawing(random.Random(f"{ask.what} {ask.size} {step}"))
+    state = None
+    with contextlib.suppress(LinkError):
+        state = robot.realtime.latest
+    if state is not None:
+        made.q, made.pose = state.q_target, state.tool_vector_actual
+    return made
+
+
+def limit(ask: Ask) -> float:
+    """s that the call of an ask may take."""
+    action = ACTIONS[ask.what]
+    _, named = action.arguments(Drawing(random.Random(f"{ask.what} {ask.size} 0")))
+    seconds = _BESIDE
+    for each in action.parameters():
+        value = named.get(each.name, each.default)
+        if each.name in _TIMES and isinstance(value, (int, float)):
+            seconds += value
+        if each.name == "wait":
+            seconds += _WAITED if value is True else float(value)
+    return seconds
+
+
+def begin(robot: Any, ask: Ask) -> Any:
+    """Call the method of an action with drawn arguments."""
+    action = ACTIONS[ask.what]
+    drawn = drawing(robot, ask)
+    drawn.on_call = lambda: on_call(robot, ask)
+    positional, named = action.arguments(drawn)
+    return action.of(robot)(*positional, **named)
+
+
+def on_call(robot: Any, ask: Ask) -> None:
+    """What a callback does: mostly nothing, sometimes it cancels what runs."""
+    if ask.size > 0.8:
+        motion = robot.motion.current
+        if motion is not None:
+            motion.cancel()
+
+
+def call(robot: Any, ask: Ask) -> None:
+    """Call a method that begins no motion, and use what it returns."""
+    use(robot, begin(robot, ask), ask)
+
+
+def use(robot: Any, made: Any, ask: Ask) -> None:
+    """Read from iterators, leave what can be entered, and close what can be closed."""
+    if isinstance(made, Iterator):
+        with contextlib.suppress(LinkError):
+            for _ in itertools.islice(made, 1 + int(4 * ask.size)):
+                pass
+    elif isinstance(made, Subscription):
+        time.sleep(min(ask.patience, 0.2))
+        made.close()
+    elif type(made) in OF_BLOCKS:
+        with made:
+            during(robot, made, ask)
+    elif hasattr(made, "__exit__"):
+        with made:
+            time.sleep(min(ask.patience, 0.2))
+    elif callable(made):  # of `on_stop`: it ends the subscription
+        made()
+
+
+def _steps(block: Any, ask: Ask) -> Iterator[tuple[str, int, float]]:
+    """What is done in a block: the method, how often, and how long afterwards nothing is."""
+    chance = random.Random(f"during {ask.what} {ask.size}")
+    methods = OF_BLOCKS[type(block)]
+    for _ in range(chance.randint(0, 5) if methods else 0):
+        name = chance.choice(sorted(methods))
+        often = chance.choice((1, 1, 25)) if name == "send" else 1
+        yield name, often, chance.choice((0.0, 0.01, 0.1, 0.6, 1.6))
+
+
+def during(robot: Any, block: Any, ask: Ask) -> None:
+    """Use what a block gives by its methods, with drawn arguments."""
+    for step, (name, often, rest) in enumerate(_steps(block, ask)):
+        for _ in range(often):
+            with contextlib.suppress(LocalError):  # what was drawn may be too far or too fast
+                positional, named = _arguments(robot, block, name, ask, step)
+                use(robot, getattr(block, name)(*positional, **named), ask)
+            if often > 1:
+                robot.realtime.wait(2.0)
+        time.sleep(rest)
+        if type(block) not in OF_BLOCKS:
+            return
+
+
+def _arguments(robot: Any, block: Any, name: str, ask: Ask, step: int) -> tuple[list[Any], dict[str, Any]]:
+    drawn = drawing(robot, ask, step + 1)
+    drawn.end = float(getattr(block, "end", 0.0) if not callable(getattr(block, "end", 0.0)) else 0.0)
+    if name == "schedule":
+        drawn.end = time.monotonic()
+    method = OF_BLOCKS[type(getattr(block, "_part", block))][name]
+    owner = f"{type(getattr(block, '_part', block)).__name__}.{name}"
+    return drawn_arguments(owner, iter(list(inspect.signature(method).parameters.values())[1:]), drawn)
+
+
+async def use_awaited(made: Any, ask: Ask) -> None:
+    """As `use`, for what the awaited face returns."""
+    if isinstance(made, AsyncIterator):
+        with contextlib.suppress(LinkError):
+            for _ in range(1 + int(4 * ask.size)):
+                await made.__anext__()
+        close = getattr(made, "aclose", None)
+        if close is not None:
+            await close()
+    elif isinstance(made, Subscription):
+        made.close(0.0)
+    elif callable(made):
+        made()
+
+
+def steps_awaited(block: Any, ask: Ask) -> Iterator[tuple[str, int, float]]:
+    """As `_steps`, of the block or of the part that it awaits."""
+    part = getattr(block, "_part", block)
+    yield from _steps(part, ask) if type(part) in OF_BLOCKS else ()
+
+
+async def during_awaited(robot: Any, block: Any, name: str, ask: Ask, step: int) -> None:
+    """Call one method of a block of the awaited face."""
+    with contextlib.suppress(LocalError):
+        positional, named = _arguments(robot, block, name, ask, step)
+        if name == "measure_delay":  # of a block that the awaited face gives as it is
+            await robot.call(block.measure_delay, *positional, **named)
+            return
+        made = getattr(block, name)(*positional, **named)
+        if inspect.isawaitable(made):
+            made = await made
+        await use_awaited(made, ask)
+
+
+def direction(jog: Jog, speeds: Any, state: Any) -> float | None:
+    """Cosine between the speed that was asked for and that of the arm; None where it does not move."""
+    wanted = np.asarray(speeds, dtype=float)
+    if jog.frame == "joints":
+        found = state.qd_actual
+    else:
+        found = state.tcp_speed_actual
+        if jog.frame == "tool":
+            turned = rotvec_to_matrix(state.tool_vector_actual[3:])
+            wanted = np.concatenate([turned @ wanted[:3], turned @ wanted[3:]])
+    sizes = float(np.linalg.norm(wanted) * np.linalg.norm(found))
+    return None if np.linalg.norm(found) < 0.01 else float(wanted @ found) / sizes
