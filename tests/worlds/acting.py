@@ -7,7 +7,7 @@ import inspect
 import itertools
 import random
 import time
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from urlink.poses import rotvec_to_matrix
 from .surface import ACTIONS, OF_BLOCKS, Drawing, drawn_arguments
 from .world import Ask
 
-__all__ = ["begin", "call", "drawing", "during", "during_awaited", "limit", "on_call", "use", "use_awaited"]
+__all__ = ["begin", "call", "drawing", "during", "during_awaited", "effect", "limit", "on_call", "use", "use_awaited"]
 
 #: Arguments that say how long a call may take, s.
 _TIMES = ("timeout", "start_timeout", "finish_timeout", "duration", "seconds", "time", "goal_time", "transition_time")
@@ -61,7 +61,68 @@ def begin(robot: Any, ask: Ask) -> Any:
     drawn = drawing(robot, ask)
     drawn.on_call = lambda: on_call(robot, ask)
     positional, named = action.arguments(drawn)
+    _given[ask] = named
     return action.of(robot)(*positional, **named)
+
+
+#: The arguments of the newest call of an ask.
+_given: dict[Ask, dict[str, Any]] = {}
+
+
+def effect(robot: Any, ask: Ask) -> str | None:
+    """What is not as the call of an ask promises; None if all is."""
+    check = _EFFECTS.get(ask.what)
+    named = _given.pop(ask, {})
+    if check is None or named.get("confirm", 1.0) is None:
+        return None
+    with contextlib.suppress(LinkError):
+        return check(robot, named)
+    return None
+
+
+def _reads(method: str, argument: str) -> Callable[[Any, dict[str, Any]], str | None]:
+    """A value that was set and confirmed is read by the method that belongs to it."""
+
+    def check(robot: Any, named: dict[str, Any]) -> str | None:
+        found, wanted = getattr(robot.io, method)(named["number"]), named[argument]
+        is_same = found == wanted if isinstance(wanted, bool) else abs(found.fraction - wanted) < 0.01
+        return None if is_same else f"{wanted} was set and confirmed, and {method} reads {found}"
+
+    return check
+
+
+def _arrives(robot: Any, named: dict[str, Any]) -> str | None:
+    q = robot.realtime.wait(2.0).q_actual
+    return None if np.allclose(q, named["q"], atol=0.02) else f"it ended at {q}, and not at {named['q']}"
+
+
+def _arrives_at_pose(name: str) -> Callable[[Any, dict[str, Any]], str | None]:
+    def check(robot: Any, named: dict[str, Any]) -> str | None:
+        pose = robot.realtime.wait(2.0).tool_vector_actual
+        is_there = np.allclose(pose[:3], named[name][:3], atol=0.01)
+        return None if is_there else f"it ended at {pose}, and not at {named[name]}"
+
+    return check
+
+
+def _stands(robot: Any, named: dict[str, Any]) -> str | None:
+    qd = robot.realtime.wait(2.0).qd_actual
+    return None if np.abs(qd).max() < 0.05 else f"the arm still moves at {qd}"
+
+
+#: What is true when a call has returned, and a motion has ended.
+_EFFECTS: dict[str, Callable[[Any, dict[str, Any]], str | None]] = {
+    "io.set_digital_out": _reads("digital_out", "on"),
+    "io.set_configurable_digital_out": _reads("configurable_digital_out", "on"),
+    "io.set_tool_digital_out": _reads("tool_digital_out", "on"),
+    "io.set_analog_out": _reads("analog_out", "fraction"),
+    "motion.move_joints": _arrives,
+    "motion.move_linear": _arrives_at_pose("pose"),
+    "motion.move_circular": _arrives_at_pose("to"),
+    "motion.stop": _stands,
+    "motion.speed_joints": _stands,
+    "motion.speed_linear": _stands,
+}
 
 
 def on_call(robot: Any, ask: Ask) -> None:

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from urlink.firmware import RELEASES
 
+from .mobile import MOBILE
 from .scenes import SCENES
 from .surface import ACTIONS
 from .world import (
@@ -29,6 +30,8 @@ from .world import (
 
 _KINDS = ("threads",) * 8 + ("asyncio",) * 4 + ("rtde", "dashboard", "ur_rtde", "urx", "foreign", "foreign")
 _FIRMWARES = [str(row.since) for row in RELEASES for _ in range(1 if row.since.is_cb2 else 3)]
+#: Share of the worlds of `public` with a mobile robot.
+_MOBILE = 0.12
 #: Of so many worlds in a row, one is a scene that is varied.
 _SCENES = 4
 
@@ -48,9 +51,11 @@ def draw(seed: int) -> World:
 def public(seed: int) -> World:
     """A world whose actions come from `surface`, few of them, in one of five situations."""
     chance = random.Random(f"public {seed}")
-    situation = chance.choice(("race", "race", "signal", "lacks", "busy", "any", "any"))
+    if chance.random() < _MOBILE:
+        return _mobile(chance, seed)
+    situation = chance.choice(("race",) * 3 + ("signal",) * 2 + ("lacks", "busy", "any", "any", "any"))
     kind = {"signal": "threads", "busy": "asyncio"}.get(situation, chance.choice(("threads", "asyncio")))
-    at = chance.uniform(0.05, 0.3)
+    at = chance.uniform(0.05, 0.2)
     thens = THEN_OR_SIGNAL if situation == "signal" else THEN
     menu = [_action(chance) for _ in range(3)]
     asks = [_public_ask(chance, chance.choice(menu), thens, at) for _ in range(chance.choice((1, 1, 1, 2, 3)))]
@@ -74,8 +79,25 @@ def public(seed: int) -> World:
     if chance.random() < 0.15:
         clients.append(_client(chance, at, _menu(chance)))
     latency, jitter = chance.choice((5e-5, 5e-4, 5e-3)), chance.choice((0.0, 2e-4))
-    lines = chance.choice((0.0, at + 0.1 * chance.random())) if situation in ("race", "busy") else 0.0
-    return World(seed, chance.choice(_FIRMWARES), latency, jitter, tuple(clients), tuple(events), lines)
+    lines = chance.choice((0.0, at + 0.1 * chance.random())) if situation == "race" else 0.0
+    # Threads that wait look at each state, of which there are fewer on this firmware.
+    firmware = "3.15" if situation == "busy" else chance.choice(_FIRMWARES)
+    return World(seed, firmware, latency, jitter, tuple(clients), tuple(events), lines)
+
+
+def _mobile(chance: random.Random, seed: int) -> World:
+    """A client of a mobile robot; the arm rests."""
+    menu = [name for name in MOBILE if name.startswith("drive.")] if chance.random() < 0.5 else list(MOBILE)
+    menu += ["variables.background", "variables.sync"] * 4
+    asks = []
+    for _ in range(chance.choice((1, 2, 3))):
+        patience = chance.choice((0.05, 0.5)) * chance.random()
+        asks.append(Ask(chance.choice(menu), chance.choice(THEN), 0.0, chance.random(), patience))
+    events = []
+    if chance.random() < 0.3:
+        events.append(Event("hold_client", 0.3 * chance.random(), 0.3 * chance.random(), 0, 1.0, None))
+    lines = chance.choice((0.0, 0.0, 0.3))
+    return World(seed, "3.15", 5e-4, 0.0, (Client(tuple(asks), 0.0, "mobile"),), tuple(events), lines)
 
 
 def _action(chance: random.Random) -> str:

@@ -32,6 +32,7 @@ from . import acting
 from .asked import BLOCK, CALL, DURING, MOTION, PENDANT_PROGRAM, UR_RTDE, URX
 from .foreign import RAW
 from .happening import at_the_robot, elsewhere
+from .mobile import Base
 from .signals import signalled
 from .surface import ACTIONS
 from .watch import ADMITS, BRAKING, Outcome, Watch
@@ -46,6 +47,8 @@ LATE = 1.5
 BEGUN, ENDED = 20.0, 30.0
 #: s in which a cancelled task ends, in which a robot is closed; each as it is documented.
 CANCELLED, CLOSED = 6.0, 2.0
+#: Calls that only wait, which keep all threads of the asyncio face busy.
+BUSY = 16
 #: s for which `then` waits for a motion, and for a block, which does not end by itself.
 WAIT, WAIT_IN_BLOCK = 20.0, 0.5
 #: Checks in a row, a tenth of the braking time apart, after which nothing is expected to move any more.
@@ -189,7 +192,10 @@ class Run:
                 seed=world.seed,
                 files={PENDANT_PROGRAM: pick},
             ).start()
-        self.watch = Watch(sim, self.controller, outcome, is_quiet=_is_quiet(world))
+        self.is_alone = not world.events and sum(len(client.asks) for client in world.clients) == 1
+        self.watch = Watch(
+            sim, self.controller, outcome, is_quiet=_is_quiet(world), is_alone=self.is_alone and not world.lines
+        )
         self.computers: list[Computer] = []
         self.gone: set[int] = set()
         #: by client, the numbers of those of its asks for which the arm may move
@@ -198,7 +204,7 @@ class Run:
         self._begun = 0.0
         self._threads_of_robot = 0
         #: calls of a task that only wait, and keep threads busy
-        self._busy: list[asyncio.Future[Any]] = []
+        self._busy: dict[int, list[asyncio.Future[Any]]] = {}
         #: those who press what is at the pendant
         self.hands: list[threading.Thread] = []
 
@@ -289,6 +295,7 @@ class Run:
             "ur_rtde": self._ur_rtde,
             "urx": self._urx,
             "foreign": self._foreign,
+            "mobile": self._mobile,
         }
         try:
             kinds.get(client.kind, self._threads)(number, client)
@@ -354,6 +361,7 @@ class Run:
                         self.begin(number)
                     with self._signals(robot, ask), self._in_time(number, ask, "takes", _limit(ask)):
                         CALL[ask.what](robot, ask)
+                    self._check_effect(robot, ask)
                 else:
                     owner = self.begin(number)
                     if ask.what in MOTION:
@@ -366,6 +374,8 @@ class Run:
                             owner = None
                         else:
                             error = self._then(number, robot, motion, ask)
+                            if error is None and ask.then == "wait":
+                                self._check_effect(robot, ask)
                     else:
                         with self._signals(robot, ask):
                             error = self._block(number, robot, ask)
@@ -379,6 +389,13 @@ class Run:
             self.watch.told(number, ask.what, error)
             if owner is not None:
                 self.end(number, owner, error)
+
+    def _check_effect(self, robot: urlink.Robot, ask: Ask) -> None:
+        """What a call promises to have done when it returns, if nothing else can have undone it."""
+        if self.is_alone and ask.what in ACTIONS and ask.then != "signal":
+            wrong = acting.effect(robot, ask)
+            if wrong is not None:
+                self.watch.fault(f"{ask.what}: {wrong}")
 
     def _signals(self, robot: urlink.Robot, ask: Ask) -> contextlib.AbstractContextManager[object]:
         """With `then="signal"`, a signal comes between two lines of the library, in the main thread of a program."""
@@ -480,7 +497,7 @@ class Run:
 
     async def _tasks(self, number: int, client: Client) -> None:
         kept: dict[int, Handle] = {}
-        self._busy = []
+        self._busy[number] = []
         async with urlink.connect_async(HOST, **self._options(client)) as robot:
             states = await robot.realtime.subscribe(lambda state: None)
 
@@ -497,18 +514,16 @@ class Run:
         took, held = self.sim.now - leaving, self._held_for(number)
         if took > CLOSED + held + LATE and number not in self.gone:
             self.watch.fault(f"client {number}: leaving the block of its robot took {took:.2f} s")
-        await asyncio.gather(*self._busy, return_exceptions=True)
+        await asyncio.gather(*self._busy[number], return_exceptions=True)
         self._all_over(number, kept)
 
     async def _ask_async(self, number: int, client: Client, robot: Any, ask: Ask, kept: dict[int, Handle]) -> None:
         self.watch.note(f"client {number} asks for {ask.what} ({ask.size:.2f}), then {ask.then}, in a task")
         if ask.what == "busy":
-            self._busy += [
-                asyncio.ensure_future(robot.io.wait_digital_in(7, True, 5.0 + 10.0 * ask.size))
-                for _ in range(int(8 + 16 * ask.size))
-            ]
+            waits = [asyncio.ensure_future(robot.io.wait_digital_in(7, True, 5.0 + ask.size)) for _ in range(BUSY)]
+            self._busy[number] += waits
             await asyncio.sleep(ask.patience)
-            for each in self._busy:
+            for each in waits:
                 each.cancel()
             return
         owner = None if ask.what in CALL and ask.what not in _LASTING else self.begin(number)
@@ -548,8 +563,7 @@ class Run:
 
     async def _check_cancelled(self, ask: Ask) -> None:
         """What a cancelled call must not leave behind, if it is the only one that could have done it."""
-        is_alone = not self.world.events and sum(len(client.asks) for client in self.world.clients) == 1
-        if ask.what == "dashboard.play" and is_alone:
+        if ask.what == "dashboard.play" and self.is_alone:
             await asyncio.sleep(2 * BRAKING)
             if self.controller.is_running_program:
                 self.watch.fault("dashboard.play was cancelled, and its program plays")
@@ -684,6 +698,14 @@ class Run:
                 RAW[ask.what](HOST, ask)
             except OSError as error:
                 self.watch.note(f"client {number}: {ask.what}: {error}")
+
+    def _mobile(self, number: int, client: Client) -> None:
+        with self.sim.on(self.robot):
+            base = Base(self.sim, self.watch.fault, is_wheeled=client.asks[0].size > 0.5)
+        try:
+            base.use(client.asks, sum(event.lasts for event in self.world.events))
+        finally:
+            base.close()
 
     # -- events ------------------------------------------------------------------------------------------
 

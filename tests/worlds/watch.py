@@ -17,6 +17,7 @@ from urlink.simulator import Controller
 
 from .counted import Counted
 from .observed import ADMITS, BRAKING, Observed, here
+from .promises import Promises
 
 __all__ = ["ADMITS", "BRAKING", "Outcome", "Watch"]
 
@@ -59,17 +60,21 @@ class Watch:
         sim, controller: of the world.
         outcome: where it is written.
         is_quiet: no stop can come, and the robot cannot go away.
+        is_alone: one client asks for one thing, and nothing happens.
 
     Attributes:
         observed: programs and handles of the world.
     """
 
-    def __init__(self, sim: Simulation, controller: Controller, outcome: Outcome, *, is_quiet: bool) -> None:
+    def __init__(
+        self, sim: Simulation, controller: Controller, outcome: Outcome, *, is_quiet: bool, is_alone: bool
+    ) -> None:
         self._is_quiet = is_quiet
         self._sim = sim
         self._controller = controller
         self._outcome = outcome
         self.observed = Observed(sim, controller, self._once)
+        self._promises = Promises(sim, controller, self.observed, self._once, is_alone=is_alone)
         self._counted = Counted(controller.firmware.rate, self._once)
         #: the clients that want the arm to move, and until when it may although none does
         self.wanting: set[int] = set()
@@ -94,7 +99,7 @@ class Watch:
     @contextlib.contextmanager
     def watching(self) -> Iterator[None]:
         """Observe what the library does, too, for as long as the block lasts."""
-        with self.observed.watching(), self._counted.watching():
+        with self.observed.watching(), self._counted.watching(), self._promises.watching():
             yield
         self._outcome.places = self.observed.places
 
@@ -168,6 +173,8 @@ class Watch:
                 self._is_admitted = False
             return
         self._outcome.moved += period
+        if not self.is_led:
+            self._promises.look(speed, speed > before + 1e-3)
         if sent is not None:
             why = observed.why_not(sent, is_faster=speed > before + 1e-3)
             if why is not None:
