@@ -289,16 +289,22 @@ class Observed:
         """A stop that was entered then has returned: what was asked for before is not sent any more."""
         self._stops.setdefault(here(), []).append((entered, self._sim.now))
 
-    def abandon(self, entered: float, name: str | None = None) -> None:
+    def abandon(self, entered: float, name: str | None = None) -> bool:
         """A call that was entered then has raised and returned no handle: its programs must not go on.
 
         Args:
             name: of the method, if another thread made the call.
+
+        Returns:
+            Whether there is such a program.
         """
+        has_any = False
         for sent in self._of(here()):
             is_its = sent.thread == get_ident() if name is None else sent.life.name == name
             if is_its and sent.entered >= entered and not sent.is_stop and not sent.life.is_over:
                 sent.abandoned = self._sim.now
+                has_any = True
+        return has_any
 
     def pause(self, block: Any) -> None:
         """Nothing of a block is wanted now: what it was asked for was cancelled."""

@@ -17,7 +17,7 @@ from collections.abc import AsyncIterator, Callable, Iterator
 from typing import Any
 
 import urlink
-from linkcore.errors import LinkError, RemoteError
+from linkcore.errors import LinkError, LinkTimeout, RemoteError
 from linkcore.event_loop import within
 from linkcore.handle import Event as LifeEvent
 from linkcore.handle import Handle
@@ -380,15 +380,20 @@ class Run:
                         with self._signals(robot, ask):
                             error = self._block(number, robot, ask)
         except (Interrupted, KeyboardInterrupt):
-            observed.abandon(entered)
+            self._abandoned(observed.abandon(entered))
         except LinkError as raised:
             error = raised
-            if not ADMITS.search(str(error)):
-                observed.abandon(entered)
+            if not (isinstance(error, LinkTimeout) or ADMITS.search(str(error))):  # a wait that times out ends nothing
+                self._abandoned(observed.abandon(entered))
         finally:
             self.watch.told(number, ask.what, error)
             if owner is not None:
                 self.end(number, owner, error)
+
+    def _abandoned(self, has_any: bool) -> None:
+        """A call raised: if it left a program behind, see whether that goes on, before the robot is closed."""
+        if has_any:
+            time.sleep(1.5 * BRAKING)
 
     def _check_effect(self, robot: urlink.Robot, ask: Ask) -> None:
         """What a call promises to have done when it returns, if nothing else can have undone it."""
@@ -429,10 +434,9 @@ class Run:
             with block as entered:
                 DURING[ask.what](robot, entered, ask)
                 handle = _handle(entered)
-                assert handle is not None
-                if ask.then == "cancel":
+                if ask.then == "cancel" and handle is not None:
                     handle.cancel()
-                elif ask.then == "wait":
+                elif ask.then == "wait" and handle is not None:
                     handle.wait(WAIT_IN_BLOCK)
                 elif ask.then == "interrupt":
                     raise Interrupted
@@ -550,7 +554,8 @@ class Run:
                 observed.has_stopped(entered)
         except (asyncio.CancelledError, asyncio.TimeoutError, Interrupted):
             if call.made is None:
-                observed.abandon(entered, method)
+                has_any = observed.abandon(entered, method)
+                await asyncio.sleep(1.5 * BRAKING if has_any else 0.0)
             await self._check_cancelled(ask)
         except LinkError as raised:
             error = raised
@@ -768,7 +773,7 @@ def _handle(entered: Any) -> Handle | None:
 
 def _is_quiet(world: World) -> bool:
     """Nothing happens beside clients that move the arm, or do no harm: nothing may be said to have stopped it."""
-    moves = {*MOTION, *BLOCK, *_HARMLESS}
+    moves = {*MOTION, *BLOCK, *_HARMLESS} - ACTIONS.keys()
     return not world.events and all(ask.what in moves for client in world.clients for ask in client.asks)
 
 
