@@ -38,6 +38,7 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=0, help="seed of the first")
     parser.add_argument("--limit", type=float, default=120.0, help="s of processor time for each defect")
     parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--calls", type=Path, help="keep there, or take from there, what worlds call without a defect")
     parser.add_argument("--report", type=Path, required=True, metavar="FILE", help="one JSON object a line")
     options = parser.parse_args()
     files = GROUPS["drawn"].files()
@@ -48,7 +49,12 @@ def main() -> int:
     drawn = list(enumerate(draw(files, SEED, COUNT)))[slice(int(first or 0), int(last) if last else None)]
     functions = dict(_functions(set(map(str, files))))
     seeds = range(options.first, options.first + options.worlds)
-    calls, failing = _measured([each for _, each in drawn], functions, seeds)
+    if options.calls is not None and options.calls.exists():
+        calls, failing = json.loads(options.calls.read_text())
+    else:
+        calls, failing = _measured(draw(files, SEED, COUNT), functions, seeds)
+        if options.calls is not None:
+            options.calls.write_text(json.dumps([{seed: sorted(names) for seed, names in calls.items()}, failing]))
     print(f"{len(seeds)} worlds, of which {len(failing)} fail without a defect: {failing}", flush=True)
     waiting = list(drawn)
     running: dict[int, tuple[int, Drawn, int, int]] = {}
