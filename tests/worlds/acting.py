@@ -16,11 +16,24 @@ from linkcore.errors import LinkError, LocalError
 from linkcore.streaming.subscription import Subscription
 from urlink.motion.jog import Jog
 from urlink.poses import rotvec_to_matrix
+from urlink.simulator import Controller
 
 from .surface import ACTIONS, OF_BLOCKS, Drawing, drawn_arguments
 from .world import Ask
 
-__all__ = ["begin", "call", "drawing", "during", "during_awaited", "effect", "limit", "on_call", "use", "use_awaited"]
+__all__ = [
+    "begin",
+    "call",
+    "drawing",
+    "during",
+    "during_awaited",
+    "effect",
+    "limit",
+    "on_call",
+    "prepared",
+    "use",
+    "use_awaited",
+]
 
 #: Arguments that say how long a call may take, s.
 _TIMES = ("timeout", "start_timeout", "finish_timeout", "duration", "seconds", "time", "goal_time", "transition_time")
@@ -61,68 +74,113 @@ def begin(robot: Any, ask: Ask) -> Any:
     drawn = drawing(robot, ask)
     drawn.on_call = lambda: on_call(robot, ask)
     positional, named = action.arguments(drawn)
-    _given[ask] = named
-    return action.of(robot)(*positional, **named)
+    made = action.of(robot)(*positional, **named)
+    _given[ask] = named, made
+    return made
 
 
-#: The arguments of the newest call of an ask.
-_given: dict[Ask, dict[str, Any]] = {}
+#: The arguments of the newest call of an ask, and what it returned.
+_given: dict[Ask, tuple[dict[str, Any], Any]] = {}
+
+Check = Callable[[Any, Any, dict[str, Any], Any], bool]
 
 
-def effect(robot: Any, ask: Ask) -> str | None:
+def effect(robot: Any, controller: Controller, ask: Ask) -> str | None:
     """What is not as the call of an ask promises; None if all is."""
     check = _EFFECTS.get(ask.what)
-    named = _given.pop(ask, {})
+    named, made = _given.pop(ask, ({}, None))
     if check is None or named.get("confirm", 1.0) is None:
         return None
+    is_right = True
     with contextlib.suppress(LinkError):
-        return check(robot, named)
-    return None
+        if ask.what in _LATER:
+            time.sleep(0.2)
+        is_right = check(robot, controller, named, made)
+    return None if is_right else f"it was called with {named} and returned {made!r}, and the robot is not like that"
 
 
-def _reads(method: str, argument: str) -> Callable[[Any, dict[str, Any]], str | None]:
-    """A value that was set and confirmed is read by the method that belongs to it."""
+def _signal(kind: str, first: int, argument: str | None = None) -> Check:
+    """A digital input or output: what was returned, or was set, is what the controller has."""
 
-    def check(robot: Any, named: dict[str, Any]) -> str | None:
-        found, wanted = getattr(robot.io, method)(named["number"]), named[argument]
-        is_same = found == wanted if isinstance(wanted, bool) else abs(found.fraction - wanted) < 0.01
-        return None if is_same else f"{wanted} was set and confirmed, and {method} reads {found}"
-
-    return check
-
-
-def _arrives(robot: Any, named: dict[str, Any]) -> str | None:
-    q = robot.realtime.wait(2.0).q_actual
-    return None if np.allclose(q, named["q"], atol=0.02) else f"it ended at {q}, and not at {named['q']}"
-
-
-def _arrives_at_pose(name: str) -> Callable[[Any, dict[str, Any]], str | None]:
-    def check(robot: Any, named: dict[str, Any]) -> str | None:
-        pose = robot.realtime.wait(2.0).tool_vector_actual
-        is_there = np.allclose(pose[:3], named[name][:3], atol=0.01)
-        return None if is_there else f"it ended at {pose}, and not at {named[name]}"
+    def check(robot: Any, controller: Any, named: dict[str, Any], made: Any) -> bool:
+        has = bool(getattr(controller.signals, kind) >> (first + named["number"]) & 1)
+        return bool(has == (made if argument is None else named[argument]))
 
     return check
 
 
-def _stands(robot: Any, named: dict[str, Any]) -> str | None:
-    qd = robot.realtime.wait(2.0).qd_actual
-    return None if np.abs(qd).max() < 0.05 else f"the arm still moves at {qd}"
+def _register(direction: str, kind: str) -> Check:
+    def check(robot: Any, controller: Any, named: dict[str, Any], made: Any) -> bool:
+        bank, number = getattr(controller.registers, direction), named["number"]
+        has = bool(bank.bits >> number & 1) if kind == "bits" else getattr(bank, kind)[number]
+        return bool(has == (made if direction == "outputs" else named["value"]))
+
+    return check
 
 
-#: What is true when a call has returned, and a motion has ended.
-_EFFECTS: dict[str, Callable[[Any, dict[str, Any]], str | None]] = {
-    "io.set_digital_out": _reads("digital_out", "on"),
-    "io.set_configurable_digital_out": _reads("configurable_digital_out", "on"),
-    "io.set_tool_digital_out": _reads("tool_digital_out", "on"),
-    "io.set_analog_out": _reads("analog_out", "fraction"),
+def _arrives(robot: Any, controller: Any, named: dict[str, Any], made: Any) -> bool:
+    return np.allclose(robot.realtime.wait(2.0).q_actual, named["q"], atol=0.02)
+
+
+def _arrives_at_pose(name: str) -> Check:
+    def check(robot: Any, controller: Any, named: dict[str, Any], made: Any) -> bool:
+        return np.allclose(robot.realtime.wait(2.0).tool_vector_actual[:3], named[name][:3], atol=0.01)
+
+    return check
+
+
+def _stands(robot: Any, controller: Any, named: dict[str, Any], made: Any) -> bool:
+    return bool(np.abs(robot.realtime.wait(2.0).qd_actual).max() < 0.05)
+
+
+def _ends_at(robot: Any, controller: Any, named: dict[str, Any], made: Any) -> bool:
+    return np.allclose(robot.realtime.wait(2.0).q_actual, named["trajectory"].q[-1], atol=0.05)
+
+
+#: What is true when a call has returned, and a motion has ended: robot, controller, arguments and result.
+_EFFECTS: dict[str, Check] = {
+    "io.digital_in": _signal("digital_inputs", 0),
+    "io.configurable_digital_in": _signal("digital_inputs", 8),
+    "io.tool_digital_in": _signal("digital_inputs", 16),
+    "io.digital_out": _signal("digital_outputs", 0),
+    "io.configurable_digital_out": _signal("digital_outputs", 8),
+    "io.tool_digital_out": _signal("digital_outputs", 16),
+    "io.set_digital_out": _signal("digital_outputs", 0, "on"),
+    "io.set_configurable_digital_out": _signal("digital_outputs", 8, "on"),
+    "io.set_tool_digital_out": _signal("digital_outputs", 16, "on"),
+    "io.set_tool_voltage": lambda robot, controller, named, made: (
+        controller.signals.tool_output_voltage == named["volts"]
+    ),
+    "io.set_flag": lambda robot, controller, named, made: controller.flags[named["number"]] == named["on"],
+    "robot.set_speed_slider": lambda robot, controller, named, made: (
+        abs(controller.speed_fraction - named["fraction"]) < 0.01
+    ),
+    "registers.read_bit": _register("outputs", "bits"),
+    "registers.read_integer": _register("outputs", "integers"),
+    "registers.read_float": _register("outputs", "floats"),
+    "registers.write_bit": _register("inputs", "bits"),
+    "registers.write_integer": _register("inputs", "integers"),
+    "registers.write_float": _register("inputs", "floats"),
     "motion.move_joints": _arrives,
     "motion.move_linear": _arrives_at_pose("pose"),
     "motion.move_circular": _arrives_at_pose("to"),
+    "motion.follow": _ends_at,
     "motion.stop": _stands,
     "motion.speed_joints": _stands,
     "motion.speed_linear": _stands,
 }
+#: Calls that do not wait until the controller has done it.
+_LATER = ("io.set_flag", "registers.write_bit", "registers.write_integer", "registers.write_float")
+
+
+def prepared(controller: Controller, seed: int) -> None:
+    """Give inputs and registers of a controller values that can be told apart."""
+    chance = random.Random(f"controller {seed}")
+    controller.signals.digital_inputs = chance.getrandbits(18) & ~(1 << 7)
+    outputs = controller.registers.outputs
+    outputs.bits = chance.getrandbits(128)
+    outputs.integers = [chance.randrange(1000) for _ in outputs.integers]
+    outputs.floats = [chance.random() for _ in outputs.floats]
 
 
 def on_call(robot: Any, ask: Ask) -> None:

@@ -39,6 +39,8 @@ _SCENES = 4
 #: Actions of `surface` by kind, and how often each kind is drawn.
 _ACTIONS = {kind: [name for name, each in ACTIONS.items() if each.kind == kind] for kind in ("motion", "block", "call")}
 _ACTION_KINDS = ("motion",) * 4 + ("block",) * 4 + ("call",) * 3
+#: Actions after which nothing else can be asked for.
+_ENDS = ("robot.close", "realtime.close", "primary.close", "dashboard.power_off", "dashboard.quit", "rtde.close")
 #: What races with what another thread prepares.
 _ENDING = ("motion.stop", "motion.stop", "close", "cancel_current", "cancel_current", "dashboard.stop", "robot.close")
 
@@ -53,14 +55,17 @@ def public(seed: int) -> World:
     chance = random.Random(f"public {seed}")
     if chance.random() < _MOBILE:
         return _mobile(chance, seed)
-    situation = chance.choice(("race",) * 3 + ("signal",) * 2 + ("lacks", "busy", "any", "any", "any"))
+    situation = chance.choice(("race",) * 3 + ("signal",) * 2 + ("lacks", "busy") + ("any",) * 2 + ("sweep",) * 3)
     kind = {"signal": "threads", "busy": "asyncio"}.get(situation, chance.choice(("threads", "asyncio")))
     at = chance.uniform(0.05, 0.2)
     thens = THEN_OR_SIGNAL if situation == "signal" else THEN
     menu = [_action(chance) for _ in range(3)]
     asks = [_public_ask(chance, chance.choice(menu), thens, at) for _ in range(chance.choice((1, 1, 1, 2, 3)))]
     events: list[Event] = []
-    if situation == "signal":
+    if situation == "sweep":
+        wanted = [_action(chance), *(chance.choice(_ACTIONS["call"]) for _ in range(12))]
+        asks = [_public_ask(chance, what, ("wait",), at) for what in wanted if what not in _ENDS]
+    elif situation == "signal":
         asks[0] = replace(asks[0], then="signal")
     elif situation == "busy":
         busy = Ask("busy", "wait", 0.0, chance.random(), 0.05 * chance.random())
@@ -90,12 +95,13 @@ def _mobile(chance: random.Random, seed: int) -> World:
     menu = [name for name in MOBILE if name.startswith("drive.")] if chance.random() < 0.5 else list(MOBILE)
     menu += ["variables.background", "variables.sync"] * 4
     asks = []
-    for _ in range(chance.choice((1, 2, 3))):
-        patience = chance.choice((0.05, 0.5)) * chance.random()
+    for _ in range(chance.choice((1, 2, 4))):
+        patience = chance.choice((0.05, 0.3)) * chance.random()
         asks.append(Ask(chance.choice(menu), chance.choice(THEN), 0.0, chance.random(), patience))
     events = []
     if chance.random() < 0.3:
-        events.append(Event("hold_client", 0.3 * chance.random(), 0.3 * chance.random(), 0, 1.0, None))
+        what = chance.choice(("hold_client", "suspend_client", "cut", "reset"))
+        events.append(Event(what, 0.3 * chance.random(), 0.3 * chance.random(), 0, 1.0, None))
     lines = chance.choice((0.0, 0.0, 0.3))
     return World(seed, "3.15", 5e-4, 0.0, (Client(tuple(asks), 0.0, "mobile"),), tuple(events), lines)
 

@@ -116,17 +116,45 @@ class Base:
         begun = time.monotonic()
         kind = rhdlink.robots.Smr if isinstance(self.turtle, SmrTurtle) else rhdlink.robots.VelocityOmega
         with rhdlink.connect(f"{ADDRESS}:{PORT}", kind, access="w", timeout=_TIMEOUT) as robot:
+            events: list[rhdlink.ConnectionState] = []
+            watching = robot.subscribe_connection(lambda event: events.append(event.state))
+            if not held:
+                self._check_values(robot)
             if any(ask.what.startswith("drive.") for ask in asks):
                 with rhdlink.Drive(robot) as drive:
                     self._each(asks, {"drive": drive, "variables": robot}, held)
             else:
                 self._each(asks, {"variables": robot}, held)
+            self._check_events(robot, events)
+            watching.close()
             closing = time.monotonic()
         if time.monotonic() - closing > 2.0 + 1.0 + held:
             self._fault(f"closing a mobile robot took {time.monotonic() - closing:.2f} s")
         if time.monotonic() - begun > 0.5 and not held:
             time.sleep(_STANDS)
             self._check_stands("its client was closed")
+
+    def _check_values(self, robot: Variables) -> None:
+        """What is set arrives at the plugin, and what the plugin has is read, one sync later."""
+        name = "speedl" if isinstance(self.turtle, SmrTurtle) else "cmdrotvel"
+        robot[name] = 7
+        for _ in range(3):
+            robot.sync()
+        if getattr(self.turtle, name) != 7:
+            self._fault(f"{name} was set to 7 and synced, and the robot has {getattr(self.turtle, name)}")
+        robot[name] = 0
+        robot.sync()
+        if not robot.fresh("tick") or robot["tick"] <= 0:
+            self._fault("the tick that was synced is not fresh")
+
+    def _check_events(self, robot: Variables, events: list[rhdlink.ConnectionState]) -> None:
+        """Connections that were made again are counted, and each was reported to who subscribed."""
+        time.sleep(0.1)
+        made = sum(state is rhdlink.ConnectionState.CONNECTED for state in events)
+        if robot.reconnects != made:
+            self._fault(f"{robot.reconnects} reconnects are counted, and {made} were reported: {events}")
+        if any(one is other for one, other in itertools.pairwise(events)):
+            self._fault(f"a state of the connection was reported twice: {events}")
 
     def _each(self, asks: tuple[Ask, ...], parts: Mapping[str, Any], held: float) -> None:
         for ask in asks:

@@ -192,6 +192,10 @@ class Run:
                 seed=world.seed,
                 files={PENDANT_PROGRAM: pick},
             ).start()
+        acting.prepared(self.controller, world.seed)
+        asks = [ask for client in world.clients for ask in client.asks]
+        is_in_turn = all(ask.thread == 0 and ask.then != "forget" for ask in asks)
+        self.is_sequence = not world.events and len(world.clients) == 1 and is_in_turn
         self.is_alone = not world.events and sum(len(client.asks) for client in world.clients) == 1
         self.watch = Watch(
             sim, self.controller, outcome, is_quiet=_is_quiet(world), is_alone=self.is_alone and not world.lines
@@ -205,6 +209,8 @@ class Run:
         self._threads_of_robot = 0
         #: calls of a task that only wait, and keep threads busy
         self._busy: dict[int, list[asyncio.Future[Any]]] = {}
+        #: by client, the robot that is not the arm
+        self._peers: dict[int, Computer] = {}
         #: those who press what is at the pendant
         self.hands: list[threading.Thread] = []
 
@@ -397,8 +403,8 @@ class Run:
 
     def _check_effect(self, robot: urlink.Robot, ask: Ask) -> None:
         """What a call promises to have done when it returns, if nothing else can have undone it."""
-        if self.is_alone and ask.what in ACTIONS and ask.then != "signal":
-            wrong = acting.effect(robot, ask)
+        if self.is_sequence and ask.what in ACTIONS and ask.then != "signal":
+            wrong = acting.effect(robot, self.controller, ask)
             if wrong is not None:
                 self.watch.fault(f"{ask.what}: {wrong}")
 
@@ -552,13 +558,13 @@ class Run:
                 await self._then_async(number, robot, call, ask)
             if ask.what == "motion.stop":
                 observed.has_stopped(entered)
+        except LinkError as raised:
+            error = raised
         except (asyncio.CancelledError, asyncio.TimeoutError, Interrupted):
             if call.made is None:
                 has_any = observed.abandon(entered, method)
                 await asyncio.sleep(1.5 * BRAKING if has_any else 0.0)
             await self._check_cancelled(ask)
-        except LinkError as raised:
-            error = raised
         finally:
             if owner is not None:
                 error = await self._ended(call, ask) or error
@@ -707,6 +713,7 @@ class Run:
     def _mobile(self, number: int, client: Client) -> None:
         with self.sim.on(self.robot):
             base = Base(self.sim, self.watch.fault, is_wheeled=client.asks[0].size > 0.5)
+        self._peers[number] = base.computer
         try:
             base.use(client.asks, sum(event.lasts for event in self.world.events))
         finally:
@@ -729,7 +736,7 @@ class Run:
         def happen() -> None:
             self.watch.note(f"{event.what} ({event.size:.2f}), client {event.client}, for {event.lasts:.3f} s")
             client = self.computers[event.client]
-            undo = elsewhere(event, self.sim.network, client, self.robot)
+            undo = elsewhere(event, self.sim.network, client, self._peers.get(event.client, self.robot))
             if event.what in ("kill_client", "power_client"):
                 self.leave(event.client)
             if undo is not None:
@@ -754,7 +761,8 @@ class _Errors(logging.Handler):
         self.fault: Callable[[str], object] | None = None
 
     def emit(self, record: logging.LogRecord) -> None:
-        if record.exc_info and self.fault is not None:
+        lacks = record.exc_info is not None and "can't start new thread" in str(record.exc_info[1])
+        if record.exc_info and self.fault is not None and not lacks:
             self.fault(f"logged: {self.format(record)}")
 
     def uncaught(self, args: threading.ExceptHookArgs) -> None:

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from linkcore.simulated import Simulation
 from urlink.simulator import Controller
 
+from . import guarded
 from .counted import Counted
 from .observed import ADMITS, BRAKING, Observed, here
 from .promises import Promises
@@ -99,7 +100,12 @@ class Watch:
     @contextlib.contextmanager
     def watching(self) -> Iterator[None]:
         """Observe what the library does, too, for as long as the block lasts."""
-        with self.observed.watching(), self._counted.watching(), self._promises.watching():
+        with (
+            self.observed.watching(),
+            self._counted.watching(),
+            self._promises.watching(),
+            guarded.watching(self._once),
+        ):
             yield
         self._outcome.places = self.observed.places
 
