@@ -43,18 +43,29 @@ def started(thread: threading.Thread) -> threading.Thread:
 
 
 @contextlib.contextmanager
+def acquired(lock: threading.Lock | threading.RLock, timeout: float) -> Iterator[bool]:
+    """Acquire a lock for a block, within `timeout` seconds; yields whether that was possible."""
+    got: list[bool] = []
+    try:
+        # Acquired and noted in one step: Ctrl-C can come between two of them, and would leave the lock locked for ever.
+        got.extend(map(lock.acquire, (True,), (timeout,)))
+        yield got[0]
+    finally:
+        if got and got[0]:
+            lock.release()
+
+
+@contextlib.contextmanager
 def held(lock: threading.Lock | threading.RLock, timeout: float, otherwise: str) -> Iterator[None]:
     """Hold a lock within a block; `timeout` seconds to get it.
 
     Raises:
         LinkTimeout: others kept it for so long; `otherwise` is the message.
     """
-    if not lock.acquire(timeout=timeout):
-        raise LinkTimeout(otherwise)
-    try:
+    with acquired(lock, timeout) as is_held:
+        if not is_held:
+            raise LinkTimeout(otherwise)
         yield
-    finally:
-        lock.release()
 
 
 _log = logging.getLogger(__name__)
@@ -104,6 +115,15 @@ class CallbackThread:
         # With the event of its end: a thread that another one is just starting cannot be joined yet.
         self._thread: MadeOnce[tuple[threading.Thread, threading.Event]] = MadeOnce()
         weakref.finalize(self, self._calls.put, None)
+
+    def start(self) -> None:
+        """Start the thread now, if it does not run yet: a later call cannot fail for want of a thread.
+
+        Raises:
+            LocalError: If the system has no thread left.
+        """
+        if not self._has_thread(self.start):
+            raise LocalError(f"no thread could be started for {self._name}; nothing was sent")
 
     def call(self, function: Callable[..., object], *arguments: Any) -> None:
         """Call `function(*arguments)` soon. Where the system has no thread left, the log says so instead."""

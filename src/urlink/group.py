@@ -16,7 +16,8 @@ from numpy.typing import ArrayLike
 
 from linkcore.arguments import check_number, check_wait
 from linkcore.errors import BadValue, LinkError, LocalError
-from linkcore.handle import Lifecycle, Motion
+from linkcore.handle import Lifecycle, Motion, waited
+from linkcore.pending_call import starts_motion
 from linkcore.streaming.packet_queue import drop_oldest, latest
 from linkcore.threads import CallbackThread
 
@@ -73,6 +74,7 @@ class Group:
 
     # -- motions ---------------------------------------------------------------------------------------
 
+    @starts_motion
     def follow(
         self,
         trajectories: Sequence[Trajectory],
@@ -117,6 +119,8 @@ class Group:
             clock = common.member(robot.clock.to_local, 1.0 / robot.firmware.rate)
             servoing = motions._servoing(watchdog, lookahead_time, gain)
             parts.append((motions, Follower(trajectory, tolerances, servoing, clock=clock), clock))
+        # Before the first arm moves: what ends the motion of one arm stops the others in this thread.
+        self._stopping.start()
         begun: list[Motion] = []
         try:
             for motions, follower, clock in parts:
@@ -133,11 +137,9 @@ class Group:
             raise
         life = self._life("follow")
         life.begin()
-        motion = GroupMotion(life, begun, self._names, self._stopping)
-        if seconds:
-            motion.wait(seconds)
-        return motion
+        return waited(GroupMotion(life, begun, self._names, self._stopping), seconds)
 
+    @starts_motion
     def move_joints(
         self,
         q: Sequence[Numbers],

@@ -52,6 +52,7 @@ NAMES = [
     "NotOffered",
     "NotRunning",
     "PacketError",
+    "PendingCall",
     "Phase",
     "Policy",
     "Program",
@@ -283,7 +284,7 @@ DEFAULTS = {
     "robot.io.wait_configurable_digital_in": "on=True, timeout=5.0",
     "robot.io.wait_digital_in": "on=True, timeout=5.0",
     "robot.io.wait_tool_digital_in": "on=True, timeout=5.0",
-    "robot.script.run": "wait=False, on_text=None",
+    "robot.script.run": "wait=False, detached=False, on_text=None",
     "robot.safety.wait_enabled": "timeout=60.0",
     "robot.safety.wait_until_clear": "timeout=60.0",
 }

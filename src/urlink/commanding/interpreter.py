@@ -20,6 +20,7 @@ from linkcore.handle import Lifecycle
 from linkcore.net.dialogue import Dialogue
 from linkcore.net.recall import Recall, TakeBack
 from linkcore.net.transport import TcpTransport
+from linkcore.pending_call import starts_motion
 from linkcore.threads import CallbackThread
 from linkcore.wire.fields import Since
 
@@ -87,6 +88,7 @@ class Interpreter(Program):
         self._finish_timeout = finish_timeout
         self._since_clear = 0
 
+    @starts_motion
     def execute(self, statement: str, *, wait: bool | float = False) -> int:
         """Hand a statement over; it begins once those before it are over.
 
@@ -188,9 +190,10 @@ class Interpreter(Program):
             self._close()
 
     def __exit__(self, *exc: object) -> None:
-        if exc[0] is None:
-            self.end()
-        else:
+        try:
+            if exc[0] is None:
+                self.end()
+        finally:
             self._close()
 
     def _close(self) -> None:
@@ -286,6 +289,7 @@ class Interpreters:
         for dialogue in self._open:
             dialogue.close()
 
+    @starts_motion
     def begin(
         self, start_timeout: float, finish_timeout: float, on_text: Callable[[str], object] | None
     ) -> Interpreter:

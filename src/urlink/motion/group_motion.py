@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from linkcore.arguments import check_number, check_seconds, check_wait
 from linkcore.errors import BadValue, Cancelled, LinkError
 from linkcore.handle import Lifecycle, Motion
+from linkcore.pending_call import starts_motion
 from linkcore.threads import CallbackThread
 
 from .point_stream import PointStream
@@ -44,6 +45,7 @@ class GroupMotion(Motion):
         super().__init__(life)
         self.motions = tuple(motions)
         self._names = tuple(names)
+        self._stopping = stopping
         lives = [motion._life for motion in motions]
         life.brake = partial(end_all, lives, f"cancelled with its group of {len(lives)}")
         for number, each in enumerate(lives):
@@ -90,12 +92,14 @@ class GroupStream(GroupMotion):
         #: points are handed to all arms, or taken from all; re-entrant, for signal handlers
         self._handing = threading.RLock()
 
+    @starts_motion
     def __enter__(self) -> Self:
         """Upload the programs and wait until all have connected.
 
         Raises:
             LocalError, LinkError: as `PointStream`; none has moved.
         """
+        self._stopping.start()
         try:
             with contextlib.ExitStack() as begun:
                 for stream in self.motions:
@@ -109,12 +113,16 @@ class GroupStream(GroupMotion):
 
     def __exit__(self, *exc: object) -> None:
         """Stop all arms, and wait until they stand still. Raises no earlier error."""
-        with self._block:
-            for stream in self.motions:
-                with contextlib.suppress(LinkError):
-                    stream._program.finish()
-        with contextlib.suppress(LinkError):
-            self.wait(_REASON)
+        try:
+            with self._block:
+                for stream in self.motions:
+                    with contextlib.suppress(LinkError):
+                        stream._program.finish()
+            with contextlib.suppress(LinkError):
+                self.wait(_REASON)
+        except BaseException as error:
+            self._give_up(error)
+            raise
 
     def append(self, points: Sequence[Points], *, wait: bool | float = True) -> float:
         """Append points for each arm; see `PointStream.append`.

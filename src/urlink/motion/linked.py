@@ -132,7 +132,10 @@ class LinkedProgram:
                 on_finish=self._on_finish,
             )
         except BaseException as error:
-            life.fail(error if isinstance(error, Exception) else LocalError(f"{life.name} was interrupted"))
+            if isinstance(error, Exception):
+                life.fail(error)
+            else:
+                life.fail(LocalError(f"{life.name} was interrupted"), brake=True)
             self._release()
             raise
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from linkcore.errors import Closed, LinkError, LinkTimeout, LocalError
 from linkcore.handle import Event, Motion
+from linkcore.pending_call import starts_motion
 from linkcore.realtime import urgent
 
 from ..interfaces.realtime.packets import RealtimeState
@@ -55,6 +56,7 @@ class LinkedBlock(Motion):
         self._linked: Future[None] = Future()
         self._program = LinkedProgram(life, context, dialogue, open_link, on_linked=self._link_up)
 
+    @starts_motion
     def __enter__(self) -> Self:
         """Upload the program and wait until it has connected.
 
@@ -66,6 +68,7 @@ class LinkedBlock(Motion):
         """
         if not self._life.fire(Event.SEND):
             raise LocalError(f"the {self.name} has been used before; each is good for one block")
+        self._life.enter()
         self._program.begin()
         try:
             with self._context.section.waiting():
@@ -83,15 +86,16 @@ class LinkedBlock(Motion):
 
     def __exit__(self, *exc: object) -> None:
         """Stop the arm, and wait until it stands still, ten seconds at most. Raises no earlier error."""
-        with self._block:
-            try:
-                self._program.finish()
-                self.wait(_END_TIMEOUT)
-            except LinkError:
-                self.cancel()
-            except BaseException as error:
-                self._give_up(error)
-                raise
+        try:
+            with self._block:
+                try:
+                    self._program.finish()
+                    self.wait(_END_TIMEOUT)
+                except LinkError:
+                    self.cancel()
+        except BaseException as error:
+            self._give_up(error)
+            raise
 
     def _check_open(self) -> None:
         """Raise unless the block is open.

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, Literal, TypeVar, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from linkcore.arguments import check_choice, check_number, check_wait
 from linkcore.errors import BadValue, LocalError
-from linkcore.handle import Motion
+from linkcore.handle import Motion, waited
+from linkcore.pending_call import starts_motion
 
 from ..bounds import JOINT_ACCELERATION, JOINT_SPEED, TOOL_ACCELERATION, TOOL_SPEED, check_pose, check_speeds
 from ..firmware import Firmware
@@ -52,8 +53,6 @@ TargetFilterName = Literal["jerk_limited"]
 #: The link by which set-points get to the robot.
 LinkName = Literal["reverse", "rtde"]
 
-M = TypeVar("M", bound=Motion)
-
 
 class Motions(AnswersForeignNames):
     """Moves the arm. Each method begins a motion and returns its handle; it waits for the arm only if it is asked to.
@@ -79,6 +78,7 @@ class Motions(AnswersForeignNames):
 
     # -- one command -----------------------------------------------------------------------------------
 
+    @starts_motion
     def move_joints(
         self,
         q: Numbers,
@@ -103,10 +103,11 @@ class Motions(AnswersForeignNames):
         if model is not None:
             model.check_joints(goal)
         body = commands.move_joints(goal.tolist(), *_joint_rates(model, speed, acceleration), _time(time))
-        return _waited(
+        return waited(
             self._upload("move_joints", body, _arriving(goal, lambda state: state.q_actual), has_goal=True), seconds
         )
 
+    @starts_motion
     def move_linear(
         self,
         pose: Numbers,
@@ -132,8 +133,9 @@ class Motions(AnswersForeignNames):
         # Only the position of the pose: one rotation has more than one rotation vector.
         gauge = _arriving(goal[:3], lambda state: state.tool_vector_actual[:3])
         motion = self._upload("move_linear", body, gauge, has_goal=True)
-        return _waited(motion, seconds)
+        return waited(motion, seconds)
 
+    @starts_motion
     def move_circular(
         self, via: Numbers, to: Numbers, speed: float = 0.25, acceleration: float = 1.2, *, wait: bool | float = False
     ) -> Motion:
@@ -157,8 +159,9 @@ class Motions(AnswersForeignNames):
         motion = self._upload(
             "move_circular", body, lambda state: arc.part(state.tool_vector_actual.tolist()), has_goal=True
         )
-        return _waited(motion, seconds)
+        return waited(motion, seconds)
 
+    @starts_motion
     def path(
         self,
         waypoints: Sequence[Waypoint],
@@ -196,10 +199,11 @@ class Motions(AnswersForeignNames):
         life = context.programs.life("path")
         motion = PathMotion(life, planned.sections, lambda: context.realtime.latest)
         wrapped = context.programs.own(planned.body)
-        context.programs.start(wrapped, life, left_alone=_MAY_GO_ON, on_text=motion._on_text)
         end_where_moved(life, context.realtime)
-        return _waited(motion, seconds)
+        context.programs.start(wrapped, life, left_alone=_MAY_GO_ON, on_text=motion._on_text)
+        return waited(motion, seconds)
 
+    @starts_motion
     def speed_joints(
         self,
         qd: Numbers,
@@ -230,8 +234,9 @@ class Motions(AnswersForeignNames):
         arm = self._context.who.identity.arm
         speeds, hardest = check_joint_speeds(qd, "qd", arm), _joint_acceleration(arm, acceleration)
         motion = self._speed("speed_joints", speeds, hardest, duration, link)
-        return _waited(motion, seconds)
+        return waited(motion, seconds)
 
+    @starts_motion
     def speed_linear(
         self,
         xd: Numbers,
@@ -253,8 +258,9 @@ class Motions(AnswersForeignNames):
         seconds = check_wait(wait)
         speeds, hardest = check_speeds(xd, "xd"), TOOL_ACCELERATION.check(acceleration, "acceleration")
         motion = self._speed("speed_linear", speeds, hardest, duration, link)
-        return _waited(motion, seconds)
+        return waited(motion, seconds)
 
+    @starts_motion
     def stop(self, acceleration: float = 2.0, *, wait: bool | float = False) -> Motion:
         """Brake all joints, at `acceleration` in rad/s² (`stopj`). Done when the arm stands still.
 
@@ -263,10 +269,12 @@ class Motions(AnswersForeignNames):
         """
         seconds = check_wait(wait)
         body = commands.stop(_joint_acceleration(self._context.who.identity.arm, acceleration))
-        return _waited(self._upload("stop", body, is_stop=True), seconds)
+        self._context.channel.overtake("the robot was stopped")
+        return waited(self._upload("stop", body, is_stop=True), seconds)
 
     # -- motions that last, linked to a program on the robot ---------------------------------------------
 
+    @starts_motion
     def follow(
         self,
         trajectory: Trajectory,
@@ -350,12 +358,12 @@ class Motions(AnswersForeignNames):
             following = Follower(trajectory, tolerances, servoing, _delay(delay), clock)
         life = context.programs.life("follow")
         motion = Motion(life, lambda: following.progress)
-        LinkedProgram(life, context, following, open_link, tolerance=tolerances.start).begin()
         if feedback is not None:
             # In a queue and a thread of its own: it may be slow, and may raise.
             subscription = context.realtime.subscribe(_reporter(following, feedback))
             life.on_end(lambda: subscription.close(0))
-        return _waited(motion, seconds)
+        LinkedProgram(life, context, following, open_link, tolerance=tolerances.start).begin()
+        return waited(motion, seconds)
 
     def servo(
         self,
@@ -487,6 +495,7 @@ class Motions(AnswersForeignNames):
 
     # -- contact, force mode, torques, freedrive -----------------------------------------------------------
 
+    @starts_motion
     def until_contact(
         self,
         direction: Numbers,
@@ -539,9 +548,10 @@ class Motions(AnswersForeignNames):
         )
         life = context.programs.life("until_contact")
         motion = ContactMotion(life, longest, self._tool_pose)
-        context.programs.start(context.programs.own(body), life, left_alone=_MAY_GO_ON, on_text=motion._on_text)
+        wrapped = context.programs.own(body)
         end_where_moved(life, context.realtime)
-        return _waited(motion, seconds)
+        context.programs.start(wrapped, life, left_alone=_MAY_GO_ON, on_text=motion._on_text)
+        return waited(motion, seconds)
 
     def force_mode(
         self,
@@ -733,9 +743,9 @@ class Motions(AnswersForeignNames):
 
         motion = Motion(life, measure)
         wrapped = context.programs.own(body, asks=asks and not is_stop)
-        context.programs.start(wrapped, life, is_stop=is_stop, left_alone=left_alone)
         if has_goal:
             end_where_moved(life, context.realtime)
+        context.programs.start(wrapped, life, is_stop=is_stop, left_alone=left_alone)
         return motion
 
     def _speed(self, name: str, speeds: FloatArray, acceleration: float, duration: float, link: LinkName) -> Motion:
@@ -846,10 +856,3 @@ def _joint_acceleration(arm: Model | None, value: float, prefix: str = "") -> fl
 
 def _time(time: float | None) -> float | None:
     return None if time is None else check_number(time, "time", _LEAST, _HOUR, "s")
-
-
-def _waited(motion: M, seconds: float) -> M:
-    """The motion, after its end; raises if that takes longer than `seconds`; 0 does not wait."""
-    if seconds:
-        motion.wait(seconds)
-    return motion

@@ -199,7 +199,7 @@ class Servo(LinkedBlock):
         time = check_number(at, "at")
         state = self._context.state()
         if self._schedule is None:
-            schedule = Schedule(self._model, self._cycle, self._delay, self._context.section)
+            schedule = Schedule(self._model, self._cycle, self._delay, self._context.section.lock)
             self._dialogue.paced = PacedSetpoints(self._servoing, schedule)
             # Last: one that an interruption left without its set-points would lead nothing.
             self._schedule = schedule

@@ -16,7 +16,7 @@ from linkcore.errors import BadValue, Closed, ConnectionLost, LinkTimeout
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import ConnectionState
 from linkcore.streaming.packet_queue import block
-from linkcore.threads import held
+from linkcore.threads import acquired, held
 
 from ..interfaces.rtde.packets import InputsReply, InputsRequest, PauseRequest, StartRequest, join_names
 from ..interfaces.rtde.protocol import Requests, claim_of
@@ -168,9 +168,9 @@ class BriefClaims:
         """
         self._used = time.monotonic()
         # In a signal handler, who has the lock waits for this very call to end.
-        if not self._lock.acquire(timeout=CLAIM_TIMEOUT if wait else 0.0):
-            return None
-        try:
+        with acquired(self._lock, CLAIM_TIMEOUT if wait else 0.0) as is_held:
+            if not is_held:
+                return None
             claims = self._standing
             if claims is not None and (claims.is_over or claims._connection.failure is not None):
                 claims = self._standing = None
@@ -180,8 +180,6 @@ class BriefClaims:
                 claims.claim(names)
             elif claims is None or not claims.has(names):
                 return None
-        finally:
-            self._lock.release()
         return claims.put
 
     def _open(self, names: tuple[str, ...]) -> Claims:

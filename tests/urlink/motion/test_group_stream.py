@@ -27,6 +27,10 @@ class Callbacks:
     def __init__(self) -> None:
         self._waiting: deque[Callable[[], object]] = deque()
         self._is_busy = False
+        self.has_started = False
+
+    def start(self) -> None:
+        self.has_started = True
 
     def call(self, function: Callable[..., object], *arguments: Any) -> None:
         self._waiting.append(partial(function, *arguments))

@@ -113,17 +113,20 @@ class ServerClock:
     """The clock of one server, by which commands expire.
 
     Args:
-        now: seconds; by default of a clock that also goes on while the computer sleeps, where the system has one.
+        now: Clock, in seconds; by default one that continues while the computer sleeps, if the system has one.
+
+    Attributes:
+        now: as given.
     """
 
     def __init__(self, now: Callable[[], float] | None = None) -> None:
         boot_time = getattr(time, "CLOCK_BOOTTIME", None)
-        self._now = now or (lambda: time.monotonic() if boot_time is None else time.clock_gettime(boot_time))
+        self.now = now or (lambda: time.monotonic() if boot_time is None else time.clock_gettime(boot_time))
         self._server = uuid.uuid4().hex
 
     def described(self) -> dict[str, Any]:
         """The time, and whose it is, as a client sends them back."""
-        return {"server": self._server, "time": self._now()}
+        return {"server": self._server, "time": self.now()}
 
     def check(self, asked: Asked) -> None:
         """Refuse a command that must not be carried out any more.
@@ -140,7 +143,7 @@ class ServerClock:
             )
         if asked.server != self._server:
             raise LocalError("the command was meant for a server that is gone, or for another robot")
-        late = self._now() - asked.time
+        late = self.now() - asked.time
         if not 0 <= late <= asked.age:
             raise LinkTimeout(
                 f"the command came {late:.1f} s after the status that its client had, and was to be refused after "

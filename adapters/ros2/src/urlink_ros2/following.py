@@ -6,6 +6,7 @@ import logging
 import math
 import threading
 import time
+from functools import partial
 from typing import Any
 
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
@@ -13,7 +14,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.duration import Duration
 from rclpy.qos import QoSProfile
 
-from urlink import BadValue, Cancelled, Expiry, LinkError, LinkTimeout, Motion, Robot
+from urlink import BadValue, Cancelled, Expiry, LinkError, LinkTimeout, Motion, PendingCall, Robot
 from urlink.motion import TrajectoryFeedback
 from urlink.packets import RealtimeState
 
@@ -158,15 +159,16 @@ class TrajectoryAction:
     def _execute(self, handle: Any) -> Any:
         with self._idle:
             self._running += 1
+        # One call from here on: a stop of the robot ends a goal that has not begun.
         try:
-            return self._follow(handle)
+            return self._follow(handle, PendingCall())
         finally:
             with self._idle:
                 self._running -= 1
                 self._last_end = time.monotonic()
                 self._idle.notify_all()
 
-    def _follow(self, handle: Any) -> Any:
+    def _follow(self, handle: Any, call: PendingCall) -> Any:
         number = self._server.number_of(handle)
         watch = _Watch(self._node, self._publisher, self._feedback_topic)
         newest: list[TrajectoryFeedback] = []
@@ -182,6 +184,9 @@ class TrajectoryAction:
             while (early := begins - self._now()) > 0.0:
                 self._publish(handle, _standing(self._robot.realtime.wait()), watch)
                 self._check(handle, watch, number)
+                refusal = call.make(lambda: self._robot.safety.refusal)
+                if refusal is not None:
+                    raise refusal
                 time.sleep(min(early, _FEEDBACK))
             with self._turn:
                 self._check(handle, watch, number)
@@ -189,7 +194,8 @@ class TrajectoryAction:
                 here = self._robot.realtime.wait().q_target
                 goal = read_goal(handle.request, self._joints, here, -early if start_of(handle.request) else 0.0)
                 duration = goal.trajectory.duration
-                motion = self._motion = self._robot.motion.follow(
+                follow = partial(
+                    self._robot.motion.follow,
                     goal.trajectory,
                     path_tolerance=goal.path_tolerance,
                     goal_tolerance=goal.goal_tolerance,
@@ -197,6 +203,7 @@ class TrajectoryAction:
                     feedback=note,
                     watchdog=self._watchdog,
                 )
+                motion = self._motion = call.make(follow)
         except LinkError as error:
             return self._ended(handle, error, False, number)
         reason: Cancelled | None = None

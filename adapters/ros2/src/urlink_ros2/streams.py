@@ -7,6 +7,7 @@ has not asked anew.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import queue
 import threading
@@ -18,7 +19,7 @@ from typing import Any
 from rclpy.callback_groups import ReentrantCallbackGroup
 from std_msgs.msg import Bool, Float64MultiArray, String
 
-from urlink import Expiry, LinkError, Robot
+from urlink import Expiry, LinkError, PendingCall, Robot
 
 from .states import STREAMED
 
@@ -141,7 +142,8 @@ class _Led:
                 return
             self._messages.put(message)
             if self._thread is None:
-                self._thread = threading.Thread(target=self._lead, name=f"urlink-ros2 {self.name}", daemon=True)
+                lead = partial(self._lead, PendingCall())
+                self._thread = threading.Thread(target=lead, name=f"urlink-ros2 {self.name}", daemon=True)
                 self._thread.start()
 
     def end(self) -> None:
@@ -154,9 +156,10 @@ class _Led:
         if thread is not None:
             thread.join(seconds)
 
-    def _lead(self) -> None:
+    def _lead(self, call: PendingCall) -> None:
         try:
-            with self._enter() as block:
+            with contextlib.ExitStack() as entered:
+                block = call.make(lambda: entered.enter_context(self._enter()))
                 while (message := self._next()) is not None:
                     self._obey(block, message)
         except LinkError as error:
