@@ -39,6 +39,9 @@ _SCENES = 4
 #: Actions of `surface` by kind, and how often each kind is drawn.
 _ACTIONS = {kind: [name for name, each in ACTIONS.items() if each.kind == kind] for kind in ("motion", "block", "call")}
 _ACTION_KINDS = ("motion",) * 4 + ("block",) * 4 + ("call",) * 3
+_SITUATIONS = ("race",) * 3 + ("signal",) * 2 + ("lacks", "busy") + ("any", "held") * 2 + ("sweep",) * 3
+#: Actions that move the arm by messages, each as often as it is drawn.
+_LED = (*(name for name in _ACTIONS["block"] if name.startswith("motion")), "motion.jog", "motion.speed_joints")
 #: Actions after which nothing else can be asked for.
 _ENDS = ("robot.close", "realtime.close", "primary.close", "dashboard.power_off", "dashboard.quit", "rtde.close")
 #: What races with what another thread prepares.
@@ -55,7 +58,9 @@ def public(seed: int) -> World:
     chance = random.Random(f"public {seed}")
     if chance.random() < _MOBILE:
         return _mobile(chance, seed)
-    situation = chance.choice(("race",) * 3 + ("signal",) * 2 + ("lacks", "busy") + ("any",) * 2 + ("sweep",) * 3)
+    situation = chance.choice(
+        ("race",) * 3 + ("signal",) * 2 + ("lacks", "busy") + ("any", "held") * 2 + ("sweep",) * 3
+    )
     kind = {"signal": "threads", "busy": "asyncio"}.get(situation, chance.choice(("threads", "asyncio")))
     at = chance.uniform(0.05, 0.2)
     thens = THEN_OR_SIGNAL if situation == "signal" else THEN
@@ -74,6 +79,11 @@ def public(seed: int) -> World:
         after = chance.choice((0.0, 0.001, 0.01, 0.1)) * chance.random()
         other = chance.choice(_ENDING) if chance.random() < 0.7 else _action(chance)
         asks = [asks[0], replace(_public_ask(chance, other, thens, at), thread=1, after=after)]
+    elif situation == "held":
+        # In the middle of something that moves by messages of this process.
+        asks = [replace(asks[0], what=chance.choice(_LED), then=chance.choice(("leave", "wait")))]
+        what = chance.choice(("hold_client", "suspend_client", "cut", "kill_client", "protective_stop"))
+        events.append(Event(what, 0.1 + 0.5 * chance.random(), 2.0 + chance.random(), 0, chance.random(), 0))
     elif situation == "lacks":
         what = chance.choice((*LACKS, "no_threads"))
         events.append(Event(what, 0.01 * chance.random(), 2.0 * chance.random(), 0, chance.random(), 0))

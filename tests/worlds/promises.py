@@ -130,18 +130,18 @@ class Promises:
 
         return wrapped
 
-    def look(self, speed: float, is_faster: bool) -> None:
+    def look(self, speed: float) -> None:
         """In each cycle in which the arm moves."""
         main = self._controller._runner.main
         sent = None if main is None else self._observed.programs.get(main.name)
-        if sent is None or speed <= _MOVES or self._observed.is_held(sent.computer):
+        if sent is None or speed <= _MOVES:
             return
         now, life = self._sim.now, sent.life
         if life.name == "jog":
             told = self._expires.get(life, sent.begun or now)
-            if now > told + _WATCHDOG + _BRAKED:
+            if now > max(told, sent.begun or 0.0) + _WATCHDOG + _BRAKED:
                 self._fault(f"the arm moves at {speed:.3f} rad/s by a jog whose speed expired at {told:.3f} s")
         last = self._sent.get(life)
-        is_led = sent.is_linked and life.name in _LED and last is not None and is_faster
+        is_led = sent.is_linked and life.name in _LED and last is not None
         if is_led and now > (last or 0.0) + _WATCHDOG + _BRAKED:
             self._fault(f"the arm moves by {life.name}, to which nothing was sent since {last:.3f} s")

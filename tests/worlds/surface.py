@@ -92,7 +92,6 @@ LEFT_OUT: Mapping[str, str] = {
     "dashboard.upload_program": "it needs a file of PolyScope X",
     "dashboard.send": "it takes any text; the other methods send every command",
     "tool_serial.close": "it is a connection of its own; closing the robot covers it",
-    "gripper.position_of": "it computes a number",
 }
 
 
@@ -314,6 +313,8 @@ DRAWERS: Mapping[str, Drawer] = MappingProxyType(
         "statement": _statement,
         # programs, inputs and outputs
         "source": _source,
+        # A detached program keeps running after the end: nothing could tell it from one that was forgotten.
+        "detached": lambda d: False,
         "on_text": lambda d: d.callback(),
         "line": lambda d: d.chosen("set_digital_out(2, True)", f"movej({d.near(0.1)}, v=0.5)"),
         "start_timeout": lambda d: d.between(1.0, 4.0),

@@ -180,7 +180,7 @@ class Watch:
             return
         self._outcome.moved += period
         if not self.is_led:
-            self._promises.look(speed, speed > before + 1e-3)
+            self._promises.look(speed)
         if sent is not None:
             why = observed.why_not(sent, is_faster=speed > before + 1e-3)
             if why is not None:
