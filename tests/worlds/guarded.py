@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterator, Mapping
 from threading import Condition
 from typing import Any
 
-from linkcore.simulated import primitives
-from linkcore.simulated.scheduler import current
+import pytest
+
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import ConnectionLife
 from linkcore.streaming.fanout import FanOut
@@ -27,7 +27,7 @@ from urlink.rtde.client import Rtde
 
 from .observed import replaced
 
-__all__ = ["ATTRIBUTES", "METHODS", "watching"]
+__all__ = ["ATTRIBUTES", "METHODS", "guards", "watching"]
 
 #: Attributes that are assigned only under a lock once their object was made: by class, the lock and the attributes.
 ATTRIBUTES: Mapping[type, tuple[str, frozenset[str]]] = {
@@ -62,12 +62,6 @@ def is_held(lock: Any) -> bool:
     return bool(lock.locked()) if hasattr(lock, "locked") else inner is None or is_held(inner)
 
 
-def is_simulated(lock: Any) -> bool:
-    """Whether the lock belongs to this simulation."""
-    inner = getattr(lock, "_lock", lock)
-    return current() is not None and isinstance(inner, (primitives.Lock, primitives.RLock))
-
-
 @contextlib.contextmanager
 def watching(fault: Callable[[str], object]) -> Iterator[None]:
     """Compare what is guarded with its lock, for as long as the block lasts."""
@@ -75,7 +69,7 @@ def watching(fault: Callable[[str], object]) -> Iterator[None]:
 
     def check(owner: Any, lock_name: str, what: str) -> None:
         lock = vars(owner).get(lock_name) if hasattr(owner, "__dict__") else getattr(owner, lock_name, None)
-        if lock is not None and is_simulated(lock) and not is_held(lock):
+        if lock is not None and not is_held(lock):
             fault(f"{type(owner).__name__}: {what} without {lock_name}")
 
     def assigning(lock_name: str, names: frozenset[str]) -> Callable[[Any], Any]:
@@ -128,3 +122,12 @@ def watching(fault: Callable[[str], object]) -> Iterator[None]:
             stack.enter_context(replaced(ConnectionLife, name, of_life(name)))
         stack.enter_context(replaced(Connection, "__init__", made))
         yield
+
+
+@pytest.fixture(autouse=True)
+def guards() -> Iterator[None]:
+    """Compare what is guarded with its lock in each test of the folder that has this fixture."""
+    faults: list[str] = []
+    with watching(faults.append):
+        yield
+    assert faults == []

@@ -414,7 +414,8 @@ class Run:
             return contextlib.nullcontext()
         chance = random.Random(f"signal {ask.size}")
         name = chance.choice(("interrupt", "interrupt", "stop", "cancel", "close"))
-        lines = int(math.exp(chance.uniform(0.0, math.log(4000.0))))
+        # Before its first few lines a call has not been entered, so a stop by the handler does not overtake it.
+        lines = int(math.exp(chance.uniform(math.log(12.0), math.log(4000.0))))
 
         def handler() -> None:
             self.watch.note(f"a signal comes, whose handler does: {name}")
