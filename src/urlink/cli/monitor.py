@@ -45,7 +45,8 @@ def run(args: argparse.Namespace) -> int:
     and `duplicates` those that arrived twice, based on the controller's clock. When the connection is lost, the
     view shows LOST and the last values as old, and continues when the controller is back. The real-time
     interface shows tool speed and force 125 or 500 times a second; the primary interface ten times a second,
-    with the analogue signals and the messages of the controller. At the end a summary and a next step are printed on stderr.
+    with the analogue signals and the messages of the controller. At the end a summary and a next step are
+    printed on stderr.
 
     examples:
       urlink monitor 192.168.56.101
