@@ -62,7 +62,7 @@ def test_a_file_of_another_arm_is_refused(tmp_path: Path) -> None:
         Controller("UR10e", like=read_arm_file(tmp_path / "arm.json"))
     whole = json.loads((tmp_path / "arm.json").read_text())
     shorter = whole | {"parameters": {"rotor_inertia": []}}
-    for broken in ("{", "[]", json.dumps(whole | {"version": 2}), json.dumps(shorter)):
+    for broken in ("{", "[]", "[" * 100_000, json.dumps(whole | {"version": 2}), json.dumps(shorter)):
         (tmp_path / "arm.json").write_text(broken)
         with pytest.raises(BadValue, match=r"arm\.json"):
             read_arm_file(tmp_path / "arm.json")
