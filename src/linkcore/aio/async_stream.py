@@ -178,15 +178,15 @@ class AsyncFeed(Generic[T]):
         seconds = check_seconds(seconds, "seconds", positive=True, finite=True)
         period = check_seconds(period, "period", positive=True, finite=True)
         live = LivePlot()
-        end = clock.now() + seconds
         try:
             with await self.history(window) as history:
+                end = clock.now() + seconds
                 for picture in self._feed._pictures(history, fields, end):
                     if picture is None:
                         await self.wait(clock.left(end))
                     else:
                         live.update(picture, _EVENTS)
-                        await asyncio.sleep(period)
+                        await asyncio.sleep(min(period, clock.left(end)))
                 if not len(history):
                     raise self._feed._why_nothing(seconds)
         finally:

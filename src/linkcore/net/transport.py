@@ -453,6 +453,11 @@ def _timeval(seconds: float, size: int) -> bytes:
     return struct.pack("qq" if size == 16 else "ii", whole, max(int((seconds - whole) * 1e6), 1))
 
 
+def is_unknown_host(error: RemoteError) -> bool:
+    """Whether a connection could not be made because the name of its host is unknown."""
+    return isinstance(error.__cause__, (socket.gaierror, ValueError))
+
+
 def mapped(error: OSError | ValueError, doing: str, timeout: float, otherwise: type[RemoteError]) -> RemoteError:
     """The one place where operating-system errors become the library's own."""
     if isinstance(error, ValueError):  # a part of the name is too long, or holds what no name may

@@ -255,6 +255,8 @@ def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
             scheduler.now += STEP
             computer = scheduler.running.computer
             seconds = epoch + computer.offset + scheduler.now * computer.rate
+            if epoch:
+                seconds += computer.jumped
             return int(seconds * scale) if scale else seconds
 
         return read

@@ -227,7 +227,7 @@ class Feed(Generic[T]):
 
         Args:
             fields: names, a panel for each; vectors have a line for each element.
-            seconds: for which it goes on.
+            seconds: Duration in seconds, from the connection on. The last plot shows every state of the window.
             window: seconds that are shown, the newest on the right.
             period: seconds between two pictures.
 
@@ -237,36 +237,41 @@ class Feed(Generic[T]):
             LinkTimeout: nothing came within `seconds`.
             RemoteError, LocalError, Closed: as `subscribe`.
         """
-        from ..plotting import LivePlot  # imported here: importing the library stays cheap
+        from ..plotting import SHORTEST, LivePlot  # imported here: importing the library stays cheap
 
         seconds = check_seconds(seconds, "seconds", positive=True, finite=True)
         period = check_seconds(period, "period", positive=True, finite=True)
         live = LivePlot()
-        end = clock.now() + seconds
         try:
             with self.history(window) as history:
+                end = clock.now() + seconds
                 for picture in self._pictures(history, fields, end):
                     if picture is None:
                         self.wait(clock.left(end))
                     else:
-                        live.update(picture, period)
+                        live.update(picture, min(period, max(end - clock.now(), SHORTEST)))
                 if not len(history):
                     raise self._why_nothing(seconds)
         finally:
             live.close()
 
     def _pictures(self, history: History, fields: Sequence[str], end: float) -> Iterator[Plot | None]:
-        """What is to be shown next, until `end`, monotonic s; None where nothing has come yet."""
+        """What to show next, until `end`, monotonic s; None if nothing has arrived yet.
+
+        The last one is made after `end`. It shows every state, even if drawing takes longer than receiving.
+        """
         from ..plotting import Curves, Plot
 
         units = {name: field.unit for name, field in getattr(self._kind, "FIELDS", {}).items()}
-        while clock.now() < end:
+        is_over = False
+        while not is_over:
+            is_over = clock.now() >= end
             states = history.array(*fields)
             if len(states):
                 when = states["received"] - clock.now()  # after the last state has been received
                 curves = [Curves(name, units.get(name, ""), when, states[name]) for name in fields]
                 yield Plot(curves, self._connection.name)
-            else:
+            elif not is_over:
                 yield None
 
     def _policy(self, policy: Policy | None, for_states: Policy) -> Policy:

@@ -5,17 +5,16 @@ from __future__ import annotations
 import argparse
 import contextlib
 import math
-import sys
 from pathlib import Path
 
 from linkcore import clock
 from linkcore.cli.options import argument, command, one_of, seconds
+from linkcore.cli.progress import ProgressBar
 from linkcore.cli.terminal import Interruption
 from linkcore.errors import LinkError
 from linkcore.text import printable
 
 from ..address import Address
-from ..client import connect
 from ..plugins.turtle import SmrTurtle, Turtle
 from ..smrcl.mission import Mission, MissionRun
 from ..smrcl.profile import PROFILES
@@ -23,10 +22,10 @@ from ..smrcl.recipients import Said
 from ..smrcl.robot_conf import RobotConf, read_robot_conf
 from ..smrcl.robot_link import ClientLink, PluginLink, RobotLink
 from ..smrcl.server import PORT, MissionServer
-from ..world import World, save
-from .options import WORLD, port, tell, world
+from ..world import World
+from .options import WORLD, connected, drawn, port, tell, world
 
-#: Seconds between two drawings of the live view.
+#: Seconds between two updates of the progress.
 _VIEW = 0.2
 
 
@@ -117,7 +116,7 @@ def _execute(args: argparse.Namespace) -> int:
             pose = driven.pose
             tell(f"ended at x {pose.x:.3f} m, y {pose.y:.3f} m, heading {math.degrees(pose.theta):.1f} deg")
             if args.svg is not None:
-                save(driven, args.svg, mission.name)
+                drawn(driven, args, args.svg, mission.name)
         if error is not None and interruption.number is None:
             raise error
         return interruption.status
@@ -126,21 +125,19 @@ def _execute(args: argparse.Namespace) -> int:
 
 
 def _watch(run: MissionRun, interruption: Interruption, args: argparse.Namespace) -> None:
-    """Wait for the end; if stderr is a terminal, show the progress."""
-    is_seen = sys.stderr.isatty() and not args.quiet and not args.trace and args.profile != "mrc"
+    """Wait for the end, and show the progress."""
     due = clock.now() + _VIEW
-    while not run.done:
-        if interruption.wait(0.02):
-            run.cancel()
-            break
-        if is_seen and clock.now() >= due:
-            due = clock.now() + _VIEW
-            print(f"\r\x1b[K{_view(run)}", end="", file=sys.stderr, flush=True)
-    # After a signal the robot is stopped, and has time to answer.
-    with contextlib.suppress(LinkError):
-        run.wait(args.timeout + 1.0)
-    if is_seen:
-        print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+    with ProgressBar(args.file, args.quiet or args.trace) as progress:
+        while not run.done:
+            if interruption.wait(0.02):
+                run.cancel()
+                break
+            if clock.now() >= due:
+                due = clock.now() + _VIEW
+                progress(text=_view(run))
+        # After a signal the robot is stopped, and has time to answer.
+        with contextlib.suppress(LinkError):
+            run.wait(args.timeout + 1.0)
 
 
 def _view(run: MissionRun) -> str:
@@ -203,7 +200,7 @@ def _serve(args: argparse.Namespace) -> int:
                 while not server.wait(0.0) and not interruption.wait(0.1):
                     pass
             if driven is not None and args.svg is not None:
-                save(driven, args.svg, "served")
+                drawn(driven, args, args.svg, "served")
             return interruption.status
     finally:
         link.close()
@@ -232,9 +229,9 @@ def _link(args: argparse.Namespace, *, is_realtime: bool) -> tuple[RobotLink, Wo
     if args.turtle is None:
         if not (args.svg is None and args.floor is None and args.start is None):
             args.usage_error("--svg, --floor and --start are for a --turtle")
-        robot = connect(args.robot or "localhost", access="w", timeout=args.timeout)
+        robot = connected(args, args.robot or "localhost", access="w")
         return ClientLink(robot, is_lockstep=args.lockstep, owns=True), None
     turtle = Turtle(world(args)) if args.turtle == "velocity" else SmrTurtle(world(args))
     if args.svg is not None:
-        save(turtle.world, args.svg)  # raises at once if it cannot be written
+        drawn(turtle.world, args, args.svg)  # raises at once if it cannot be written
     return PluginLink([turtle], is_realtime=is_realtime), turtle.world

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import math
 import sys
 from collections.abc import Iterator, Sequence
@@ -9,12 +10,15 @@ from typing import Any, Literal
 
 from linkcore import clock
 from linkcore.cli.options import Row, argument, seconds
+from linkcore.cli.progress import ProgressBar
 from linkcore.errors import LinkTimeout
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from linkcore.streaming.packet_queue import drop_oldest
 from linkcore.streaming.stream import Stream
 from linkcore.text import printable
 from linkcore.wire.cycles import Missing
+
+from ..robot import Robot, connect
 
 _ADDRESS = "a host (192.168.56.101, ur://host?primary=40001), sim://, sim://ur10?firmware=3.4, or replay:///file"
 
@@ -40,6 +44,22 @@ def interface_of(choices: Sequence[str]) -> Row:
 
 #: Packets that are queued at most: half a minute of the fastest interface.
 _ROOM = 16384
+
+
+def connected(args: argparse.Namespace, address: str | None = None, **how: Any) -> Robot:
+    """Connect to a robot, and show the progress.
+
+    Args:
+        args: The arguments of a command that takes `ADDRESS`.
+        address: Address of the robot; None for the one in `args`.
+        how: Further arguments of `connect`.
+
+    Raises:
+        LinkError: See `connect`.
+    """
+    address = args.address if address is None else address
+    with ProgressBar(f"connecting to {address}", args.quiet):
+        return connect(address, timeout=args.connect_timeout, **how)
 
 
 def tell(text: str) -> None:

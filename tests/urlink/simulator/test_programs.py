@@ -548,6 +548,29 @@ def test_a_program_may_ask_for_a_protective_stop(watched: Watched, kind: str) ->
     assert watched.story[-1] == "C153 Protective stop: position deviates from path"
 
 
+@pytest.mark.parametrize("ending", ["", "  textmsg(7)\n"])
+def test_protective_stop_as_last_statement_ends_the_program(watched: Watched, ending: str) -> None:
+    # As the UR Client Library expects: it waits for the end, and only then unlocks the stop.
+    watched.take(f"def f():\n  protective_stop()\n{ending}end\n").step(0.1)
+    codes = [line.partition(" ")[0] for line in watched.story if line != "'7'"]
+    assert codes == ["started", "C209", "stopped"]
+    assert watched.controller.program_name is None
+    assert watched.controller.modes.program_state is ProgramState.STOPPED
+    watched.controller.faults.clear()
+    watched.take("def g():\n  sleep(0.01)\nend\n").step(0.1)
+    assert watched.story[-2:] == ["started g", "stopped g"]
+
+
+def test_protective_stop_pauses_a_program_that_has_more_to_do(watched: Watched) -> None:
+    watched.take("def f():\n  protective_stop()\n  sleep(0.01)\nend\n").step(0.1)
+    assert watched.controller.program_name == "f"
+    assert watched.controller.modes.program_state is ProgramState.PAUSED
+    watched.controller.faults.clear()
+    watched.controller.pendant.play()
+    watched.step(0.1)
+    assert watched.story[-1] == "stopped f"
+
+
 def test_the_reason_of_a_stop_that_did_not_hold_is_forgotten(watched: Watched) -> None:
     watched.controller.faults.emergency_stop()
     watched.controller._state.stop_protectively("a joint jumped")
@@ -558,6 +581,32 @@ def test_the_reason_of_a_stop_that_did_not_hold_is_forgotten(watched: Watched) -
     watched.controller.faults.protective_stop()
     watched.step(0.1)
     assert not any("jumped" in line for line in watched.story)
+
+
+@pytest.mark.parametrize("firmware", ["5.25", "10.12"])
+def test_vendors_example_of_instructions_runs_to_its_end(firmware: str) -> None:
+    # The motions of the example instruction_executor of the UR Client Library.
+    near, far = "p[-0.203, 0.263, 0.559, 0.68, -1.083, -2.076]", "p[-0.203, 0.463, 0.559, 0.68, -1.083, -2.076]"
+    folded = "[-1.57, -1.6, 1.6, -0.7, 0.7, 0.2]"
+    lines = [
+        "movej([-1.57, -1.57, 0, 0, 0, 0], t=5, r=0.1)",
+        f"movej({folded}, a=1.4, v=2.0, r=0.1)",
+        f"movel({near}, t=2, r=0.1)",
+        f"movep({far}, a=0.4, v=0.4, r=0.1)",
+        "optimovej([-1.57, -1.57, 1.6, -0.5, 0.4, 0.3], a=0.4, v=0.7, r=0.1)",
+        f"optimovel({near}, a=0.4, v=0.7)",
+        "movej([-1.57, -1.57, 0, 0, 0, 0], a=2.0, v=2.0)",
+        f"movej({folded}, t=2)",
+        f"movel({near}, a=1.5, v=1.5)",
+        f"movel({far}, t=2)",
+        "movep(p[-0.203, 0.463, 0.759, 0.68, -1.083, -2.076], a=1.5, v=1.5)",
+        f"movej({folded})",
+        "optimovel(p[-0.0203, 0.363, 0.559, 0.68, -1.083, -2.076], a=1.0, v=1.0)",
+    ]
+    watched = Watched(firmware, motion=Still((-1.6, -1.72, -2.2, -0.8, 1.6, 0.03)), noise=False)
+    watched.take("def f():\n" + "".join(f"  {line}\n" for line in lines) + "end\n").step(30)
+    assert watched.story == ["started f", "stopped f"]
+    assert watched.controller.modes.safety_mode is SafetyMode.NORMAL
 
 
 def test_a_loop_without_time_is_stopped(watched: Watched) -> None:
