@@ -134,7 +134,7 @@ class Promises:
         """In each cycle in which the arm moves."""
         main = self._controller._runner.main
         sent = None if main is None else self._observed.programs.get(main.name)
-        if sent is None or speed <= _MOVES:
+        if sent is None or sent.ended is not None or speed <= _MOVES:
             return
         now, life = self._sim.now, sent.life
         if life.name == "jog":

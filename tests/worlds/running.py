@@ -438,7 +438,10 @@ class Run:
         """A motion that lasts as long as a block; what its handle reports in the end."""
         block = BLOCK[ask.what](robot, ask)
         try:
-            with block as entered:
+            with contextlib.ExitStack() as leaving:
+                # What is begun by entering it is asked for then, and not when the block was made.
+                with self.watch.observed.calling(ask.what.rpartition(".")[2]):
+                    entered = leaving.enter_context(block)
                 DURING[ask.what](robot, entered, ask)
                 handle = _handle(entered)
                 if ask.then == "cancel" and handle is not None:
