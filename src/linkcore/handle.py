@@ -38,10 +38,10 @@ import math
 from collections import deque
 from collections.abc import Callable, Generator, Mapping
 from concurrent.futures import Future
-from concurrent.futures import TimeoutError as FutureTimeout
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
+from . import clock
 from .arguments import check_callable, check_seconds
 from .errors import Cancelled, LinkError, LinkTimeout, unraised
 from .pending_call import current_call, has_started, next_order, regardless
@@ -288,9 +288,7 @@ class Lifecycle:
         """
         if not self.is_over:
             with self._waiting():
-                try:
-                    self.future.exception(timeout)
-                except (FutureTimeout, TimeoutError):
+                if not clock.is_done(self.future, timeout):
                     return self.is_over
         return True
 

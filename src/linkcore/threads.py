@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterator
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
+from . import clock
 from .arguments import check_seconds
 from .errors import Closed, LinkTimeout, LocalError
 
@@ -46,12 +47,17 @@ def started(thread: threading.Thread) -> threading.Thread:
 def acquired(lock: threading.Lock | threading.RLock, timeout: float) -> Iterator[bool]:
     """Acquire a lock for a block, within `timeout` seconds; yields whether that was possible."""
     got: list[bool] = []
-    try:
+
+    def attempt(seconds: float | None) -> bool:
         # Acquired and noted in one step: Ctrl-C can come between two of them, and would leave the lock locked for ever.
-        got.extend(map(lock.acquire, (True,), (timeout,)))
-        yield got[0]
+        got.extend(map(lock.acquire, (True,), (-1 if seconds is None else seconds,)))
+        return got[-1]
+
+    try:
+        clock.wait(attempt, timeout)
+        yield True in got
     finally:
-        if got and got[0]:
+        if True in got:  # without a call, after which Ctrl-C could come
             lock.release()
 
 
@@ -155,7 +161,11 @@ class CallbackThread:
             return
         thread, has_ended = made
         self._calls.put(None)
-        if thread is not threading.current_thread() and has_ended.wait(max(timeout, 0.0)) and thread.ident is not None:
+        if (
+            thread is not threading.current_thread()
+            and clock.wait(has_ended.wait, timeout)
+            and thread.ident is not None
+        ):
             thread.join()
 
 
@@ -307,8 +317,8 @@ class Runnable(Closing, ABC):
             LinkError: what ended it by itself: see the class.
         """
         if timeout is not None:
-            timeout = min(check_seconds(timeout, "timeout"), threading.TIMEOUT_MAX)
-        if not self._ended.wait(timeout):
+            timeout = check_seconds(timeout, "timeout")
+        if not clock.wait(self._ended.wait, timeout):
             return False
         if self.failure is not None:
             raise self.failure

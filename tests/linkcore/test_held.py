@@ -80,6 +80,18 @@ def test_held_raises_when_another_thread_keeps_the_lock() -> None:
     assert lock.acquire(blocking=False)
 
 
+@pytest.mark.simulated_time
+def test_acquired_yields_whether_it_has_the_lock() -> None:
+    lock = threading.Lock()
+    with acquired(lock, 3.5) as first, acquired(lock, 3.5) as second:
+        assert (first, second) == (True, False)
+    lock.acquire()
+    threading.Timer(2.5, lock.release).start()
+    with acquired(lock, 3.5) as later:
+        assert later
+    assert not lock.locked()
+
+
 def test_section_is_entered_by_the_interpreter_itself() -> None:
     """A method in Python would have a gap between the acquisition and the block, for Ctrl-C."""
     lock = Section().lock

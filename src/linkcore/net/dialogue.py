@@ -8,10 +8,10 @@ question. The next one begins on a new connection. A question that may have reac
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable
 from typing import Protocol
 
+from .. import clock
 from ..errors import Closed, ConnectionLost, LinkTimeout, WrongPeer
 from ..threads import held
 from .recall import MAY_STILL
@@ -88,7 +88,7 @@ class Dialogue:
             Closed: `close` was called.
             LinkError: whatever the protocol or the gate raises.
         """
-        until = time.monotonic() + timeout
+        until = clock.now() + timeout
         busy = f"{self._name}: {text!r} was not sent, since for {timeout:g} s another thread waited for its own reply"
         is_sent, answer = False, None
 
@@ -102,7 +102,7 @@ class Dialogue:
 
         with held(self._lock, timeout, busy):
             try:
-                protocol = self._connected(min(until, time.monotonic() + self._timeout))
+                protocol = self._connected(min(until, clock.now() + self._timeout))
                 gate(send)
                 while answer is None:
                     answer = protocol.feed(
@@ -136,7 +136,7 @@ class Dialogue:
             if self.is_closed:
                 raise Closed(f"{self._name} was closed")
             protocol = self._make()
-            self._transport.open(max(until - time.monotonic(), 0.0))
+            self._transport.open(clock.left(until))
             if self.is_closed:
                 raise ConnectionLost(f"{self._name} was closed here")
             while not protocol.is_greeted:
@@ -152,7 +152,7 @@ class Dialogue:
             return False
 
     def _received(self, protocol: DialogueProtocol, until: float, otherwise: str) -> bytes:
-        left, settling = until - time.monotonic(), protocol.settling
+        left, settling = until - clock.now(), protocol.settling
         try:
             if left > 0:
                 return self._transport.receive(left if settling is None else min(left, settling))[0]

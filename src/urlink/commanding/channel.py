@@ -11,10 +11,9 @@ from __future__ import annotations
 
 import math
 import threading
-import time
 from collections.abc import Callable
 
-from linkcore.clock import monotonic
+from linkcore import clock
 from linkcore.errors import ConnectionLost, LinkTimeout
 from linkcore.net.recall import Recall
 from linkcore.pending_call import check_wanted, regardless
@@ -47,7 +46,7 @@ class CommandChannel:
         connection: Connection,
         monitor: SafetyMonitor,
         section: Section,
-        clock: Callable[[], float] = monotonic,
+        clock: Callable[[], float] = clock.now,
         recall: Recall | None = None,
     ) -> None:
         self._recall = Recall(connection.name) if recall is None else recall
@@ -191,7 +190,7 @@ class CommandChannel:
                 if self._unfinished in (None, outgoing):
                     self._connection.wait_for_room(left)
                 else:
-                    time.sleep(_PAUSE)
+                    clock.sleep(_PAUSE)
         finally:
             # Part of it has left, and time is up, the rest is refused, or the waiting for room was interrupted.
             if self._unfinished is outgoing:

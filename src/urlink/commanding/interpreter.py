@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import time
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
+from linkcore import clock
 from linkcore.arguments import check_callable, check_seconds, check_wait
 from linkcore.errors import Cancelled, Closed, ConnectionLost, LinkError, LinkTimeout, LocalError, RemoteError
 from linkcore.handle import Lifecycle
@@ -131,15 +131,15 @@ class Interpreter(Program):
             LinkError: what has ended the program.
         """
         seconds = check_seconds(timeout, "timeout", finite=True)
-        until = time.monotonic() + seconds
+        until = clock.now() + seconds
         # `last_executed` is the statement that has begun, not one that has ended; a later one begins when it has ended.
         try:
             barrier = self._hand_over("sync()")
             while self._ask("statelastexecuted") < barrier:
-                left = until - time.monotonic()
+                left = until - clock.now()
                 if left <= 0:
                     raise LinkTimeout(f"statements were not executed within {seconds:g} s: {self.state}; they go on")
-                time.sleep(min(_POLL, left))
+                clock.sleep(min(_POLL, left))
         except BaseException as error:
             self._give_up(error)
             raise
@@ -294,7 +294,7 @@ class Interpreters:
         self, start_timeout: float, finish_timeout: float, on_text: Callable[[str], object] | None
     ) -> Interpreter:
         """See `Robot.interpreter`."""
-        until = time.monotonic() + check_seconds(start_timeout, "start_timeout", positive=True, finite=True)
+        until = clock.now() + check_seconds(start_timeout, "start_timeout", positive=True, finite=True)
         check_seconds(finish_timeout, "finish_timeout", finite=True)
         if on_text is not None:
             check_callable(on_text, "on_text")
@@ -334,10 +334,10 @@ class Interpreters:
                 interpreter._hand_over("sync()", reason_within=0.0)
                 return
             except StatementDiscarded:
-                left = until - time.monotonic()
+                left = until - clock.now()
             if left <= 0:
                 raise LinkTimeout(f"{interpreter.name} has not begun within {timeout:g} s")
-            time.sleep(min(_POLL, left))
+            clock.sleep(min(_POLL, left))
 
 
 def _connection(host: str, port: int, firmware: Callable[[], Firmware], timeout: float) -> Dialogue:

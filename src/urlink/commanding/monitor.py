@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import math
-import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from operator import methodcaller
 from queue import Empty, SimpleQueue
 from typing import Any
 
-from linkcore.clock import monotonic
+from linkcore import clock
 from linkcore.errors import Cancelled, LinkError
 from linkcore.pending_call import current_call, stopped_here
 from linkcore.streaming.connection import Connection
@@ -77,7 +76,7 @@ class SafetyMonitor:
         interlock: Interlock,
         section: Section,
         callbacks: CallbackThread,
-        clock: Callable[[], float] = monotonic,
+        clock: Callable[[], float] = clock.now,
     ) -> None:
         self._connections = {"primary": primary, "realtime": realtime}
         self._interlock = interlock
@@ -192,16 +191,16 @@ class SafetyMonitor:
         Raises:
             LocalError: in a thread that would have to receive the news itself.
         """
-        until = time.monotonic() + timeout
+        until = clock.now() + timeout
         news: SimpleQueue[None] = SimpleQueue()
         self._waiting.append(news)
         try:
             while not self._is(condition):
-                left = until - time.monotonic()
+                left = until - clock.now()
                 if left <= 0.0 or self.is_closed:
                     return False
                 with self._section.waiting(), contextlib.suppress(Empty):
-                    news.get(timeout=left)
+                    clock.get(news, left)
             return True
         finally:
             self._waiting.remove(news)

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from linkcore.clock import monotonic
+from linkcore import clock
 from linkcore.errors import Cancelled, Closed, ConnectionLost, LinkError, LinkTimeout
 from linkcore.handle import Event, Lifecycle
 from linkcore.process_end import abandon_at_end, forget
@@ -131,7 +131,7 @@ class Programs:
         start_timeout: float,
         start_place: StartPlace,
         who: KnownIdentity,
-        clock: Callable[[], float] = monotonic,
+        clock: Callable[[], float] = clock.now,
     ) -> None:
         self._primary = primary
         self._channel = channel
@@ -245,7 +245,6 @@ class Programs:
 
         life.fire(Event.SEND)
         life.on_end(end)
-        abandon_at_end(self)
         try:
             self._listen()
             replaces = not (is_stop or wrapped.is_secondary)
@@ -344,6 +343,7 @@ class Programs:
     def _listen(self) -> None:
         if self._subscriptions.made is not None:
             return
+        abandon_at_end(self)
         subscriptions: list[Subscription] = []
 
         def only_once(on_packet: Callable[[Any], None], packet: Any) -> None:

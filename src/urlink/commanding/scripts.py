@@ -69,7 +69,8 @@ class Scripts:
         Args:
             source: URScript, or the path (`pathlib.Path`) of a file with it: a whole ``def``, a ``sec``, or bare
                 statements. Where the last thing at the top is a ``def``, which may take no arguments, it is called
-                after what stands above it.
+                after what stands above it. Functions above it are for it to call: if none of them is called, the text
+                is rejected, since only the last would run.
             wait: until it is over: False not at all, True for up to 60 s, a number for so many seconds.
             detached: Whether the program keeps running when the robot object is closed or this process ends. By default
                 it is stopped then, and the arm brakes, as a motion does.

@@ -9,9 +9,9 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, InvalidStateError
-from concurrent.futures import TimeoutError as FutureTimeout
 from typing import TYPE_CHECKING
 
+from linkcore import clock
 from linkcore.errors import Closed, LinkError, LinkTimeout, LocalError
 from linkcore.handle import Event, Motion
 from linkcore.pending_call import starts_motion
@@ -72,10 +72,9 @@ class LinkedBlock(Motion):
         self._program.begin()
         try:
             with self._context.section.waiting():
-                self._linked.result(_LONGEST)
-        except (FutureTimeout, TimeoutError):
-            self.cancel()
-            raise LinkTimeout(f"{self.name}: no connection within {_LONGEST:g} s") from None
+                if not clock.is_done(self._linked, _LONGEST):
+                    raise LinkTimeout(f"{self.name}: no connection within {_LONGEST:g} s")
+            self._linked.result()
         except BaseException:
             self.cancel()
             raise

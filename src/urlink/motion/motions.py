@@ -9,7 +9,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from linkcore.arguments import check_choice, check_number, check_wait
+from linkcore.arguments import Default, check_choice, check_number, check_overridden, check_wait
 from linkcore.errors import BadValue, LocalError
 from linkcore.handle import Motion, waited
 from linkcore.pending_call import starts_motion
@@ -43,6 +43,8 @@ from .yielding import ContactMotion, ForceMode, Freedrive, Torque, axes_of, fram
 
 #: The smallest value of what must be positive; and an hour: a longer duration is a mistake.
 _LEAST, _HOUR = 1e-3, 3600.0
+#: Hz; the largest rate of targets for a filter.
+_MOST_TARGETS = 10_000.0
 #: The first release in which speedl takes a time; the first that detects contacts; N that are a contact before that.
 _TIMED_SPEED, _TOOL_CONTACT, _CONTACT_FORCE = Firmware(3, 3), Firmware(5, 4), 20.0
 #: The state of a motion after its connection was lost, for messages.
@@ -82,8 +84,8 @@ class Motions(AnswersForeignNames):
     def move_joints(
         self,
         q: Numbers,
-        speed: float = 1.05,
-        acceleration: float = 1.4,
+        speed: float = Default(1.05),
+        acceleration: float = Default(1.4),
         *,
         time: float | None = None,
         wait: bool | float = False,
@@ -94,15 +96,16 @@ class Motions(AnswersForeignNames):
             q: (6,) rad.
             speed: rad/s of the joint that moves furthest.
             acceleration: rad/s².
-            time: duration in seconds; speed and acceleration have no effect then.
+            time: duration in seconds, instead of a speed and an acceleration; these cannot be given with it.
             wait: see `Motions`.
         """
         seconds = check_wait(wait)
+        duration = _time(time, speed, acceleration)
         goal = six(q, "q")
         model = self._context.who.identity.arm
         if model is not None:
             model.check_joints(goal)
-        body = commands.move_joints(goal.tolist(), *_joint_rates(model, speed, acceleration), _time(time))
+        body = commands.move_joints(goal.tolist(), *_joint_rates(model, speed, acceleration), duration)
         return waited(
             self._upload("move_joints", body, _arriving(goal, lambda state: state.q_actual), has_goal=True), seconds
         )
@@ -111,8 +114,8 @@ class Motions(AnswersForeignNames):
     def move_linear(
         self,
         pose: Numbers,
-        speed: float = 0.25,
-        acceleration: float = 1.2,
+        speed: float = Default(0.25),
+        acceleration: float = Default(1.2),
         *,
         time: float | None = None,
         wait: bool | float = False,
@@ -123,12 +126,13 @@ class Motions(AnswersForeignNames):
             pose: (6,) position in m, and rotation vector in rad.
             speed: m/s.
             acceleration: m/s².
-            time: duration in seconds; speed and acceleration have no effect then.
+            time: duration in seconds, instead of a speed and an acceleration; these cannot be given with it.
             wait: see `Motions`.
         """
         seconds = check_wait(wait)
+        duration = _time(time, speed, acceleration)
         goal = check_pose(pose, "pose")
-        body = commands.move_linear(goal.tolist(), *_tool_rates(speed, acceleration), _time(time))
+        body = commands.move_linear(goal.tolist(), *_tool_rates(speed, acceleration), duration)
         self._check_reach(goal)
         # Only the position of the pose: one rotation has more than one rotation vector.
         gauge = _arriving(goal[:3], lambda state: state.tool_vector_actual[:3])
@@ -370,9 +374,9 @@ class Motions(AnswersForeignNames):
         rate: float | None = None,
         *,
         target_filter: TargetFilterName | None = None,
-        speed: ArrayLike = 1.05,
-        acceleration: ArrayLike = 3.0,
-        jerk: ArrayLike = 30.0,
+        speed: ArrayLike = Default(1.05),
+        acceleration: ArrayLike = Default(3.0),
+        jerk: ArrayLike = Default(30.0),
         delay: float | None = None,
         watchdog: float = 0.1,
         lookahead_time: float = 0.03,
@@ -391,22 +395,29 @@ class Motions(AnswersForeignNames):
 
         Args:
             rate: set-points or targets per second that the loop intends to send, for the statistics; None for the
-                controller's rate.
+                controller's rate, which set-points cannot exceed. Targets for the filter can.
             target_filter: "jerk_limited", or None for a loop that sends set-points.
             speed, acceleration, jerk: limits of the target filter, rad/s, rad/s² and rad/s³, of all joints or (6,) of
-                each.
+                each. Without a filter they cannot be given, since nothing limits set-points to them.
             delay: s by which the arm lags behind its set-points, as `Servo.measure_delay` measures it: waypoints of
-                `schedule` are sent so much earlier. None for the two cycles in which a set-point arrives.
+                `schedule` are sent so much earlier. None for the two cycles in which a set-point arrives. With a filter
+                it cannot be given.
             watchdog: seconds without a set-point after which the robot brakes by itself.
             lookahead_time, gain, link: see `follow`.
         """
         firmware = self._context.who.identity.firmware
-        pace = float(firmware.rate) if rate is None else check_number(rate, "rate", 0.1, 10_000.0)
+        fastest = float(firmware.rate) if target_filter is None else _MOST_TARGETS
+        whose = f"firmware {firmware}" if target_filter is None else ""
+        pace = float(firmware.rate) if rate is None else check_number(rate, "rate", 0.1, fastest, "Hz", whose)
         # With a filter, a set-point is made in each cycle, however often targets come.
         servoing = self._servoing(watchdog, lookahead_time, gain, 1.0 / pace if target_filter is None else 0.0)
         limits = None
-        if target_filter is not None:
+        if target_filter is None:
+            no_filter = "only a target filter has limits (target_filter='jerk_limited')"
+            check_overridden(no_filter, speed=speed, acceleration=acceleration, jerk=jerk)
+        else:
             check_choice(target_filter, "target_filter", get_args(TargetFilterName))
+            check_overridden("schedule() is not available with a target filter", delay=delay)
             limits = joint_limits(self._context.who.identity.arm, speed, acceleration, jerk)
         return Servo(self._context, pace, servoing, self._opener(link), limits, _delay(delay))
 
@@ -854,5 +865,9 @@ def _joint_acceleration(arm: Model | None, value: float, prefix: str = "") -> fl
     return JOINT_ACCELERATION.check(value, f"{prefix}acceleration", most, whose)
 
 
-def _time(time: float | None) -> float | None:
-    return None if time is None else check_number(time, "time", _LEAST, _HOUR, "s")
+def _time(time: float | None, speed: float, acceleration: float) -> float | None:
+    """The duration of a move; raises `BadValue` if a speed or an acceleration was given with it."""
+    if time is None:
+        return None
+    check_overridden("time sets the duration", speed=speed, acceleration=acceleration)
+    return check_number(time, "time", _LEAST, _HOUR, "s")

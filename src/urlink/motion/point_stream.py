@@ -5,10 +5,10 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
-from concurrent.futures import TimeoutError as FutureTimeout
 from functools import partial
 from typing import TypeVar
 
+from linkcore import clock
 from linkcore.arguments import check_number, check_seconds, check_wait
 from linkcore.errors import Closed, LinkError, LinkTimeout, LocalError
 
@@ -300,10 +300,8 @@ class PointStream(LinkedBlock):
         """The result, within so many seconds; raises what has ended the stream."""
         if not future.done():
             with self._context.section.waiting():
-                try:
-                    future.exception(seconds)
-                except (FutureTimeout, TimeoutError):
-                    raise LinkTimeout(f"{what} within {seconds:g} s") from None
+                if not clock.is_done(future, seconds):
+                    raise LinkTimeout(f"{what} within {seconds:g} s")
         error = future.exception()
         if isinstance(error, LinkError) and self.done and self.error is not None:
             raise self.error

@@ -12,11 +12,11 @@ import dataclasses
 import inspect
 import json
 import math
-import time
 import uuid
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from linkcore import clock
 from urlink import BadValue, LinkTimeout, LocalError, Robot
 
 __all__ = ["COMMANDS", "LARGEST_AGE", "MOTIONS", "Asked", "ServerClock", "begin", "read"]
@@ -113,15 +113,14 @@ class ServerClock:
     """The clock of one server, by which commands expire.
 
     Args:
-        now: Clock, in seconds; by default one that continues while the computer sleeps, if the system has one.
+        now: Monotonic clock, in seconds.
 
     Attributes:
         now: as given.
     """
 
-    def __init__(self, now: Callable[[], float] | None = None) -> None:
-        boot_time = getattr(time, "CLOCK_BOOTTIME", None)
-        self.now = now or (lambda: time.monotonic() if boot_time is None else time.clock_gettime(boot_time))
+    def __init__(self, now: Callable[[], float] = clock.now) -> None:
+        self.now = now
         self._server = uuid.uuid4().hex
 
     def described(self) -> dict[str, Any]:

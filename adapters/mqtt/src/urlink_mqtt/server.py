@@ -16,6 +16,7 @@ from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
+from linkcore import clock
 from urlink import BadValue, ConnectFailed, LinkError, LocalError, Motion, PendingCall, Robot
 
 from .commands import COMMANDS, LARGEST_AGE, MOTIONS, Asked, ServerClock, begin, read
@@ -136,7 +137,7 @@ class Server:
         except (OSError, ValueError) as error:
             raise ConnectFailed(f"no broker at {where}: {error}") from error
         self._client.loop_start()
-        if not self._answered.wait(_SOON) or self._refused:
+        if not clock.wait(self._answered.wait, _SOON) or self._refused:
             self._client.disconnect()
             self._client.loop_stop()
             raise ConnectFailed(f"no broker at {where}: {self._refused}")
@@ -168,7 +169,7 @@ class Server:
         return self._client.publish(f"{self.topic}/{topic}", payload, qos=qos, retain=retain)
 
     def _tell(self, period: float) -> None:
-        while not self._ended.wait(period):
+        while not clock.wait(self._ended.wait, period):
             try:
                 # Those that cannot be sent now are not worth sending later.
                 self._put("status", self._status(), qos=0, retain=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import math
 import threading
-import time
 from functools import partial
 from typing import Any
 
@@ -14,6 +13,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.duration import Duration
 from rclpy.qos import QoSProfile
 
+from linkcore import clock
 from urlink import BadValue, Cancelled, Expiry, LinkError, LinkTimeout, Motion, PendingCall, Robot
 from urlink.motion import TrajectoryFeedback
 from urlink.packets import RealtimeState
@@ -126,10 +126,10 @@ class TrajectoryAction:
         The executor has to go on meanwhile, since it sends the results.
         """
         with self._idle:
-            self._idle.wait_for(lambda: self._running == 0, seconds)
-            left = self._last_end + _SENDING - time.monotonic()
+            clock.wait(partial(self._idle.wait_for, lambda: self._running == 0), seconds)
+            left = self._last_end + _SENDING - clock.now()
         if left > 0.0:
-            time.sleep(left)
+            clock.sleep(left)
 
     def destroy(self) -> None:
         """Serve it no more."""
@@ -165,7 +165,7 @@ class TrajectoryAction:
         finally:
             with self._idle:
                 self._running -= 1
-                self._last_end = time.monotonic()
+                self._last_end = clock.now()
                 self._idle.notify_all()
 
     def _follow(self, handle: Any, call: PendingCall) -> Any:
@@ -187,7 +187,7 @@ class TrajectoryAction:
                 refusal = call.make(lambda: self._robot.safety.refusal)
                 if refusal is not None:
                     raise refusal
-                time.sleep(min(early, _FEEDBACK))
+                clock.sleep(min(early, _FEEDBACK))
             with self._turn:
                 self._check(handle, watch, number)
                 self._expiry.check()
@@ -208,7 +208,7 @@ class TrajectoryAction:
             return self._ended(handle, error, False, number)
         reason: Cancelled | None = None
         while not motion.done:
-            time.sleep(_FEEDBACK)
+            clock.sleep(_FEEDBACK)
             if told.is_set():
                 told.clear()
                 self._publish(handle, newest[0], watch)
@@ -313,7 +313,7 @@ class _Watch:
         self._node = node
         self._publisher = publisher
         self._topic = topic
-        self._began = time.monotonic()
+        self._began = clock.now()
         self._clients: set[bytes] = set()
         self._published = 0
         # None until something of this goal was acknowledged: one that was killed before must not end it.
@@ -323,13 +323,13 @@ class _Watch:
         """Before feedback is published: note whether all that was published is acknowledged."""
         # Without waiting: rclpy keeps the interpreter's lock meanwhile.
         if self._published >= _DEPTH and self._publisher.wait_for_all_acked(Duration(seconds=0)):
-            self._acknowledged = time.monotonic()
+            self._acknowledged = clock.now()
         self._published += 1
 
     @property
     def lost(self) -> str | None:
         """Which one is lost, in words; None while all are there."""
-        now = time.monotonic()
+        now = clock.now()
         here = {bytes(each.endpoint_gid) for each in self._node.get_subscriptions_info_by_topic(self._topic)}
         if now < self._began + _DISCOVERY:
             self._clients |= here

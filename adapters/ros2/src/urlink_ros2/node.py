@@ -14,6 +14,7 @@ import rclpy.executors
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64
 
+from linkcore import clock
 from urlink import BadValue, Expiry, LinkError, LocalError, Robot, SafetyStop, drop_oldest
 from urlink.packets import RealtimeState
 from urlink.urdf import JOINTS as JOINT_NAMES
@@ -128,7 +129,7 @@ class RobotNode:
             self._publishers.publish(state)
 
     def _tick(self) -> None:
-        while not self._is_closed.wait(_LOOK):
+        while not clock.wait(self._is_closed.wait, _LOOK):
             self._expiry.tick()
 
     def _look(self) -> None:

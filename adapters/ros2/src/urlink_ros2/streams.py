@@ -19,6 +19,7 @@ from typing import Any
 from rclpy.callback_groups import ReentrantCallbackGroup
 from std_msgs.msg import Bool, Float64MultiArray, String
 
+from linkcore import clock
 from urlink import Expiry, LinkError, PendingCall, Robot
 
 from .states import STREAMED
@@ -154,7 +155,7 @@ class _Led:
     def wait_ended(self, seconds: float) -> None:
         thread = self._thread
         if thread is not None:
-            thread.join(seconds)
+            clock.join(thread, seconds)
 
     def _lead(self, call: PendingCall) -> None:
         try:
@@ -174,7 +175,7 @@ class _Led:
     def _next(self) -> Any:
         """The newest message; None where the block is to be left."""
         try:
-            message = self._messages.get(timeout=self._silent)
+            message = clock.get(self._messages, self._silent)
             while message is not None and not self._messages.empty():
                 message = self._messages.get_nowait()
         except queue.Empty:

@@ -14,6 +14,7 @@ import zenoh
 import zenoh.ext
 
 import urlink
+from linkcore import clock
 from urlink import (
     BadValue,
     Cancelled,
@@ -255,7 +256,7 @@ class RemoteRobot:
         self._session.get(selector, handler, payload=payload, timeout=timeout)
         # Not by iterating over the replies: no signal is heard then.
         with contextlib.suppress(queue.Empty):
-            while (reply := answers.get(timeout=timeout + _GRACE)) is not None:
+            while (reply := clock.get(answers, timeout + _GRACE)) is not None:
                 if reply.ok is not None:
                     return dict(_json(reply.ok.payload))
                 if reply.err is not None and reply.err.encoding == JSON:

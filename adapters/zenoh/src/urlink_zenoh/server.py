@@ -7,13 +7,13 @@ import functools
 import itertools
 import logging
 import threading
-import time
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
 
 import zenoh
 
+from linkcore import clock
 from urlink import BadValue, ConnectionEvent, LinkError, LocalError, Motion, PendingCall, Robot, Subscription
 from urlink.packets import RealtimeState, State
 
@@ -94,14 +94,14 @@ class Server:
 
     def _tell(self) -> None:
         """Publish how each robot is, evenly."""
-        due = time.monotonic()
-        while not self._ended.wait(max(due - time.monotonic(), 0.0)):
+        due = clock.now()
+        while not clock.wait(self._ended.wait, due - clock.now()):
             for served in self._served:
                 try:
                     served.tell_status()
                 except (LinkError, zenoh.ZError) as error:
                     _log.warning("%s: no status: %s", served.key, error)
-            due = max(due + self._period, time.monotonic() - self._period)
+            due = max(due + self._period, clock.now() - self._period)
 
 
 class _Served:
