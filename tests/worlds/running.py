@@ -358,6 +358,7 @@ class Run:
         owner = None
         self.watch.note(f"client {number} asks for {ask.what} ({ask.size:.2f}), then {ask.then}")
         observed, method = self.watch.observed, ask.what.rpartition(".")[2]
+        entered = self.sim.now
         try:
             if client.policy != "never" and ask.size > 0.3:
                 robot.safety.enable()
