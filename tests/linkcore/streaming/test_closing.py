@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import threading
 import time
+from typing import Any
 
 import pytest
 
-from linkcore.errors import ConnectionLost, LinkTimeout
+from linkcore.errors import BadValue, ConnectionLost, LinkTimeout
 from linkcore.streaming.connection_life import Backoff, ConnectionEvent, ConnectionPhase, ConnectionState
 from linkcore.streaming.fanout import FanOut
 from linkcore.streaming.packet_queue import PacketQueue, drop_oldest
@@ -119,3 +120,30 @@ def test_closed_subscription_has_no_callback_running(stream: Stream[Count], tran
     assert entered.wait(_SOON)
     subscription.close(_SOON)
     assert left.is_set()
+
+
+def test_inline_subscription_closes_at_once(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    subscription = stream.subscribe(lambda count: None, inline=True)
+    transport.put(counts(1))
+    begun = time.monotonic()
+    subscription.close(5.0)
+    assert time.monotonic() - begun < 1.0
+
+
+def test_wrong_timeout_ends_no_subscription(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    came = threading.Event()
+    subscription = stream.subscribe(lambda count: came.set())
+    with pytest.raises(BadValue):
+        subscription.finish(-1.0)
+    transport.put(counts(1))
+    assert came.wait(_SOON)
+
+
+def test_connection_reports_states_without_its_lock(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    held: list[bool] = []
+    connection = stream._connection
+    changed: Any = connection._changed
+    connection.subscribe_inline(ConnectionEvent, lambda event: held.append(changed._is_owned()))
+    transport.put(ConnectionLost("cut"))
+    until(lambda: len(held) > 3)
+    assert True not in held
