@@ -85,8 +85,10 @@ def public(seed: int) -> World:
         what = chance.choice(("hold_client", "suspend_client", "cut", "kill_client", "protective_stop"))
         events.append(Event(what, 0.1 + 0.5 * chance.random(), 2.0 + chance.random(), 0, chance.random(), 0))
     elif situation == "lacks":
-        what = chance.choice((*LACKS, "no_threads"))
-        events.append(Event(what, 0.01 * chance.random(), 2.0 * chance.random(), 0, chance.random(), 0))
+        # Not before everything is connected: that takes threads.
+        asks = [_public_ask(chance, "motion.stop", ("wait",), at), *asks]
+        what, after = chance.choice((*LACKS, "no_threads")), chance.choice((0.0, 0.0, 0.01)) * chance.random()
+        events.append(Event(what, after, 2.0 * chance.random(), 0, chance.random(), 1))
     if chance.random() < 0.25:
         events.append(_event(chance, at, HAPPENS, (Client(tuple(asks), 0.0),)))
     start = chance.choice(("register",) * 6 + ("flags",))

@@ -193,6 +193,7 @@ class Run:
                 files={PENDANT_PROGRAM: pick},
             ).start()
         acting.prepared(self.controller, world.seed)
+        self.controller.call(lambda: self.controller.pendant.load(PENDANT_PROGRAM))
         asks = [ask for client in world.clients for ask in client.asks]
         is_in_turn = all(ask.thread == 0 and ask.then != "forget" for ask in asks)
         self.is_sequence = not world.events and len(world.clients) == 1 and is_in_turn
@@ -640,6 +641,7 @@ class Run:
                         self.watch.fault(f"a cancelled replace was carried out: the stream ends at {block.end:.3f} s")
                 elif name == "execute":
                     self.watch.observed.pause(block)
+                    await asyncio.sleep(1.5 * BRAKING)
                 if often > 1:
                     await robot.realtime.wait(2.0)
             await asyncio.sleep(rest)
