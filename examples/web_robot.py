@@ -10,13 +10,19 @@ A motion is answered when it is over. Whoever closes the connection before stops
 A browser sends requests for every page that is open in it, also to a robot in its network, and names the page's origin
 in them. Origins that are not allowed are refused, over HTTP and WebSocket; ORIGINS="http://cell.local:8000 https://lab"
 replaces those that are (port 8000 of this computer). Programs that are no browser name no origin: this is no login.
+
+A web site can also give its own host name the address of this computer (DNS rebinding). Its pages then have the same
+origin as this server, so the browser lets them read the answers and names no origin for them. Therefore the header Host
+must be the host of an allowed origin, or an IP address, which such an attack cannot use.
 """
 
 import asyncio
 import contextlib
+import ipaddress
 import os
 from collections.abc import AsyncIterator
 from typing import Any
+from urllib.parse import urlsplit
 
 from fastapi import FastAPI, HTTPException, Request, WebSocket, WebSocketDisconnect
 from fastapi.responses import PlainTextResponse
@@ -33,20 +39,30 @@ ORIGINS = frozenset(("http://localhost:8000", "http://127.0.0.1:8000"))
 
 
 class OriginCheck:
-    """Refuses what a browser sends for a page of another origin, before the application gets it."""
+    """Rejects what a browser sends for a page of another origin or host, before the application gets it."""
 
     def __init__(self, app: Any, origins: frozenset[str]) -> None:
         self.app = app
         self.origins = origins
+        self.hosts = frozenset(urlsplit(origin).hostname for origin in origins)
 
     async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
-        named = [value.decode("latin-1") for name, value in scope.get("headers", ()) if name == b"origin"]
-        if all(origin in self.origins for origin in named):
+        headers = [(name, value.decode("latin-1")) for name, value in scope.get("headers", ())]
+        rejected = [f"origin {value}" for name, value in headers if name == b"origin" and value not in self.origins]
+        rejected += [f"host {value}" for name, value in headers if name == b"host" and not self._is_known(value)]
+        if not rejected:
             await self.app(scope, receive, send)
         elif scope["type"] == "websocket":
             await WebSocketClose(1008)(scope, receive, send)
         else:
-            await PlainTextResponse(f"the origin {named[0]} is not allowed", 403)(scope, receive, send)
+            await PlainTextResponse(f"the {rejected[0]} is not allowed", 403)(scope, receive, send)
+
+    def _is_known(self, host: str) -> bool:
+        try:
+            name = urlsplit(f"//{host}").hostname or ""
+            return name in self.hosts or bool(ipaddress.ip_address(name))
+        except ValueError:
+            return False
 
 
 class Move(BaseModel):

@@ -26,8 +26,13 @@ _log = logging.getLogger(__name__)
 class Abandonable(Protocol):
     """Something that has started programs on a robot."""
 
-    def abandon(self, why: str) -> object:
-        """Stop what was started; `why` says what has happened to this process. Must not raise `LinkError`."""
+    def abandon(self, why: str, is_end: bool) -> object:
+        """Stop what was started, and if this is the end of the process, start nothing more. Must not raise `LinkError`.
+
+        Args:
+            why: What has happened to this process.
+            is_end: Whether this process ends now.
+        """
 
 
 _open: weakref.WeakSet[Abandonable] = weakref.WeakSet()
@@ -39,7 +44,7 @@ def abandon_at_end(part: Abandonable) -> None:
     _open.add(part)
     if "exit" not in _watched:
         _watched.add("exit")
-        atexit.register(_abandon_all, "the interpreter exits")
+        atexit.register(_abandon_all, "the interpreter exits", True)
         if hasattr(os, "register_at_fork"):
             # What the parent has started is not the child's to stop.
             os.register_at_fork(after_in_child=_open.clear)
@@ -56,9 +61,9 @@ def forget(part: Abandonable) -> None:
     _open.discard(part)
 
 
-def _abandon_all(why: str) -> None:
+def _abandon_all(why: str, is_end: bool) -> None:
     for part in tuple(_open):
-        part.abandon(why)
+        part.abandon(why, is_end)
 
 
 def _watch_sigterm() -> None:
@@ -71,7 +76,7 @@ def _watch_sigterm() -> None:
 
 def _on_sigterm(number: int, frame: FrameType | None) -> None:
     try:
-        _abandon_all("the process received SIGTERM")
+        _abandon_all("the process received SIGTERM", True)
     finally:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
         os.kill(os.getpid(), signal.SIGTERM)
@@ -85,4 +90,4 @@ def _watch_notebook() -> None:
 
 def _after_cell(result: Any) -> None:
     if isinstance(result.error_in_exec, KeyboardInterrupt):
-        _abandon_all("the notebook cell was interrupted")
+        _abandon_all("the notebook cell was interrupted", False)

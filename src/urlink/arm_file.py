@@ -133,7 +133,7 @@ def read_arm_file(path: str | os.PathLike[str]) -> ArmFile:
     """
     try:
         found = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise BadValue(f"{path} cannot be read as an arm: {error}") from None
     if not isinstance(found, dict) or (found.get("kind"), found.get("version")) != (_KIND, _VERSION):
         raise BadValue(f"{path} is no arm that was identified; `urlink identify RECORDING --out {path}` writes one")

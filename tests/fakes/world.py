@@ -61,6 +61,9 @@ class NotedMotion:
             raise OutOfReach("out of reach")
         return self._begin(4, f"movel {short(pose)} a={a:g} v={v:g} t={t:g} r={r:g}")
 
+    def optimovel(self, pose: Sequence[float], a: float, v: float, r: float) -> NotedMove:
+        return self._begin(4, f"optimovel {short(pose)} a={a:g} v={v:g} r={r:g}")
+
     def movep(self, pose: Sequence[float], a: float, v: float, r: float) -> NotedMove:
         return self._begin(4, f"movep {short(pose)} a={a:g} v={v:g} r={r:g}")
 

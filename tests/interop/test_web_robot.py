@@ -37,13 +37,13 @@ def client(controller: Controller) -> Iterator[Any]:
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    with TestClient(module.create_app(controller.address)) as client:
+    with TestClient(module.create_app(controller.address), base_url="http://localhost:8000") as client:
         yield client
 
 
 def test_state_and_states(client: Any) -> None:
     assert len(client.get("/state").json()["q"]) == 6
-    with client.websocket_connect("/states") as socket:
+    with client.websocket_connect("ws://localhost:8000/states") as socket:
         ages = [socket.receive_json()["age"] for _ in range(3)]
     assert all(0.0 <= age < 5.0 for age in ages)
 
@@ -81,15 +81,37 @@ def test_what_a_browser_sends_for_a_page_of_another_origin_is_refused(
     assert client.get("/state", headers={"Origin": origin}).status_code == 403
     with (
         pytest.raises(WebSocketDisconnect) as closed,
-        client.websocket_connect("/states", headers={"Origin": origin}) as socket,
+        client.websocket_connect("ws://localhost:8000/states", headers={"Origin": origin}) as socket,
     ):
         socket.receive_json()
     assert closed.value.code == 1008
     assert client.get("/state").json()["q"] == pytest.approx(before, abs=1e-2)
 
 
+@pytest.mark.parametrize(
+    "host", ["elsewhere.example", "elsewhere.example:8000", "localhost.elsewhere.example", "[", ""]
+)
+def test_requests_for_another_host_are_rejected(client: Any, host: str) -> None:
+    """A page whose host name was pointed at this computer sends no origin, and could read the answers."""
+    from starlette.websockets import WebSocketDisconnect  # type: ignore[import-not-found,unused-ignore]
+
+    rejected = client.get("/state", headers={"Host": host})
+    assert (rejected.status_code, "is not allowed" in rejected.text) == (403, True)
+    with (
+        pytest.raises(WebSocketDisconnect) as closed,
+        client.websocket_connect("ws://localhost:8000/states", headers={"Host": host}) as socket,
+    ):
+        socket.receive_json()
+    assert closed.value.code == 1008
+
+
+@pytest.mark.parametrize("host", ["localhost:8000", "LOCALHOST", "127.0.0.1:8000", "192.168.1.7:8000", "[::1]:8000"])
+def test_requests_for_an_address_are_served(client: Any, host: str) -> None:
+    assert client.get("/state", headers={"Host": host}).status_code == 200
+
+
 def test_pages_of_this_server_are_served(client: Any) -> None:
     own = {"Origin": "http://localhost:8000"}
     assert client.post("/stop", headers=own).json() == {"phase": "done"}
-    with client.websocket_connect("/states", headers=own) as socket:
+    with client.websocket_connect("ws://localhost:8000/states", headers=own) as socket:
         assert len(socket.receive_json()["q"]) == 6

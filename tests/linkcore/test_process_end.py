@@ -20,9 +20,11 @@ class Part:
 
     def __init__(self) -> None:
         self.reasons: list[str] = []
+        self.is_end = False
 
-    def abandon(self, why: str) -> None:
+    def abandon(self, why: str, is_end: bool) -> None:
         self.reasons.append(why)
+        self.is_end = is_end
 
 
 @pytest.fixture
@@ -31,7 +33,7 @@ def events(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, Any]]:
     found: dict[str, Any] = {}
     shell = SimpleNamespace(events=SimpleNamespace(register=found.__setitem__))
     monkeypatch.setattr(process_end, "_watched", set())
-    monkeypatch.setattr(atexit, "register", lambda call, why: found.update(exit=lambda: call(why)))
+    monkeypatch.setattr(atexit, "register", lambda call, *of: found.update(exit=lambda: call(*of)))
     monkeypatch.setitem(sys.modules, "IPython", SimpleNamespace(get_ipython=lambda: shell))
     monkeypatch.setattr(os, "register_at_fork", lambda after_in_child: found.update(fork=after_in_child))
     before = signal.getsignal(signal.SIGTERM)
@@ -47,6 +49,7 @@ def test_exit_abandons_what_is_open(events: dict[str, Any]) -> None:
     process_end.forget(closed)
     events["exit"]()
     assert kept.reasons == ["the interpreter exits"]
+    assert kept.is_end
     assert closed.reasons == []
 
 
@@ -78,6 +81,7 @@ def test_notebook_cell_abandons_when_interrupted(
     process_end.abandon_at_end(part)
     events["post_run_cell"](SimpleNamespace(error_in_exec=error))
     assert part.reasons == (["the notebook cell was interrupted"] if is_abandoned else [])
+    assert not part.is_end
 
 
 def test_forked_child_abandons_nothing(events: dict[str, Any]) -> None:

@@ -68,7 +68,7 @@ def program(
         if asked not in commands and argv and argv[0].startswith("--") and not "--version".startswith(argv[0]):
             behind = next((word for word in argv if word in commands), None)
             if behind is not None:
-                parser.error(f"{argv[0]} is before the command; write {name} {behind} {argv[0]}")
+                parser.error(f"options come after the command: {name} {behind} {argv[0]}")
         args, extra = parser.parse_known_args(argv)
         # argparse does not assign positional arguments of variable number that come after an option.
         trailing = getattr(args, "trailing", None)

@@ -151,12 +151,14 @@ class _Screen:
     def close(self) -> None:
         """Erase what is drawn, so that the next line of output starts in the first column."""
         self._over.set()
-        if self._thread.ident is not None:
-            self._thread.join()
-        for name, stream in self._replaced:
-            setattr(sys, name, stream)
-        with self._lock:
-            self._erase()
+        try:
+            if self._thread.ident is not None:
+                self._thread.join()
+        finally:  # also after Ctrl-C
+            for name, stream in self._replaced:
+                setattr(sys, name, stream)
+            with self._lock:
+                self._erase()
 
     def write(self, stream: Any, text: str) -> int:
         """Write to a stream of the terminal above the bar."""

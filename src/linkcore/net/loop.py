@@ -72,6 +72,11 @@ class Handler:
     An exception in one of them is logged with its traceback and ends this connection only.
     """
 
+    @property
+    def is_busy(self) -> bool:
+        """Whether the client keeps its slot although no bytes pass, because it waits for something of this server."""
+        return False
+
     def data_received(self, data: bytes) -> None:
         """Bytes have come, as they came: a protocol finds its own frame boundaries."""
 
@@ -404,7 +409,10 @@ class ListeningPort:
         """Whether there is a slot for one more client; takes that of the one idle for longest, where there is none."""
         if len(self.connections) < self._limit:
             return True
-        idlest = min(self.connections, key=lambda connection: connection.last_activity)
+        candidates = [connection for connection in self.connections if not connection.handler.is_busy]
+        if not candidates:
+            return False
+        idlest = min(candidates, key=lambda connection: connection.last_activity)
         idle = self._loop.time() - idlest.last_activity
         if idle < self._idle:
             return False

@@ -26,12 +26,13 @@ class PolledConnection:
         host: numeric address; names are not looked up, since that can take seconds.
         port: TCP port, 1 to 65535.
         most_waiting: bytes that wait to be taken from `received`; beyond them the peer has to wait.
+        source: numeric address of this computer to connect from; None for the one that the system chooses.
 
     Attributes:
         received: bytes that have come. Who takes some deletes them here.
     """
 
-    def __init__(self, host: str, port: int, *, most_waiting: int = 1 << 16) -> None:
+    def __init__(self, host: str, port: int, *, most_waiting: int = 1 << 16, source: str | None = None) -> None:
         self.received = bytearray()
         self._most_waiting = most_waiting
         self._state: State = "failed"
@@ -45,6 +46,8 @@ class PolledConnection:
         try:
             link.setblocking(False)
             link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            if source is not None:
+                link.bind((source, 0))
             has_begun = link.connect_ex((host, port)) in _IN_PROGRESS
         except (OSError, OverflowError):
             has_begun = False  # an address of a kind or zone that this computer does not have; no such port

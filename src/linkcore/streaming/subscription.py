@@ -280,7 +280,7 @@ class InlineDelivery(Delivery):
     def offer(self, packets: Sequence[Any]) -> None:
         """Call back with each packet, here and now."""
         callback = self._callback
-        now = clock.now()
+        now = clock.ticks()
         self._is_calling = True
         for packet in packets:
             if self._is_closed:
@@ -291,11 +291,12 @@ class InlineDelivery(Delivery):
                 self._delivered += 1
             except BaseException:
                 self._fail()
-            began, now = now, clock.now()
+            began, now = now, clock.ticks()
             if now - began > SLOW_INLINE:
                 self._counters.slow_inline += 1
         self._is_calling = False
-        self._last = now
+        if self._deadline is not None:
+            self._last = clock.now()
 
     def end(self) -> None:
         """No more will come. Idempotent."""

@@ -19,8 +19,7 @@ from ..host.service import Resend
 from ..plugins.turtle import SmrTurtle, Turtle
 from ..wire.decoder import Limits
 from ..wire.schema import WIDTHS
-from ..world import save
-from .options import WORLD, port, tell, world
+from .options import WORLD, drawn, port, tell, world
 
 
 def _service(args: argparse.Namespace, limits: Limits) -> dict[str, Any]:
@@ -144,14 +143,14 @@ def _turtle(args: argparse.Namespace) -> int:
     """
     robot = Turtle(world(args)) if args.drive == "velocity" else SmrTurtle(world(args))
     if args.picture is not None:
-        save(robot.world, args.picture)  # raises at once if it cannot be written
+        drawn(robot.world, args, args.picture)  # raises at once if it cannot be written
     pacing: Pacing = "lockstep" if args.lockstep else "period"
     host = Host([robot], period=args.period, pacing=pacing, **_service(args, Limits()))
     status = _serve_until_told(host, f"turtle, driven by {args.drive}", args.duration)
     pose = robot.world.pose
     tell(f"ended at x {pose.x:.3f} m, y {pose.y:.3f} m, heading {math.degrees(pose.theta):.1f} deg")
     if args.picture is not None:
-        save(robot.world, args.picture)
+        drawn(robot.world, args, args.picture)
     return status
 
 

@@ -22,8 +22,8 @@ from ..smrcl.recipients import Said
 from ..smrcl.robot_conf import RobotConf, read_robot_conf
 from ..smrcl.robot_link import ClientLink, PluginLink, RobotLink
 from ..smrcl.server import PORT, MissionServer
-from ..world import World, save
-from .options import WORLD, connected, port, tell, world
+from ..world import World
+from .options import WORLD, connected, drawn, port, tell, world
 
 #: Seconds between two updates of the progress.
 _VIEW = 0.2
@@ -116,7 +116,7 @@ def _execute(args: argparse.Namespace) -> int:
             pose = driven.pose
             tell(f"ended at x {pose.x:.3f} m, y {pose.y:.3f} m, heading {math.degrees(pose.theta):.1f} deg")
             if args.svg is not None:
-                save(driven, args.svg, mission.name)
+                drawn(driven, args, args.svg, mission.name)
         if error is not None and interruption.number is None:
             raise error
         return interruption.status
@@ -200,7 +200,7 @@ def _serve(args: argparse.Namespace) -> int:
                 while not server.wait(0.0) and not interruption.wait(0.1):
                     pass
             if driven is not None and args.svg is not None:
-                save(driven, args.svg, "served")
+                drawn(driven, args, args.svg, "served")
             return interruption.status
     finally:
         link.close()
@@ -233,5 +233,5 @@ def _link(args: argparse.Namespace, *, is_realtime: bool) -> tuple[RobotLink, Wo
         return ClientLink(robot, is_lockstep=args.lockstep, owns=True), None
     turtle = Turtle(world(args)) if args.turtle == "velocity" else SmrTurtle(world(args))
     if args.svg is not None:
-        save(turtle.world, args.svg)  # raises at once if it cannot be written
+        drawn(turtle.world, args, args.svg)  # raises at once if it cannot be written
     return PluginLink([turtle], is_realtime=is_realtime), turtle.world

@@ -13,7 +13,7 @@ from linkcore.text import printable
 
 from ..client import Variables, connect
 from ..scene import Scene
-from ..world import World
+from ..world import World, save
 
 #: The address of a robot, and how long to wait for it.
 ADDRESS = (
@@ -79,6 +79,16 @@ def connected(args: argparse.Namespace, address: str | None = None, **how: Any) 
     with ProgressBar(f"connecting to {address}", args.quiet):
         robot: Variables = connect(address, timeout=args.timeout, **how)
         return robot
+
+
+def drawn(world: World, args: argparse.Namespace, path: str, title: str = "") -> None:
+    """Draw the path of a turtle into a file, and show the progress.
+
+    Raises:
+        LinkError: See `rhdlink.world.save`.
+    """
+    with ProgressBar(f"drawing {path}", args.quiet):
+        save(world, path, title)
 
 
 def tell(text: str) -> None:

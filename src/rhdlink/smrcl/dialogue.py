@@ -91,6 +91,11 @@ class ClientDialogue:
             self._interpreter.skips = False
             self._vehicle.control.finish()
 
+    def is_busy(self, session: Session) -> bool:
+        """Whether a line or command of the client is queued or executed, or it waits for an event."""
+        commands = [each for each in (self._current, *self.queue) if each is not None]
+        return session.backlog > 0 or session.is_waiting or any(each.session is session for each in commands)
+
     # -- cycles ---------------------------------------------------------------------------------------
 
     def step(self) -> bool:

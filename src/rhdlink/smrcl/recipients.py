@@ -227,6 +227,11 @@ class Session:
         """Lines that wait to be taken."""
         return len(self._lines)
 
+    @property
+    def is_waiting(self) -> bool:
+        """Whether the client waits for an event."""
+        return self._waiting is not None
+
     def next_line(self) -> str | None:
         """The next line, or None."""
         return self._lines.popleft() if self._lines else None

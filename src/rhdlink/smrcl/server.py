@@ -7,11 +7,11 @@ sockets, served between the answer of the robot and the script of the same cycle
 from __future__ import annotations
 
 import logging
-import math
 import os
 from collections.abc import Callable
 
 from linkcore import clock
+from linkcore.arguments import check_seconds
 from linkcore.errors import BadValue, Closed
 from linkcore.net.loop import Connection, Handler, SelectorLoop
 from linkcore.threads import Runnable
@@ -51,6 +51,9 @@ class MissionServer(Runnable, WithCallbacks):
         compat: "sound", or "mrc", under which a client's `exit` ends the server as it ends MRC.
         conf: what the robot is, see `Mission`.
         clients: how many may be connected.
+        inactivity_timeout: Seconds without a byte after which a client may lose its slot, if all slots are taken and
+            another client connects. A client keeps its slot while one of its commands is queued or executed, and while
+            it waits for an event.
         waits: whether to connect to the robot only when the first client has come, as MRC does; by default under its
             profile.
         log_folder: where the logs go that clients save; by default nowhere.
@@ -73,6 +76,7 @@ class MissionServer(Runnable, WithCallbacks):
         compat: Profile | str = "sound",
         conf: RobotConf | str | os.PathLike[str] | None = None,
         clients: int = 8,
+        inactivity_timeout: float = 10.0,
         waits: bool | None = None,
         log_folder: str | os.PathLike[str] | None = None,
     ) -> None:
@@ -85,6 +89,7 @@ class MissionServer(Runnable, WithCallbacks):
         self._profile = find_profile(compat)
         self._conf = conf
         self._clients = clients
+        self._inactivity_timeout = check_seconds(inactivity_timeout, "inactivity_timeout")
         self._waits = not self._profile.client_loss_stops if waits is None else waits
         self._save_log = self._saver(log_folder)
         self._loop: SelectorLoop | None = None
@@ -140,7 +145,8 @@ class MissionServer(Runnable, WithCallbacks):
 
     def _begin(self) -> None:
         self._loop = loop = SelectorLoop()
-        self._port = loop.listen(*self._place, self._accept, limit=self._clients, idle=math.inf).number
+        idle = self._inactivity_timeout
+        self._port = loop.listen(*self._place, self._accept, limit=self._clients, idle=idle).number
         self._execution = None if self._waits else self._connect()
 
     def _give_up(self) -> None:
@@ -237,6 +243,12 @@ class _ClientHandler(Handler):
         self._server = server
         self._connection = connection
         self._waiting = bytearray()
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether a command of the client is queued or executed, or it waits for an event."""
+        dialogue, session = self._server._dialogue, self.session
+        return dialogue is not None and session is not None and dialogue.is_busy(session)
 
     def begin(self, session: Session) -> None:
         """The dialogue has begun."""

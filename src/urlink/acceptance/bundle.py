@@ -13,6 +13,7 @@ import json
 import re
 import tempfile
 import zipfile
+import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -30,6 +31,10 @@ from .requirements import Requirement, read, written
 
 _BYTES, _REQUIREMENTS, _MANIFEST = "bytes.urlog", "requirements.toml", "MANIFEST.json"
 _FORMAT = 1
+#: Maximum size of each part once it is unpacked, in bytes. The logbook of a run of five minutes takes about 300 MB.
+_LARGEST = {_MANIFEST: 1 << 16, _REQUIREMENTS: 1 << 20, _BYTES: 1 << 30}
+#: Bytes that are unpacked at a time.
+_CHUNK = 1 << 16
 #: Of archives, so that the same run makes the same bytes.
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 #: A serial number: the year, and the number in it.
@@ -101,25 +106,53 @@ def opened(path: Path) -> Iterator[Bundle]:
     """A bundle, for as long as the block.
 
     Raises:
-        BadRecording: there is none at this path, or it was changed since it was made.
+        BadRecording: there is none at this path, it was changed since it was made, or a part of it is larger than any
+            run makes it.
     """
-    try:
-        with zipfile.ZipFile(path) as archive:
-            parts = {name: archive.read(name) for name in (_MANIFEST, _BYTES, _REQUIREMENTS)}
-        manifest = json.loads(parts[_MANIFEST])
-        sums = {name: hashlib.sha256(data).hexdigest() for name, data in parts.items() if name != _MANIFEST}
-        if manifest["format"] != _FORMAT or manifest["files"] != sums:
-            raise BadRecording(f"{path} was changed since it was made, or is of another version")
-    except (OSError, KeyError, ValueError, TypeError, zipfile.BadZipFile) as error:
-        raise BadRecording(f"{path} is no bundle: {error}") from None
     with tempfile.TemporaryDirectory(prefix="urlink-bundle-") as folder:
         logbook = Path(folder) / _BYTES
-        logbook.write_bytes(parts[_BYTES])
         try:
-            requirements, site = read(parts[_REQUIREMENTS].decode(), str(path))
+            with zipfile.ZipFile(path) as archive:
+                # The manifest comes first: a file that is no bundle is rejected before its logbook is unpacked.
+                manifest = b"".join(_unpacked(archive, _MANIFEST))
+                expected = json.loads(manifest)
+                if expected["format"] != _FORMAT or set(expected["files"]) != {_BYTES, _REQUIREMENTS}:
+                    raise BadRecording(f"{path} is of another version")
+                text = b"".join(_unpacked(archive, _REQUIREMENTS))
+                digest = hashlib.sha256()
+                with logbook.open("wb") as file:
+                    for chunk in _unpacked(archive, _BYTES):
+                        digest.update(chunk)
+                        file.write(chunk)
+            if expected["files"] != {_BYTES: digest.hexdigest(), _REQUIREMENTS: hashlib.sha256(text).hexdigest()}:
+                raise BadRecording(f"{path} was changed since it was made, or is of another version")
+        except (OSError, KeyError, ValueError, TypeError, RecursionError, zipfile.BadZipFile) as error:
+            raise BadRecording(f"{path} is no bundle: {error}") from None
+        except (NotImplementedError, RuntimeError, zlib.error) as error:  # another compression, or a password
+            raise BadRecording(f"{path} cannot be unpacked: {error}") from None
+        try:
+            requirements, site = read(text.decode(), str(path))
         except (UnicodeDecodeError, BadValue) as error:
             raise BadRecording(f"{path} holds no requirements: {error}") from None
-        yield Bundle(Evidence(logbook), requirements, site, hashlib.sha256(parts[_MANIFEST]).hexdigest(), logbook)
+        yield Bundle(Evidence(logbook), requirements, site, hashlib.sha256(manifest).hexdigest(), logbook)
+
+
+def _unpacked(archive: zipfile.ZipFile, name: str) -> Iterator[bytes]:
+    """The bytes of a part, chunk by chunk; never more than its largest size, whatever the archive says of it.
+
+    Raises:
+        ValueError: it is larger.
+        NotImplementedError: it is not compressed as `pack` does it; other methods can unpack without a bound.
+    """
+    if archive.getinfo(name).compress_type not in (zipfile.ZIP_DEFLATED, zipfile.ZIP_STORED):
+        raise NotImplementedError(f"{name} is compressed by a method other than deflate")
+    size = 0
+    with archive.open(name) as part:
+        while chunk := part.read(_CHUNK):
+            size += len(chunk)
+            if size > _LARGEST[name]:
+                raise ValueError(f"{name} is larger than {_LARGEST[name]} bytes once it is unpacked")
+            yield chunk
 
 
 @contextmanager

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 
 from linkcore.clock import Stamp
 from linkcore.errors import LinkError, PacketError
-from linkcore.recording.file import Kind, RecordingFile
+from linkcore.recording.file import Kind, RecordingFile, described
 
 from ..firmware import Firmware
 from ..identity import Identity, described_identity
@@ -135,11 +134,14 @@ class Evidence:
         for record in recording:
             name = names.get(record.channel, "")
             if record.kind is Kind.BYTES and name == NOTES:
-                said = json.loads(record.payload)
+                said = described(path, record.channel, record.payload, "step")
                 self.notes.append(Note(record.stamp.monotonic, said.pop("step"), said))
             elif record.kind is Kind.BYTES:
                 present[record.channel].chunks.append((record.stamp, record.payload))
-            elif record.kind is Kind.EVENT and json.loads(record.payload)["state"] == "connected":
+            elif (
+                record.kind is Kind.EVENT
+                and described(path, record.channel, record.payload, "state")["state"] == "connected"
+            ):
                 bare, _, number = name.removesuffix(SENT).partition(" ")
                 present[record.channel] = Wire(bare, bool(number), name.endswith(SENT))
                 self.wires.append(present[record.channel])

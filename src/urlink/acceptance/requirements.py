@@ -154,6 +154,6 @@ def _tables(text: str, where: str) -> dict[str, dict[str, Any]]:
             raise BadValue(f"{where}, line {number}: {line[:80]!r}; expected [name] or key = value, each once")
         try:
             table[pair[1]] = json.loads(pair[2])
-        except ValueError:
+        except (ValueError, RecursionError):
             raise BadValue(f"{where}, line {number}: {pair[2][:80]!r} is no value; expected one as JSON has") from None
     return tables

@@ -130,10 +130,10 @@ def _compare(args: argparse.Namespace) -> int:
             like = read_arm_file(args.like)
         else:
             # The geometry alone: the rest is that of the model.
-            progress.next("identifying the geometry of the arm")
+            progress.next("identifying the geometry")
             found = identify(samples, args.model)
             like = ArmFile(found.model, {}, found.calibration, found.tcp)
-        progress.next("running the movements on the simulator")
+        progress.next("simulating the movements")
         difference = compare(samples, like, progress)
     begin, worst = float(samples["timestamp"][0]), 0.0
     for each in difference.movements:

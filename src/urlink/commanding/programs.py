@@ -324,8 +324,10 @@ class Programs:
         for run in self._pending():
             run.life.fail(ConnectionLost(f"the robot was closed here while {run.life.name} ran; {self._what_if(run)}"))
 
-    def abandon(self, why: str) -> None:
+    def abandon(self, why: str, is_end: bool) -> None:
         """See `linkcore.process_end`."""
+        if is_end:
+            self._is_closed = True  # before cancelling: another thread may just be sending a program
         self._monitor.overtake(why)
         for run in self._cancel_all(why):
             _log.warning("%s was cancelled: %s and its robot was not closed", run.life.name, why)

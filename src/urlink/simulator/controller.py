@@ -34,6 +34,7 @@ from .ports.robot_api import RobotApiPort
 from .ports.rtde import RtdePort
 from .programs.loader import LineAssembler, ProgramLoader
 from .programs.pendant import Pendant
+from .programs.program_world import Target
 from .programs.runner import ProgramRunner
 from .registers import FIELDBUSES, RegisterBanks
 from .robot.arm import SimulatedArm
@@ -55,6 +56,8 @@ _NEWEST_CB3 = [row.since for row in RELEASES if row.since.major == 3][-1]
 
 # Addresses to listen on that cannot be connected to.
 _ALL_ADDRESSES = ("", "0.0.0.0", "::")
+# Addresses from which the system connects to loopback addresses.
+_FIRST_LOOPBACK = ("127.0.0.1", "::1")
 # The interfaces of a real controller's ports.
 _NAMES = {number: name for name, number in PORTS.items()}
 #: Most lines from clients, and robot messages of a stepped controller, that are kept.
@@ -198,15 +201,15 @@ class Controller:
             client, self.counters, lambda line: self.received.append((port, line)), self._loader.open().put
         )
 
-    def _route(self, address: str, port: int) -> tuple[str, int] | None:
+    def _route(self, address: str, port: int) -> Target | None:
         """Where a connection of a program to this numeric address and port goes; see `program_world.Route`."""
         if ipaddress.ip_address(address).is_loopback:
             own = _NAMES.get(port)
             if own is None:
-                return address, port
-            return (self._own_host, self.ports[own]) if own in self.ports else None
+                return Target(address, port, _source(self.host, address))
+            return Target(self._own_host, self.ports[own]) if own in self.ports else None
         peers = () if self._server is None else self._server.peers
-        return (address, port) if address in self._reachable or address in peers else None
+        return Target(address, port) if address in self._reachable or address in peers else None
 
     @property
     def _own_host(self) -> str:
@@ -561,6 +564,20 @@ class Controller:
 
     def __repr__(self) -> str:
         return f"<Controller {self.model.name}, firmware {self.firmware}>"
+
+
+def _source(host: str, target: str) -> str | None:
+    """The loopback address of a controller that listens on `host`, if it is not the one that the system chooses.
+
+    A client accepts a program only from the address of its robot, and each of several controllers on this computer may
+    have its own loopback address.
+    """
+    try:
+        own = ipaddress.ip_address(host)
+    except ValueError:
+        return None
+    is_other = own.is_loopback and own.version == ipaddress.ip_address(target).version and host not in _FIRST_LOOPBACK
+    return host if is_other else None
 
 
 def _numeric(address: str) -> str:

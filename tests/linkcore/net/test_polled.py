@@ -46,6 +46,21 @@ def descriptors() -> int:
     return len(os.listdir("/proc/self/fd"))
 
 
+def test_connection_comes_from_its_source(listener: socket.socket) -> None:
+    source = "127.0.0.2"
+    with socket.socket() as probe:
+        try:
+            probe.bind((source, 0))
+        except OSError:
+            pytest.skip("this system has only one loopback address")
+    connection = PolledConnection("127.0.0.1", port(listener), source=source)
+    peer, address = listener.accept()
+    with peer:
+        assert address[0] == source
+    connection.close()
+    assert PolledConnection("127.0.0.1", port(listener), source="192.0.2.1").state == "failed"
+
+
 def test_there_and_back(listener: socket.socket) -> None:
     connection, peer = opened(listener)
     with peer:

@@ -31,8 +31,10 @@ class Extra(Plugin):
 
 
 @pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Run:
+def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Run:
     """Run the command line in this process: exit status, stdout, stderr."""
+    # On a busy computer a short command may take so long that it would print its progress.
+    monkeypatch.setattr("linkcore.cli.progress._FIRST", 600.0)
 
     def run(*argv: str) -> tuple[int, str, str]:
         status = rhdlink.cli.main(argv)

@@ -52,13 +52,13 @@ def whole(pieces: list[Piece]) -> bytes:
 
 
 def test_dissect_reads_hex_text_and_stdin(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "server"
-    path.write_bytes(server())
+    path, data = tmp_path / "server", server()
+    path.write_bytes(data)
     status, expected, _ = run("dissect", str(path))
     assert status == 0
-    path.write_text(server().hex(" "))
+    path.write_text(data.hex(" "))
     assert run("dissect", str(path))[:2] == (0, expected)
-    monkeypatch.setattr("sys.stdin", SimpleNamespace(buffer=io.BytesIO(server())))
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(buffer=io.BytesIO(data)))
     assert run("dissect", "-")[:2] == (0, expected)
 
 

@@ -124,6 +124,33 @@ def test_there_are_only_so_many_clients(turtle: Turtle) -> None:
         second.close()
 
 
+def test_silent_clients_lose_their_slots(turtle: Turtle) -> None:
+    with MissionServer(turtle, port=0, clients=2, inactivity_timeout=0.0) as server:
+        silent = [Client(server), Client(server)]
+        until(lambda: len(server._handlers) == 2)
+        newcomers = [Client(server), Client(server)]
+        assert [each.ask("eval 1") for each in newcomers] == ["1.000000 "] * 2
+        assert [each.line() for each in silent] == ["", ""]
+        for client in (*silent, *newcomers):
+            client.close()
+
+
+def test_busy_clients_keep_their_slots(turtle: Turtle) -> None:
+    with MissionServer(turtle, port=0, clients=3, inactivity_timeout=0.0) as server:
+        driver, queued, waiting = Client(server), Client(server), Client(server)
+        assert driver.ask("drive") == "ID1 queued"
+        until(lambda: turtle.cmdtransvel > 1000)
+        assert queued.ask("fwd 0.1") == "ID1 queued"
+        waiting.send("getevent 60")
+        until(lambda: any(each.session is not None and each.session.is_waiting for each in server._handlers))
+        newcomer = Client(server)
+        assert newcomer.line() == ""
+        assert queued.ask("eval 1") == "1.000000 "
+        assert not stands(turtle)
+        for client in (driver, queued, waiting, newcomer):
+            client.close()
+
+
 def test_a_client_that_sends_faster_than_it_is_read_does_not_hold_up_the_robot(client: Client, turtle: Turtle) -> None:
     count = MOST_BACKLOG + 500
     client.send("fwd 0.05", *["eval 1"] * count)
@@ -202,6 +229,8 @@ def test_a_server_that_cannot_begin_says_why(turtle: Turtle, server: MissionServ
         MissionServer(turtle, port=server.port).run()
     with pytest.raises(BadValue, match="at least 1"):
         MissionServer(turtle, clients=0)
+    with pytest.raises(BadValue, match="inactivity_timeout"):
+        MissionServer(turtle, inactivity_timeout=-1.0)
     with pytest.raises(BadValue, match="expected 'sound', 'mrc'"):
         MissionServer(turtle, compat="loud")
     with pytest.raises(Closed, match="does not run"):

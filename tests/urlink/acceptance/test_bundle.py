@@ -1,11 +1,13 @@
 from __future__ import annotations
 
 import json
+import tracemalloc
 import zipfile
 from pathlib import Path
 
 import pytest
 
+import urlink.acceptance.bundle as bundle_module
 import urlink.cli
 from captures.from_bundle import capture, row
 from captures.make import golden
@@ -86,6 +88,53 @@ def test_what_is_no_bundle(tmp_path: Path) -> None:
     for name in ("run.zip", "none.zip"):
         with pytest.raises(BadRecording, match="is no bundle"), opened(tmp_path / name):
             pass
+
+
+@pytest.mark.parametrize(
+    ("manifest", "problem"),
+    [
+        (b"{}", "is no bundle"),
+        (b"[" * 50_000, "is no bundle"),
+        (b'{"format": 1, "files": {"bytes.urlog": "0", "requirements.toml": "0"}}', "larger than 5000000 bytes"),
+        (b" " * 100_000, "MANIFEST.json is larger than 65536 bytes"),
+    ],
+)
+def test_opened_rejects_a_zip_bomb(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, manifest: bytes, problem: str
+) -> None:
+    """Nothing is unpacked for longer than needed, and never the whole part into memory."""
+    monkeypatch.setitem(bundle_module._LARGEST, "bytes.urlog", 5_000_000)
+    path = tmp_path / "run.zip"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("MANIFEST.json", manifest)
+        archive.writestr("requirements.toml", b"")
+        archive.writestr("bytes.urlog", bytes(20_000_000))
+    assert path.stat().st_size < 100_000
+    tracemalloc.start()
+    try:
+        with pytest.raises(BadRecording, match=problem), opened(path):
+            pass
+        assert tracemalloc.get_traced_memory()[1] < 2_000_000
+    finally:
+        tracemalloc.stop()
+
+
+def test_opened_rejects_other_compressions(tmp_path: Path) -> None:
+    path = tmp_path / "run.zip"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_BZIP2) as archive:
+        archive.writestr("MANIFEST.json", b"{}")
+    with pytest.raises(BadRecording, match="other than deflate"), opened(path):
+        pass
+
+
+def test_evidence_rejects_deep_json(tmp_path: Path) -> None:
+    path = tmp_path / "logbook.urlog"
+    writer = RecordingWriter(path)
+    notes = writer.add_channel({"name": NOTES})
+    writer.write(Kind.BYTES, notes, Stamp(1.0, 1.7e9), b"[" * 100_000)
+    writer.close()
+    with pytest.raises(BadRecording, match="is not described in JSON"):
+        Evidence(path)
 
 
 @pytest.mark.simulated_time

@@ -39,9 +39,23 @@ def tried(evidence: Evidence) -> dict[str, str]:
 )
 def test_a_sound_controller_holds_everything(tmp_path: Path, firmware: str, without: set[str]) -> None:
     path = tmp_path / "run.urlog"
-    run(f"sim://?firmware={firmware}", path, (0, 1), consent, seconds=2.0)
+    shown: list[tuple[float, str]] = []
+    run(
+        f"sim://?firmware={firmware}",
+        path,
+        (0, 1),
+        consent,
+        seconds=2.0,
+        progress=lambda part, doing: shown.append((part, doing)),
+    )
+    parts, steps = zip(*shown, strict=True)
+    assert list(parts) == sorted(parts)
+    assert 0.0 <= parts[0] < 0.1 < parts[-1] <= 1.0
+    assert {"stage 0", "stage 0: listening", "stage 1", "stage 1: sleep"} <= set(steps)
     evidence = Evidence(path)
-    verdicts = judge(evidence, requirements())
+    judged: list[float] = []
+    verdicts = judge(evidence, requirements(), judged.append)
+    assert judged == [number / len(verdicts) for number in range(len(verdicts))]
     assert {each.requirement.name: each.seen for each in verdicts if each.state == "not held"} == {}
     stood = [each for each in verdicts if each.requirement.stage < 2]
     assert {each.requirement.name for each in stood if each.state == "not tried"} == _MOVED | without

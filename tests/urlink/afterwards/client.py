@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 import urlink
+from linkcore import process_end
 from tests.urlink.afterwards import controller
 from urlink import Linear, Taught
 from urlink.compat import rtde_control, urx
@@ -146,7 +147,7 @@ def speed_short(robot: Robot, block: contextlib.ExitStack) -> Callable[[], objec
 
 
 def interpreter(robot: Robot, block: contextlib.ExitStack) -> Callable[[], object]:
-    mode = robot.interpreter()
+    mode = block.enter_context(robot.interpreter())
     return lambda: mode.execute(TEXT)
 
 
@@ -217,6 +218,7 @@ ROWS: dict[str, Begin] = {
     "torque": entered(lambda robot: robot.motion.torque(), twist),
     "impedance": entered(lambda robot: robot.motion.impedance(), drawn),
     "script": lambda robot, block: lambda: robot.script.run(TEXT),
+    "script_detached": lambda robot, block: lambda: robot.script.run(TEXT, detached=True),
     "interpreter": interpreter,
     "dashboard_play": dashboard_play,
     "gripper": gripper,
@@ -239,13 +241,12 @@ def program(name: str, address: str, read: Callable[[], str], write: Callable[[s
         read: waits for a line, or for the end.
         write: writes one.
     """
-    with contextlib.ExitStack() as block:
-        robot = block.enter_context(urlink.connect(address, timeout=ANSWER))
+    with urlink.connect(address, timeout=ANSWER) as robot, contextlib.ExitStack() as block:
         robot.motion.stop(wait=10)
         call = ROWS[name](robot, block)
         robot.realtime.wait(5)
         write("ready")
-        waits = read() == "wait"
+        waits, result = read() == "wait", None
         try:
             result = call()
             if waits and isinstance(result, urlink.Handle):
@@ -253,7 +254,22 @@ def program(name: str, address: str, read: Callable[[], str], write: Callable[[s
             write("made")
         except urlink.LinkError as error:
             write(f"{type(error).__name__}: {' '.join(str(error).split())}")
+        end(read(), robot, block, result)
         read()
+
+
+def end(how: str, robot: Robot, block: contextlib.ExitStack, result: object) -> None:
+    """End what was begun in one of the ways of `table.ENDS`; nothing for any other line."""
+    if how == "block left":
+        if isinstance(result, urlink.Handle):
+            with result:
+                pass
+        # In a thread: an interpreter mode is left when its statements were executed.
+        threading.Thread(target=block.close, daemon=True).start()
+    elif how == "close":
+        robot.close()
+    elif how == "exit":
+        process_end._abandon_all("the interpreter exits", True)
 
 
 def main(name: str, address: str) -> None:

@@ -188,7 +188,10 @@ def arms() -> Iterator[list[Robot]]:
             )
             opened.callback(process.kill)
             assert process.stdout is not None
-            robots.append(opened.enter_context(urlink.connect(process.stdout.readline().strip())))
+            address = process.stdout.readline().strip()
+            # What is silent or late here is so because the machine is busy.
+            robot = urlink.connect(address, silence=20.0, stale_after=20.0, start_timeout=20.0)
+            robots.append(opened.enter_context(robot))
         yield robots
 
 

@@ -1,21 +1,22 @@
-"""What becomes of each kind of motion and call when something fails: one table, from which docs/reliability.md is made.
+"""What happens to each kind of motion and call when something fails, and when a program ends it or ends itself.
 
-    python -m tests.urlink.afterwards.table     writes it there
+    python -m tests.urlink.afterwards.table     writes both tables into docs/reliability.md and docs/motion-ends.md
 
-Every cell is a case of `test_afterwards.py`, on each firmware that has the row.
+Every cell of the first table is a case of `test_afterwards.py`, on each firmware that has the row. Every cell of the
+second one is a case of `test_ends.py`, or of `test_interrupts.py` for Ctrl-C.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from linkcore.wire.fields import Since
 from urlink.firmware import Firmware
 
-__all__ = ["CALLED", "COLUMNS", "FIRMWARES", "ROWS", "Row", "cells", "drawn", "firmwares", "page"]
+__all__ = ["CALLED", "COLUMNS", "FIRMWARES", "ROWS", "Row", "cases", "cells", "firmwares", "pages"]
 
 #: firmware -> arm
 FIRMWARES = {"3.15": "ur5", "5.11": "ur5e", "10.12": "ur5e"}
@@ -25,11 +26,17 @@ UNDER_WAY = ("cut", "silence", "suspended controller", "suspended client", "kill
 CALLED = "called meanwhile"
 COLUMNS = (*UNDER_WAY, CALLED)
 
+#: How a program ends what it has begun, or ends itself, as `client.py` knows it.
+ENDS_HERE = ("block left", "close", "exit")
+#: The columns of the second table.
+HEADS = ("Ctrl-C while it waits", "its block is left", "`robot.close()`", "exit, SIGTERM", "SIGKILL")
+
 #: The words of the cells.
 GOES_ON, BRAKES, ENDS = "goes on to its end", "brakes", "stops"
 NOT, BACK, LATE = "does not move", "is taken back", "**is carried out**"
 
-_PAGE = Path(__file__).resolve().parents[3] / "docs" / "reliability.md"
+_DOCS = Path(__file__).resolve().parents[3] / "docs"
+_PAGE, _ENDS_PAGE = _DOCS / "reliability.md", _DOCS / "motion-ends.md"
 _BETWEEN = re.compile(r"(?<=<!-- afterwards -->\n\n).*?(?=\n<!-- the end of it -->)", re.DOTALL)
 
 
@@ -48,6 +55,10 @@ class Row:
         within: s of the robot's time in which it comes to rest, where it brakes.
         lasts: it is under way for some time.
         since: the firmware that has it.
+        interrupted: what Ctrl-C does while a program waits for it; empty if a program cannot wait for it.
+        left: what leaving its block does, or cancelling its handle; empty if it has none.
+        closed: what closing the robot does.
+        exits: what the end of the process does, if the robot was not closed.
     """
 
     title: str
@@ -57,6 +68,14 @@ class Row:
     within: float = 1.5
     lasts: bool = True
     since: Since = _ALWAYS
+    interrupted: str = BRAKES
+    left: str = BRAKES
+    closed: str = BRAKES
+    exits: str = BRAKES
+
+    def ends(self, how: str) -> str:
+        """What one of `ENDS_HERE` does to it; empty if there is no such case."""
+        return {"block left": self.left, "close": self.closed, "exit": self.exits}[how]
 
     def becomes(self, column: str, firmware: str) -> str:
         """What is in its cell; empty where there is no such case."""
@@ -96,14 +115,23 @@ ROWS = {
     "torque": Row("`torque`", led=True, since=Since("5.23/10.11")),
     "impedance": Row("`impedance`", led=True, since=Since("5.23/10.11")),
     "script": Row("`robot.script.run`"),
-    "interpreter": Row("`interpreter.execute`", called=BACK, since=_E),
+    "script_detached": Row("`robot.script.run(detached=True)`", closed=GOES_ON, exits=GOES_ON),
+    "interpreter": Row("`interpreter.execute`", called=BACK, since=_E, left=GOES_ON),
     # The Robot API is asked first whether the program is paused.
-    "dashboard_play": Row("`robot.dashboard.play`, also by the Robot API", called=BACK, by_api=NOT),
+    "dashboard_play": Row(
+        "`robot.dashboard.play`, also by the Robot API",
+        called=BACK,
+        by_api=NOT,
+        interrupted="",
+        left="",
+        closed=GOES_ON,
+        exits=GOES_ON,
+    ),
     "gripper": Row("`robot.gripper.move`, `set`", called=BACK, lasts=False),
-    "urx": Row("`urlink.compat.urx`: `movej`"),
-    "ur_rtde": Row("`urlink.compat`: `moveJ`", since=_REGISTERS),
-    "ur_rtde_speed": Row("`urlink.compat`: `speedJ`", led=True, since=_REGISTERS),
-    "send_line": Row("`robot.script.send_line`", called=LATE),
+    "urx": Row("`urlink.compat.urx`: `movej`", left="", closed=""),
+    "ur_rtde": Row("`urlink.compat`: `moveJ`", since=_REGISTERS, left="", closed=""),
+    "ur_rtde_speed": Row("`urlink.compat`: `speedJ`", led=True, since=_REGISTERS, left="", closed=""),
+    "send_line": Row("`robot.script.send_line`", called=LATE, interrupted="", left="", closed=GOES_ON, exits=GOES_ON),
     "secondary": Row("`robot.script.run` with a `sec`", called=LATE, lasts=False),
     "power_on": Row("`robot.dashboard.power_on`, also by the Robot API", called=LATE, lasts=False),
     "brake_release": Row("`robot.dashboard.brake_release`, also by the Robot API", called=LATE, lasts=False),
@@ -124,8 +152,13 @@ def cells() -> Iterator[tuple[str, str, str]]:
                     yield firmware, name, column
 
 
+def cases() -> Iterator[tuple[str, str]]:
+    """(row, way of `ENDS_HERE`) of each case of the second table."""
+    yield from ((name, how) for name, row in ROWS.items() for how in ENDS_HERE if row.lasts and row.ends(how))
+
+
 def drawn() -> str:
-    """The table as Markdown; what becomes the same everywhere is one row."""
+    """The first table as Markdown; what becomes the same everywhere is one row."""
     heads = ("under way, and then:", *UNDER_WAY, "controller suspended, and then called")
     titles: dict[tuple[str, ...], list[str]] = {}
     for name, row in ROWS.items():
@@ -133,17 +166,36 @@ def drawn() -> str:
         title = row.title if len(having) == len(FIRMWARES) else f"{row.title} ({', '.join(having)})"
         each = [dict.fromkeys(row.becomes(column, firmware) or "-" for firmware in having) for column in COLUMNS]
         titles.setdefault(tuple(map(" or ".join, each)), []).append(title)
+    return _table(heads, titles)
+
+
+def drawn_ends() -> str:
+    """The second table as Markdown."""
+    titles: dict[tuple[str, ...], list[str]] = {}
+    for name, row in ROWS.items():
+        if row.lasts:
+            killed = row.becomes("killed client", firmwares(name)[0])
+            cells = (row.interrupted, *map(row.ends, ENDS_HERE), killed)
+            titles.setdefault(tuple(cell or "-" for cell in cells), []).append(row.title)
+    return _table(("runs, and then:", *HEADS), titles)
+
+
+def _table(heads: Sequence[str], titles: Mapping[tuple[str, ...], Sequence[str]]) -> str:
     lines = [f"| {' | '.join(heads)} |", "|" + " --- |" * len(heads)]
     lines += [f"| {' | '.join(('; '.join(alike), *what))} |" for what, alike in titles.items()]
     return "\n".join(lines) + "\n"
 
 
-def page(text: str) -> str:
-    """The page with this table in its place."""
-    changed, count = _BETWEEN.subn(lambda _: drawn(), text)
-    assert count == 1, "docs/reliability.md has no place for the table"
-    return changed
+def pages() -> dict[Path, str]:
+    """Each page with its table in it."""
+    made = {}
+    for path, table in ((_PAGE, drawn()), (_ENDS_PAGE, drawn_ends())):
+        text = path.read_text(encoding="utf-8")
+        made[path], count = _BETWEEN.subn(lambda _, table=table: table, text)  # type: ignore[misc]
+        assert count == 1, f"{path} has no place for the table"
+    return made
 
 
 if __name__ == "__main__":
-    _PAGE.write_text(page(_PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    for path, text in pages().items():
+        path.write_text(text, encoding="utf-8")

@@ -12,7 +12,6 @@ import signal
 import time
 from collections.abc import Callable
 from functools import cache
-from pathlib import Path
 
 import pytest
 
@@ -28,13 +27,12 @@ from tests.urlink.afterwards.table import (
     ROWS,
     cells,
     firmwares,
-    page,
+    pages,
 )
 
 # A client that is killed closes nothing.
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
 
-_PAGE = Path(__file__).resolve().parents[3] / "docs" / "reliability.md"
 #: s of the robot's time for which a motion is watched beyond the time in which one would brake.
 LONGER = 0.5
 #: s for which a motion that goes on may stand still, as at the corner of a path.
@@ -81,9 +79,9 @@ EVENTS = dict(zip(COLUMNS, (cut, silence, suspended_controller, suspended_client
 # -- the table ------------------------------------------------------------------------------------------------------
 
 
-def test_the_page_has_this_table() -> None:
-    text = _PAGE.read_text(encoding="utf-8")
-    assert page(text) == text, "python -m tests.urlink.afterwards.table writes it anew"
+def test_pages_have_these_tables() -> None:
+    for path, text in pages().items():
+        assert path.read_text(encoding="utf-8") == text, "python -m tests.urlink.afterwards.table writes it again"
 
 
 def tried() -> list[tuple[str, str, str]]:

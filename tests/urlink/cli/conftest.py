@@ -20,8 +20,10 @@ Run = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Run:
+def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Run:
     """Run the command line in this process: exit status, stdout, stderr."""
+    # On a busy computer a short command may take so long that it would print its progress.
+    monkeypatch.setattr("linkcore.cli.progress._FIRST", 600.0)
 
     def run(*argv: str) -> tuple[int, str, str]:
         status = urlink.cli.main(argv)

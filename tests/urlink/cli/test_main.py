@@ -1,7 +1,9 @@
 from __future__ import annotations
 
+import argparse
 import importlib
 import signal
+import socket
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -53,6 +55,49 @@ def test_help_of_each_command_ends_in_examples(run: Run, command: str) -> None:
     assert all(example.startswith((f"  urlink {command}", "  echo ")) for example in examples)
     assert all(f" urlink {command}" in example for example in examples)
     assert max(map(len, out.splitlines())) <= 115
+
+
+@pytest.mark.parametrize("options", [("-q",), ("--quiet", "-vv"), ("-qv",)])
+def test_common_options_are_accepted_before_the_command(
+    run: Run, monkeypatch: pytest.MonkeyPatch, options: tuple[str, ...]
+) -> None:
+    for argv in ((*options, "info", "sim://", "--json"), ("info", *options, "sim://", "--json")):
+        seen: list[argparse.Namespace] = []
+        (row,) = (each for each in vars(info).values() if isinstance(each, Subcommand))
+
+        def note(args: argparse.Namespace, seen: list[argparse.Namespace] = seen) -> int:
+            seen.append(args)
+            return 0
+
+        monkeypatch.setattr(info, "run", row._replace(run=note))
+        assert run(*argv)[0] == 0
+        assert (seen[0].quiet, seen[0].verbose) == (True, sum(each.count("v") for each in options))
+
+
+@pytest.mark.parametrize(
+    ("argv", "hint"),
+    [
+        (("--json", "info", "sim://"), "options come after the command: urlink info --json"),
+        (("--duration", "3", "monitor", "sim://"), "options come after the command: urlink monitor --duration"),
+        (("info", "sim://", "--jsn"), "unrecognized arguments: --jsn; did you mean '--json'?"),
+    ],
+)
+def test_options_before_the_command_are_explained(run: Run, argv: tuple[str, ...], hint: str) -> None:
+    status, _, err = run(*argv)
+    assert status == 2
+    assert err.splitlines()[-1].endswith(hint)
+
+
+def test_doctor_reports_an_unknown_host_once(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    def unknown(*_: object, **__: object) -> None:
+        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+
+    monkeypatch.setattr("socket.getaddrinfo", unknown)
+    status, out, _ = run("doctor", "ur5-in-the-lab")
+    assert status == 1
+    computer, host = out.splitlines()
+    assert computer[6:].startswith("computer")
+    assert host.startswith("BAD   host           ur5-in-the-lab is unknown (Name or service not known); check ")
 
 
 def test_help_where_python_runs_without_docstrings(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -167,7 +212,7 @@ def test_warnings_are_shown_without_verbose(run: Run, tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.real_time
 def test_reader_that_has_had_enough_is_no_error(spawn: Spawn, address: str) -> None:
-    process = spawn("echo", address, "q_actual")
+    process = spawn("echo", "--quiet", address, "q_actual")
     assert process.stdout is not None
     assert process.stderr is not None
     assert process.stdout.readline().startswith("q_actual=[")
@@ -181,10 +226,11 @@ def test_reader_that_has_had_enough_is_no_error(spawn: Spawn, address: str) -> N
 @pytest.mark.parametrize("command", ["echo", "hz", "monitor"])
 @pytest.mark.real_time
 def test_signals_end_quietly(spawn: Spawn, address: str, command: str, number: int, status: int) -> None:
-    process = spawn(command, address)
+    process = spawn(command, "--quiet", address)
     assert process.stdout is not None
     assert process.stdout.readline()
     process.send_signal(number)
     _, err = process.communicate(timeout=20)
     assert process.returncode == status
-    assert err == ""
+    summary = ["urlink: watched", "urlink: next:"] if command == "monitor" else []
+    assert [" ".join(line.split()[:2]) for line in err.splitlines()] == summary

@@ -62,7 +62,7 @@ def test_a_file_of_another_arm_is_refused(tmp_path: Path) -> None:
         Controller("UR10e", like=read_arm_file(tmp_path / "arm.json"))
     whole = json.loads((tmp_path / "arm.json").read_text())
     shorter = whole | {"parameters": {"rotor_inertia": []}}
-    for broken in ("{", "[]", json.dumps(whole | {"version": 2}), json.dumps(shorter)):
+    for broken in ("{", "[]", "[" * 100_000, json.dumps(whole | {"version": 2}), json.dumps(shorter)):
         (tmp_path / "arm.json").write_text(broken)
         with pytest.raises(BadValue, match=r"arm\.json"):
             read_arm_file(tmp_path / "arm.json")
@@ -106,7 +106,9 @@ def test_what_is_no_recording_of_an_arm(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_recording_beside_the_simulator(samples: Samples) -> None:
     """Of the same arm it differs by noise alone; of the published one by what was planted."""
-    same, other = compare(samples, planted()), compare(samples, ArmFile("UR5e", {}))
+    parts: list[float] = []
+    same, other = compare(samples, planted(), parts.append), compare(samples, ArmFile("UR5e", {}))
+    assert parts == [each.begin / len(samples["timestamp"]) for each in same.movements]
     assert [each.command.partition("(")[0] for each in same.movements] == ["movej"] * 5
     assert max(abs(each.late) for each in same.movements) < 0.003
     # Its ramp is 200 ms long instead of 160.

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 import pytest
 
+from linkcore import clock
 from linkcore.errors import BadValue, Cancelled, Closed, ConnectionLost, LinkTimeout, LocalError
 from linkcore.handle import Phase
 from tests.fakes.rehearsal import FOLLOW, HOME, STOP, TIMEOUT, WAIT, Rehearsal, turned
@@ -254,30 +255,24 @@ def test_the_thread_of_a_block_is_urgent_within_it(robot: Rehearsal, monkeypatch
 
 
 def test_a_block_whose_beginning_is_interrupted(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupt(future: object, seconds: float) -> bool:
+    def interrupt(seconds: float) -> None:
         raise KeyboardInterrupt
 
     jog = robot.motion.jog()
-    monkeypatch.setattr("urlink.motion.linked_block.clock.is_done", interrupt)
+    monkeypatch.setattr(jog._linked, "exception", interrupt)
     with pytest.raises(KeyboardInterrupt):
         jog.__enter__()
     assert jog.phase is Phase.CANCELLED
     assert "stopj" in robot.sent[-1]
 
 
-def test_a_block_whose_program_never_comes(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_block_whose_program_never_comes(robot: Rehearsal) -> None:
     """Nor do states, by which it would be told that it has not after five seconds."""
-    waited: list[float] = []
-
-    def is_done(future: object, seconds: float) -> bool:
-        waited.append(seconds)
-        return False
-
+    begun = clock.now()
     jog = robot.motion.jog()
-    monkeypatch.setattr("urlink.motion.linked_block.clock.is_done", is_done)
     with pytest.raises(LinkTimeout, match="jog: no connection within 6 s"):
         jog.__enter__()
-    assert waited == [6.0]
+    assert clock.now() - begun == pytest.approx(6.0, abs=0.05)
     assert jog.phase is Phase.CANCELLED
     assert "stopj" in robot.sent[-1]
 

@@ -28,7 +28,7 @@ Run = Callable[[str], tuple[str, ...]]
 
 @pytest.fixture(scope="module")
 def controller() -> Iterator[Controller]:
-    with Controller("UR5e", "5.11", motion=Still()) as controller:
+    with Controller("UR5e", "5.25", motion=Still()) as controller:
         yield controller
 
 
@@ -105,6 +105,20 @@ def test_what_a_server_answers_otherwise(run: Run, server: SimpleXMLRPCServer, c
     url = f"http://127.0.0.1:{server.server_address[1]}/RPC2"
     with pytest.raises(urlink.ScriptFailed, match=error):
         run(f'h = rpc_factory("xmlrpc", "{url}")\nx = {call}\n')
+
+
+def test_names_of_remote_methods_contain_dots(run: Run, server: SimpleXMLRPCServer) -> None:
+    server.register_function(lambda x: x + 1, "server.getTCP")
+    server.register_function(lambda: 7, "a.b.c")
+    url = f"http://127.0.0.1:{server.server_address[1]}/RPC2"
+    begin = f'AAA = rpc_factory("xmlrpc", "{url}")\n'
+    assert run(f"{begin}textmsg(AAA.server.getTCP(41))\ntextmsg(AAA.a.b.c())\n") == ("42", "7")
+    with pytest.raises(urlink.ScriptFailed, match=r'method "server\.nothing" is not supported'):
+        run(f"{begin}AAA.server.nothing()\n")
+    with pytest.raises(urlink.ScriptFailed, match="handle of a server has no member 'server'"):
+        run(f"{begin}AAA.server = 1\n")
+    with pytest.raises(urlink.ScriptFailed, match="the name of a remote method is longer than 255 characters"):
+        run(f"{begin}while True:\n  AAA = AAA.server\nend\n")
 
 
 @pytest.mark.parametrize(
@@ -186,6 +200,62 @@ def test_modbus_registers_that_are_read_and_written_are_lists(controller: Contro
             controller.modbus["axes"] = value
     with pytest.raises(urlink.ScriptFailed, match="register_value is from 0 to 65535"):
         run("modbus_set_output_register('axes', [0, 65536])")
+
+
+def test_modbus_signals_with_a_count_are_lists(controller: Controller, run: Run) -> None:
+    # As in the vendor's examples for 5.14 and later.
+    controller.modbus["inputs"] = [1, 0, 1]
+    controller.modbus["registers"] = [500, 65535]
+    texts = run(
+        """modbus_add_signal("192.168.0.5", 255, 0, 0, "inputs", True, 3)
+modbus_add_signal("192.168.0.5", 255, 0, 1, "outputs", True, 2)
+modbus_add_signal("192.168.0.5", 255, 5000, 2, "registers", True, 2)
+modbus_add_signal("192.168.0.5", 255, 6000, 3, "speeds", True, 2)
+modbus_add_signal("192.168.0.5", 255, 12000, 3, "modules", True, 1)
+modbus_set_signal_update_frequency("modules", -1)
+modbus_set_signal_watchdog("registers", 30)
+outputs = modbus_get_signal_status("outputs", False)
+outputs[1] = True
+modbus_set_output_signal("outputs", outputs, False)
+modbus_set_output_register("speeds", [7, 8], False)
+textmsg(modbus_get_signal_status("inputs", False))
+textmsg(modbus_get_signal_status("registers", False))
+textmsg(modbus_get_signal_status("modules"))
+"""
+    )
+    assert texts == ("[True,False,True]", "[500,65535]", "0")
+    assert controller.modbus["outputs"] == (0, 1)
+    assert controller.modbus["speeds"] == (7, 8)
+    registers = controller.modbus.signal("registers")
+    assert registers is not None
+    assert registers.watchdog
+    for program, error in (
+        ('modbus_set_output_signal("outputs", True)', "digital_value is a list of 2 values"),
+        ('modbus_set_output_signal("outputs", [True])', "digital_value is a list of 2 values"),
+        ('modbus_set_output_signal("outputs", [True, 1])', "digital_value is True or False"),
+        ('modbus_set_output_register("speeds", [1, 65536])', "register_value is from 0 to 65535"),
+        ('modbus_set_output_signal("inputs", [True, True, True])', "'inputs' is a digital input"),
+        ('modbus_add_signal("192.168.0.5", 255, 0, 2, "many", True, 126)', "register_count is from 1 to 125"),
+    ):
+        with pytest.raises(urlink.ScriptFailed, match=error):
+            run(program)
+    with pytest.raises(BadValue, match="from 0 to 1"):
+        controller.modbus["inputs"] = [1, 2, 0]
+
+
+def test_modbus_value_that_was_set_before_fits_its_kind(controller: Controller, run: Run) -> None:
+    controller.modbus["late"] = [7, 0]
+    run('modbus_add_signal("192.168.0.5", 255, 0, 0, "late", True, 2)')
+    assert controller.modbus["late"] == (1, 0)
+
+
+def test_modbus_add_signal_takes_a_count_since_5_14() -> None:
+    line = 'modbus_add_signal("192.168.0.5", 255, 0, 0, "inputs", True, 2)'
+    for firmware, is_taken in (("5.13", False), ("5.14", True), ("10.7", True)):
+        controller = Controller(firmware=firmware)
+        controller.take(f"def f():\n  {line}\nend\n")
+        controller.step(2)
+        assert ("inputs" in controller.modbus) is is_taken
 
 
 def test_the_tool_is_set_up_by_a_program(controller: Controller, run: Run) -> None:

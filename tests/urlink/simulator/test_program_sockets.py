@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import socket
 from collections.abc import Iterator
 
 import pytest
 
+import urlink
 from linkcore.errors import BadValue
 from tests.waiting import until
-from urlink.simulator import Controller
-from urlink.simulator.programs.program_world import MOST, MOST_WAITING, ProgramSockets
+from urlink import Trajectory, TrajectoryPoint
+from urlink.simulator import Controller, Still
+from urlink.simulator.programs.program_world import MOST, MOST_WAITING, ProgramSockets, Target
 
 
-def refuse_all(address: str, port: int) -> tuple[str, int] | None:
+def refuse_all(address: str, port: int) -> Target | None:
     """Only this computer is reached."""
-    return (address, port) if address.startswith("127.") else None
+    return Target(address, port) if address.startswith("127.") else None
 
 
 @pytest.fixture
@@ -90,9 +93,9 @@ def test_ports_that_are_none(number: int, sockets: ProgramSockets) -> None:
 def test_others_where_they_are_allowed() -> None:
     asked: list[str] = []
 
-    def route(address: str, port: int) -> tuple[str, int]:
+    def route(address: str, port: int) -> Target:
         asked.append(address)
-        return address, port
+        return Target(address, port)
 
     sockets = ProgramSockets(route)
     # Reserved for documentation: nobody is there, and the connection is only begun.
@@ -161,7 +164,7 @@ def test_reachable_addresses_are_allowed() -> None:
 
         def allows(host: str) -> bool:
             answers: list[bool] = []
-            controller.call(lambda: answers.append(controller._route(host, 9) == (host, 9)))
+            controller.call(lambda: answers.append(controller._route(host, 9) == Target(host, 9)))
             return answers[0]
 
         assert allows("192.0.2.7")
@@ -175,9 +178,29 @@ def test_who_is_connected_to_the_controller_is_allowed(monkeypatch: pytest.Monke
         assert controller._server is not None
         assert controller._route("192.0.2.8", 9) is None
         monkeypatch.setattr(type(controller._server), "peers", {"192.0.2.8"})
-        assert controller._route("192.0.2.8", 9) == ("192.0.2.8", 9)
+        assert controller._route("192.0.2.8", 9) == Target("192.0.2.8", 9)
 
 
 def test_reachable_addresses_are_numeric() -> None:
     with pytest.raises(BadValue, match="numeric"):
         Controller("UR5e", reachable=["example.com"])
+
+
+@pytest.mark.real_time
+def test_controllers_on_two_loopback_addresses_are_streamed_to() -> None:
+    hosts = ("127.0.0.2", "127.0.0.3")
+    with contextlib.ExitStack() as stack:
+        for host in hosts:
+            try:
+                stack.enter_context(socket.create_server((host, 0))).close()
+            except OSError:
+                pytest.skip("this system has only one loopback address")
+        made = [stack.enter_context(Controller("UR5e", "5.11", host=host, motion=Still())) for host in hosts]
+        for controller in made:
+            robot = stack.enter_context(urlink.connect(controller.address, stale_after=10, silence=20))
+            q = robot.realtime.wait().q_actual.tolist()
+            with robot.motion.servo(watchdog=5.0) as servo:
+                servo.send([q[0] + 0.001, *q[1:]])
+            there = Trajectory([TrajectoryPoint(q, 0.0), TrajectoryPoint([q[0] + 0.05, *q[1:]], 1.0)])
+            robot.motion.follow(there, watchdog=5.0, start_tolerance=0.1, wait=60)
+            assert robot.realtime.wait().q_actual[0] == pytest.approx(q[0] + 0.05, abs=0.01)

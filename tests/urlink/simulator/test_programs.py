@@ -583,6 +583,32 @@ def test_the_reason_of_a_stop_that_did_not_hold_is_forgotten(watched: Watched) -
     assert not any("jumped" in line for line in watched.story)
 
 
+@pytest.mark.parametrize("firmware", ["5.25", "10.12"])
+def test_vendors_example_of_instructions_runs_to_its_end(firmware: str) -> None:
+    # The motions of the example instruction_executor of the UR Client Library.
+    near, far = "p[-0.203, 0.263, 0.559, 0.68, -1.083, -2.076]", "p[-0.203, 0.463, 0.559, 0.68, -1.083, -2.076]"
+    folded = "[-1.57, -1.6, 1.6, -0.7, 0.7, 0.2]"
+    lines = [
+        "movej([-1.57, -1.57, 0, 0, 0, 0], t=5, r=0.1)",
+        f"movej({folded}, a=1.4, v=2.0, r=0.1)",
+        f"movel({near}, t=2, r=0.1)",
+        f"movep({far}, a=0.4, v=0.4, r=0.1)",
+        "optimovej([-1.57, -1.57, 1.6, -0.5, 0.4, 0.3], a=0.4, v=0.7, r=0.1)",
+        f"optimovel({near}, a=0.4, v=0.7)",
+        "movej([-1.57, -1.57, 0, 0, 0, 0], a=2.0, v=2.0)",
+        f"movej({folded}, t=2)",
+        f"movel({near}, a=1.5, v=1.5)",
+        f"movel({far}, t=2)",
+        "movep(p[-0.203, 0.463, 0.759, 0.68, -1.083, -2.076], a=1.5, v=1.5)",
+        f"movej({folded})",
+        "optimovel(p[-0.0203, 0.363, 0.559, 0.68, -1.083, -2.076], a=1.0, v=1.0)",
+    ]
+    watched = Watched(firmware, motion=Still((-1.6, -1.72, -2.2, -0.8, 1.6, 0.03)), noise=False)
+    watched.take("def f():\n" + "".join(f"  {line}\n" for line in lines) + "end\n").step(30)
+    assert watched.story == ["started f", "stopped f"]
+    assert watched.controller.modes.safety_mode is SafetyMode.NORMAL
+
+
 def test_a_loop_without_time_is_stopped(watched: Watched) -> None:
     watched.take("def f():\n  while True:\n    x = 1\n  end\nend\n").step(0.01)
     assert "too much time" in watched.story[1]

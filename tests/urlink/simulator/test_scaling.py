@@ -9,12 +9,12 @@ import pytest
 
 import urlink
 from linkcore.errors import BadValue
-from tests.urlink.simulator.generator.stepping import CYCLE, cycles, standing, trapezoid
+from tests.urlink.simulator.generator.stepping import CYCLE, cycles, finish, standing, trapezoid
 from tests.urlink.simulator.rtde_peer import Peer, step
 from urlink.interfaces.enums import TimeScaleSource
 from urlink.kinematics import Arm
 from urlink.models import model
-from urlink.simulator import Controller, ScalingParameters
+from urlink.simulator import Controller, ScalingParameters, Still
 from urlink.simulator.robot.generator import MotionGenerator
 from urlink.simulator.robot.sources import HOME, Setpoint
 
@@ -186,6 +186,80 @@ def test_a_resumed_program_begins_with_a_ramp() -> None:
     speeds = np.array([setpoint.qd[0] for setpoint in targets(controller, 120)])
     assert np.diff(speeds).max() == pytest.approx(0.3 / 80, rel=1e-6)
     assert speeds[-1] == pytest.approx(0.3)
+
+
+# -- later moves of a program --------------------------------------------------------------------
+
+FOLDED, UNFOLDED = [-1.57, -1.6, 1.6, -0.7, 0.7, 0.2], [-1.57, -1.57, 0.0, 0.0, 0.0, 0.0]
+
+
+_USUAL = ScalingParameters()
+
+
+def durations(lines: str, scaling: ScalingParameters = _USUAL, firmware: str = "5.11") -> list[float]:
+    """Seconds that each movement of a program lasts, from `UNFOLDED`."""
+    controller = Controller(firmware=firmware, motion=Still(UNFOLDED), noise=False, scaling=scaling)
+    controller.take(f"def f():\n{lines}end\n")
+    moving = []
+    while controller.program_name is not None:
+        moving.append(any(targets(controller, 1)[0].qd))
+    edges = np.flatnonzero(np.diff([0, *moving, 0]))
+    return [controller._state.period * float(count + 1) for count in np.diff(edges)[::2]]
+
+
+@pytest.mark.parametrize("rest", ["", "  sleep(0.3)\n"])
+def test_later_moves_from_rest_have_a_shorter_ramp(rest: str) -> None:
+    ideal, rest = trapezoid(1.6, 3.1, 3.4), rest or "  sync()\n  sync()\n"
+    there, back = (f"  movej({q}, a=3.4, v=3.1)\n" for q in (FOLDED, UNFOLDED))
+    first, *later = durations(there + rest + back + rest + there)
+    assert first == pytest.approx(ideal + 0.08, abs=0.003)
+    assert later == pytest.approx([ideal + 0.04] * 2, abs=0.003)
+    (_, slower) = durations(there + rest + back, ScalingParameters(move_rate=6.25))
+    assert slower == pytest.approx(ideal + 0.08, abs=0.003)
+
+
+@pytest.mark.parametrize("firmware", ["5.11", "5.25"])
+def test_later_moves_last_as_long_as_on_the_vendors_simulator(firmware: str) -> None:
+    # The tests of the UR Client Library: its executor sends one move after the other to a program that runs, and looks
+    # every 0.1 s whether the move has ended. movej: more than 1.4 s (1.45 to 1.65 in earlier releases). movel: 0.65 to
+    # 0.85 s. Moves with a time: up to 0.1 s longer than it, 0.3 s as 0.35 to 0.45 s.
+    pose, near = "p[-0.203, 0.263, 0.559, 0.68, -1.083, -2.076]", "p[-0.203, 0.463, 0.559, 0.68, -1.083, -2.076]"
+    lines = {
+        f"movej({FOLDED}, 1.4, 1.05)": (1.0, 5.0),
+        f"movej({UNFOLDED}, 3.4, 3.1)": (1.4, 1.5),
+        f"movej({FOLDED}, 3.4, 3.1)": (1.4, 1.5),
+        f"movej({UNFOLDED}, 3.4, 3.1, 3)": (3.0, 3.1),
+        f"movej({FOLDED}, 3.4, 3.1, 2.5)": (2.5, 2.6),
+        f"movel({pose})": (0.5, 5.0),
+        f"movel({near}, 1.5, 1.5)": (0.7, 0.8),
+        f"movel({pose}, 1.5, 1.5, 0.3)": (0.3, 0.4),
+    }
+    found = durations("".join(f"  {line}\n  sleep(0.05)\n" for line in lines), firmware=firmware)
+    for seconds, (low, high) in zip(found, lines.values(), strict=True):
+        assert low < seconds < high
+
+
+def test_blended_move_has_no_ramp() -> None:
+    generator = standing(UNFOLDED)
+    generator.movej(FOLDED, 1.4, 1.05, 0.0, 0.1)
+    while not generator._command.is_over:  # type: ignore[union-attr]
+        generator.advance(CYCLE)
+    generator.movej(UNFOLDED, 1.4, 1.05)
+    generator.advance(CYCLE)
+    assert generator.scaling == 1.0
+
+
+def test_ramp_of_a_later_move_ends_at_the_slider() -> None:
+    generator = standing(UNFOLDED)
+    generator.scaling = generator.speed_fraction = 0.5
+    finish(generator, generator.movej([*UNFOLDED[:5], 0.1]))
+    generator.movej(UNFOLDED)
+    scalings = []
+    for _ in range(30):
+        generator.advance(CYCLE)
+        scalings.append(generator.scaling)
+    np.testing.assert_allclose(scalings[:20], [0.025 * k for k in range(1, 21)], atol=1e-12)
+    assert scalings[20:] == [0.5] * 10
 
 
 # -- what shows ----------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ from __future__ import annotations
 import ipaddress
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar, cast
 
 from linkcore.errors import BadValue
 from linkcore.net.polled import PolledConnection, State
@@ -23,8 +23,23 @@ from ..robot.generator import ArmDrive, ForceTask, MotionGenerator
 from ..rtde_variables import OUTPUT_VALUES
 from ..state import ControllerState
 
+
+class Target(NamedTuple):
+    """Where a connection of a program goes.
+
+    Attributes:
+        host: numeric address.
+        port: TCP port.
+        source: numeric address of this computer to connect from; None for the one that the system chooses.
+    """
+
+    host: str
+    port: int
+    source: str | None = None
+
+
 #: Where a connection to a numeric address and a port goes; None if a program may not connect to it.
-Route = Callable[[str, int], tuple[str, int] | None]
+Route = Callable[[str, int], Target | None]
 
 T = TypeVar("T")
 
@@ -53,8 +68,10 @@ class ProgramSockets:
         except ValueError:
             return
         target = self._route(address, port)
-        if target is not None and 0 < target[1] < 65536 and len(self._connections) < MOST:
-            self._connections[name] = PolledConnection(*target, most_waiting=MOST_WAITING)
+        if target is not None and 0 < target.port < 65536 and len(self._connections) < MOST:
+            self._connections[name] = PolledConnection(
+                target.host, target.port, most_waiting=MOST_WAITING, source=target.source
+            )
 
     def state(self, name: str) -> State:
         """The state of a socket; "closed" also if it was refused, or if the program has too many."""

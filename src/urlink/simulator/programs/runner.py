@@ -3,8 +3,8 @@
 In each cycle the threads of the program run first; then its motion generator makes one set-point of their commands. The
 arm follows that set-point, and has no access to programs.
 
-A program whose last statement is `protective_stop()` ends, and its end is reported after the stop: the UR Client
-Library waits for that before it unlocks the stop.
+A program whose last statement is `protective_stop()` ends, and its end is reported after the stop. The UR Client
+Library waits for that message before it unlocks the stop.
 
 Guesses: that a protective stop pauses any other program, which `play` then continues, and that an emergency stop or
 switching off ends it; that secondary programs run on through all of these; that a program which was paused because an

@@ -29,6 +29,7 @@ class ScalingParameters:
 
     Attributes:
         start_rate: 1/s, with which the scaling rises from 0 at the start of a program.
+        move_rate: 1/s, with which it rises from 0 when a later path move of the program starts from rest.
         slider_rate: 1/s, with which it follows the speed slider.
         resume_rate: 1/s, with which it rises from 0 when a program is resumed.
         servoj_lag_stretches: whether the lag of ``servoj`` lasts longer by 1 / scaling, as all motion does. If not,
@@ -39,12 +40,13 @@ class ScalingParameters:
     """
 
     start_rate: float = number("start_rate")
+    move_rate: float = number("move_rate")
     slider_rate: float = number("slider_rate")
     resume_rate: float = number("resume_rate")
     servoj_lag_stretches: bool = is_assumed("servoj_lag_stretches")
 
     def __post_init__(self) -> None:
-        for name in ("start_rate", "slider_rate", "resume_rate"):
+        for name in ("start_rate", "move_rate", "slider_rate", "resume_rate"):
             check_number(getattr(self, name), name, 1e-3, 1e6, "1/s")
 
 

@@ -130,7 +130,7 @@ class ModbusSignal:
         slave, address: of the signal in it.
         kind: 0 digital input, 1 digital output, 2 register input, 3 register output, 4 registers that are read and
             others that are written.
-        value: 0 or 1, or 0 to 65535; of kind 4 as many of these as are read.
+        value: 0 or 1, or 0 to 65535; a tuple of these for a signal of several bits or registers, as kind 4 always is.
         written: numbers of the registers that a program has written, of kind 4.
         frequency: with which it would be read, Hz.
         watchdog: whether a failure of it stops programs.
@@ -221,7 +221,8 @@ class ModbusSignals(Mapping[str, Value]):
         """Add a signal; it replaces one with the same name, and takes over a value that was set before and fits."""
         old = self._values.get(name)
         if old is not None and _length(old) == _length(signal.value):
-            signal.value = min(old, 1) if signal.is_digital and isinstance(old, int) else old
+            highest = 1 if signal.is_digital else _HIGHEST
+            signal.value = min(old, highest) if isinstance(old, int) else tuple(min(each, highest) for each in old)
         self._signals[name] = signal
         self._values[name] = signal.value
 

@@ -31,6 +31,8 @@ from .errors import MAX_ELEMENTS, MAX_INTEGER, MAX_STRUCTS, MIN_INTEGER, Fault, 
 NUMBERS: frozenset[Any] = frozenset({int, float})
 #: Called with the number of elements made.
 Charge = Callable[[int], None]
+#: Characters before the last part of the name of a remote method.
+_LONGEST_PREFIX = 255
 
 
 class PoseValue(tuple[float, ...]):
@@ -57,15 +59,26 @@ class Struct:
 
 
 class RpcHandle:
-    """The result of `rpc_factory`: the address of the server of its methods."""
+    """The result of `rpc_factory`: the address of the server of its methods.
 
-    __slots__ = ("host", "path", "port", "url")
+    `handle.server` is the same with the prefix "server.", so that `handle.server.f(x)` calls the method "server.f".
+    """
 
-    def __init__(self, url: str, host: str, port: int, path: str) -> None:
+    __slots__ = ("host", "path", "port", "prefix", "url")
+
+    def __init__(self, url: str, host: str, port: int, path: str, prefix: str = "") -> None:
         self.url = url
         self.host = host
         self.port = port
         self.path = path
+        self.prefix = prefix
+
+    def within(self, name: str) -> RpcHandle:
+        """The handle of the methods whose names begin with `name.`, after the prefix of this one."""
+        prefix = f"{self.prefix}{name}."
+        if len(prefix) > _LONGEST_PREFIX:
+            raise Fault(f"the name of a remote method is longer than {_LONGEST_PREFIX} characters")
+        return RpcHandle(self.url, self.host, self.port, self.path, prefix)
 
 
 class MemberName(str):
@@ -279,6 +292,12 @@ def element(value: Any, index: Any) -> Any:
 
 def member(value: Any, name: str) -> Any:
     """`value.name`"""
+    if isinstance(value, RpcHandle):
+        return value.within(name)
+    return _struct_member(value, name)
+
+
+def _struct_member(value: Any, name: str) -> Any:
     if not isinstance(value, Struct) or name not in value.members:
         raise type_error(f"{type_name(value)} has no member '{name}'")
     return value.members[name]
@@ -287,7 +306,7 @@ def member(value: Any, name: str) -> Any:
 def replaced(value: Any, indices: Sequence[Any], new: Any, charge: Charge) -> Any:
     """`value` after `value[i][j] = new`; a `MemberName` among the indices is that of a struct."""
     if indices[0].__class__ is MemberName:
-        old = member(value, indices[0])
+        old = _struct_member(value, indices[0])
         changed = new if len(indices) == 1 else replaced(old, indices[1:], new, charge)
         return struct_of({**value.members, indices[0]: changed}, charge)
     index = _place(value, indices[0])

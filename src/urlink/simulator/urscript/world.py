@@ -44,6 +44,9 @@ class MotionCommands(Protocol):
     def movel(self, pose: Sequence[float], a: float, v: float, t: float, r: float) -> BegunMove:
         """To a pose, along a straight line."""
 
+    def optimovel(self, pose: Sequence[float], a: float, v: float, r: float) -> BegunMove:
+        """To a pose, along a straight line, within the limits of the joints."""
+
     def movep(self, pose: Sequence[float], a: float, v: float, r: float) -> BegunMove:
         """To a pose at constant speed."""
 

@@ -204,6 +204,28 @@ def test_the_tool_goes_round(angle: float, part: float, turn: Array, radius: flo
     check_continuous(before, setpoints, 3.0 * UR5E.max_acceleration, 0.008)
 
 
+@given(by=triples, turn=triples)
+def test_optimovel_stays_within_the_limits_of_the_joints(by: Array, turn: Array) -> None:
+    target = shifted(0.3 * by, 0.5 * turn)
+    fast, slow = with_tool(), with_tool()
+    try:
+        setpoints = finish(fast, fast.optimovel(target, 2.0, 1.0, 0.0))
+    except LimitViolation:
+        # A line that leads out of reach, or through a singularity, ends at any speed.
+        with pytest.raises(LimitViolation):
+            finish(slow, slow.movel(target, 0.5, 0.05))
+        return
+    # Its speed comes from samples of the line.
+    assert (np.abs(speeds(setpoints)).max(axis=0) <= 1.02 * UR5E.max_speed).all()
+
+
+def test_optimovel_is_as_fast_as_the_joints_allow() -> None:
+    pose = [-0.0203, 0.363, 0.559, 0.68, -1.083, -2.076]
+    generator = standing([-1.57, -1.6, 1.6, -0.7, 0.7, 0.2])
+    tops = np.abs(speeds(finish(generator, generator.optimovel(pose, 2.0, 1.0, 0.0)))).max(axis=0) / UR5E.max_speed
+    assert 0.8 < tops.max() <= 1.02
+
+
 def test_points_on_a_line_have_no_circle() -> None:
     generator = with_tool()
     middle, end = (shifted(np.array([d, 0, 0]), np.zeros(3)) for d in (0.05, 0.1))

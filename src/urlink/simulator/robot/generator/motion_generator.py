@@ -190,10 +190,7 @@ class MotionGenerator:
         Raises:
             BadValue: an argument is invalid.
         """
-        start, blend = self._take_over()
-        line = Line(self.arm.pose(start), checked(pose, "a pose"))
-        path = ToolPath(self.arm, line, start)
-        return self._follow_path(path, start, blend, a, v, t, r)
+        return self._move_line(pose, a, v, t, r)
 
     def movec(
         self, via: Sequence[float], to: Sequence[float], a: float = 1.2, v: float = 0.25, r: float = 0.0, mode: int = 0
@@ -223,6 +220,10 @@ class MotionGenerator:
     def movep(self, pose: Sequence[float], a: float = 1.2, v: float = 0.25, r: float = 0.0) -> Command:
         """As `movel`: with blends between such moves, the tool keeps about the same speed."""
         return self.movel(pose, a, v, 0.0, r)
+
+    def optimovel(self, pose: Sequence[float], a: float, v: float, r: float) -> Command:
+        """As `movel`, with `a` m/s² and `v` m/s lowered so that no joint exceeds its limits on the path."""
+        return self._move_line(pose, a, v, 0.0, r, is_bounded=True)
 
     def servoc(self, pose: Sequence[float], a: float, v: float, r: float) -> Command:
         """As `movel`. A controller follows the pose along a circular blend; here there is only the straight part."""
@@ -325,15 +326,32 @@ class MotionGenerator:
         self._refusal = None
         return command
 
-    def _follow_path(
-        self, path: MotionPath, start: list[float], blend: Blend | None, a: float, v: float, t: float, r: float
+    def _move_line(
+        self, pose: Sequence[float], a: float, v: float, t: float, r: float, is_bounded: bool = False
     ) -> Command:
+        start, blend = self._take_over()
+        line = Line(self.arm.pose(start), checked(pose, "a pose"))
+        path = ToolPath(self.arm, line, start)
+        return self._follow_path(path, start, blend, a, v, t, r, is_bounded)
+
+    def _follow_path(
+        self,
+        path: MotionPath,
+        start: list[float],
+        blend: Blend | None,
+        a: float,
+        v: float,
+        t: float,
+        r: float,
+        is_bounded: bool = False,
+    ) -> Command:
+        """Begin a path; `is_bounded` lowers `a` and `v` to the limits of the joints on a tool's path too."""
         radius = _not_negative(r, "a blend radius")
         if _not_negative(t, "a time") > 0.0:
             speed, acceleration = timed(max(path.length, _SHORTEST), t, *path.fastest())
         else:
             speed, acceleration = positive(v, "a speed"), positive(a, "an acceleration")
-            if isinstance(path, JointPath):
+            if is_bounded or isinstance(path, JointPath):
                 fastest, hardest = path.fastest()
                 speed, acceleration = min(speed, fastest), min(acceleration, hardest)
         profile = Trapezoid(path.length, speed, acceleration)
@@ -341,6 +359,8 @@ class MotionGenerator:
             # No faster than the old speed dies away: then the sum of both never exceeds the larger one.
             rise = min(acceleration, profile.peak / (blend.duration * max(self.scaling, 0.01)))
             profile = Trapezoid(path.length, profile.peak, acceleration, rise)
+        if self._command is not None and blend is None and self.scaling == self.speed_fraction:
+            self.scaling, self._rise = 0.0, self._parameters.move_rate
         return self._begin(PathMove(path, profile, start, blend, radius))
 
     def _take_over(self) -> tuple[list[float], Blend | None]:

@@ -91,11 +91,14 @@ def optimovej(thread: ScriptThread, q: Any, a: Any = 0.3, v: Any = 0.3, r: Any =
 
 @declare(takes_time=True, in_secondary=False, since="5.22/10.8")
 def optimovel(thread: ScriptThread, pose: Any, a: Any = 0.3, v: Any = 0.3, r: Any = 0) -> Waiting:
-    """As `movel`, with fractions of 1 m/s and 2 m/s²; the reference values of a controller are not known."""
+    """As `movel`, with fractions of 1 m/s and 2 m/s², lowered to the limits of the joints on the path.
+
+    The reference values of a controller are not known.
+    """
     target = _pose(thread, pose, "optimovel: pose")
     acceleration, speed = 2.0 * _fraction(a, "optimovel: a"), _fraction(v, "optimovel: v")
     blend = _not_negative(r, "optimovel: r")
-    return thread.machine.moving(thread, lambda: thread.world.motion.movel(target, acceleration, speed, 0.0, blend))
+    return thread.machine.moving(thread, lambda: thread.world.motion.optimovel(target, acceleration, speed, blend))
 
 
 def _fraction(value: Any, what: str) -> float:

@@ -25,6 +25,7 @@ from .declaration import boolean, declare, integer, is_list, number, number_with
 _Kind = Literal["boolean", "integer", "float"]
 
 _HAS_UPPER_RANGE = Since("3.9/5.3")
+_HAS_LISTS = Since("5.14")
 _ACTIONS: dict[str, Action] = {"ignore": "ignore", "pause": "pause", "stop": "stop"}
 
 
@@ -93,7 +94,7 @@ def _signal(thread: ScriptThread, name: Any, what: str) -> ModbusSignal:
     return found
 
 
-@declare(since="3.0")
+@declare(since="3.0", until="5.14")
 def modbus_add_signal(
     thread: ScriptThread,
     IP: Any,
@@ -103,14 +104,48 @@ def modbus_add_signal(
     signal_name: Any,
     sequential_mode: Any = False,
 ) -> None:
+    _add(thread, IP, slave_number, signal_address, signal_type, signal_name, sequential_mode, 1)
+
+
+@declare(name="modbus_add_signal", since="5.14")
+def modbus_add_signals(
+    thread: ScriptThread,
+    IP: Any,
+    slave_number: Any,
+    signal_address: Any,
+    signal_type: Any,
+    signal_name: Any,
+    sequential_mode: Any = False,
+    register_count: Any = 1,
+) -> None:
+    """With a count above 1, the signal is a list of so many bits or registers, as in the vendor's examples for 5.14.
+
+    Assumed: the parameter's name, its limits, which are those of Modbus, and that a count of 1 is a single value.
+    """
+    _add(thread, IP, slave_number, signal_address, signal_type, signal_name, sequential_mode, register_count)
+
+
+def _add(
+    thread: ScriptThread,
+    ip: Any,
+    slave_number: Any,
+    signal_address: Any,
+    signal_type: Any,
+    signal_name: Any,
+    sequential_mode: Any,
+    register_count: Any,
+) -> None:
     what = "modbus_add_signal"
     boolean(sequential_mode, f"{what}: sequential_mode")
     signal = ModbusSignal(
-        string(IP, f"{what}: IP"),
+        string(ip, f"{what}: IP"),
         integer(slave_number, f"{what}: slave_number", 0, 255),
         integer(signal_address, f"{what}: signal_address", 0, 65535),
         integer(signal_type, f"{what}: signal_type", 0, READ_AND_WRITE - 1),
     )
+    count = integer(register_count, f"{what}: register_count", 1, 2000 if signal.is_digital else 125)
+    if count > 1:
+        signal.value = (0,) * count
     thread.world.modbus.add(string(signal_name, f"{what}: signal_name"), signal)
 
 
@@ -153,51 +188,71 @@ def modbus_delete_signal(thread: ScriptThread, signal_name: Any) -> bool:
 
 @declare(since="3.0")
 def modbus_get_signal_status(thread: ScriptThread, signal_name: Any, is_secondary_program: Any = False) -> Any:
-    """True or False for a digital signal, a number for a register, a list of numbers for several."""
+    """True or False for a digital signal, a number for a register, a list of these for several."""
     signal = _signal(thread, signal_name, "modbus_get_signal_status")
-    return bool(signal.value) if signal.is_digital else signal.value
+    if not signal.is_digital:
+        return signal.value
+    return bool(signal.value) if isinstance(signal.value, int) else tuple(map(bool, signal.value))
 
 
-def _set(thread: ScriptThread, name: Any, value: Any, what: str, is_digital: bool) -> None:
+def _set(
+    thread: ScriptThread, name: Any, value: Any, what: str, argument: str, check: Callable[[Any, str], int]
+) -> None:
+    """Set a digital output, whose `check` is `boolean`, or a register output; a list if it was added as one."""
     signal = _signal(thread, name, what)
-    if signal.is_input or signal.is_digital is not is_digital:
+    if signal.is_input or signal.is_digital is not (check is boolean):
         raise Fault(f"{what}: '{name}' is a {KINDS[signal.kind]}")
-    thread.world.modbus[str(name)] = value
+    if isinstance(signal.value, int):
+        new: int | list[int] = int(check(value, f"{what}: {argument}"))
+    elif is_list(value) and len(value) == len(signal.value):
+        new = [int(check(item, f"{what}: {argument}")) for item in value]
+    else:
+        raise type_error(f"{what}: {argument} is a list of {len(signal.value)} values")
+    thread.world.modbus[str(name)] = new
+
+
+def _register(value: Any, what: str) -> int:
+    return integer(value, what, 0, 65535)
 
 
 @declare(since="3.0")
 def modbus_set_output_signal(
     thread: ScriptThread, signal_name: Any, digital_value: Any, is_secondary_program: Any = False
 ) -> None:
-    what = "modbus_set_output_signal"
-    _set(thread, signal_name, int(boolean(digital_value, f"{what}: digital_value")), what, True)
+    """Of a signal that was added with a count, a list of truth values."""
+    _set(thread, signal_name, digital_value, "modbus_set_output_signal", "digital_value", boolean)
 
 
 @declare(since="3.0")
 def modbus_set_output_register(
     thread: ScriptThread, signal_name: Any, register_value: Any, is_secondary_program: Any = False
 ) -> None:
-    """Of registers that were added by `modbus_add_rw_signal`, all those that are written, as a list."""
+    """Of several registers a list; of those added by `modbus_add_rw_signal`, of all those that are written."""
     what = "modbus_set_output_register"
     signal = _signal(thread, signal_name, what)
     if signal.kind != READ_AND_WRITE:
-        return _set(thread, signal_name, integer(register_value, f"{what}: register_value", 0, 65535), what, False)
+        return _set(thread, signal_name, register_value, what, "register_value", _register)
     numbers = vector(register_value, f"{what}: register_value", len(signal.written))
-    signal.written = tuple([integer(number, f"{what}: register_value", 0, 65535) for number in numbers])
+    signal.written = tuple([_register(number, f"{what}: register_value") for number in numbers])
 
 
 @declare(since="3.0")
 def modbus_set_signal_update_frequency(thread: ScriptThread, signal_name: Any, update_frequency: Any) -> None:
+    """A frequency of -1 reads the signal once, in an example of the vendor for 5.14; it is stored here."""
     what = "modbus_set_signal_update_frequency"
-    frequency = number_within(update_frequency, f"{what}: update_frequency", 0, 125)
+    frequency = number_within(update_frequency, f"{what}: update_frequency", -1, 125)
     _signal(thread, signal_name, what).frequency = frequency
 
 
 @declare(since="3.0")
 def modbus_set_signal_watchdog(thread: ScriptThread, signal_name: Any, is_watched: Any) -> None:
-    """Stored in the signal; a failure does not stop a program here."""
+    """Stored in the signal; a failure does not stop a program here. An example of the vendor for 5.14 gives seconds."""
     what = "modbus_set_signal_watchdog"
-    _signal(thread, signal_name, what).watchdog = boolean(is_watched, f"{what}: is_watched")
+    signal = _signal(thread, signal_name, what)
+    if is_watched.__class__ is not bool and thread.world.firmware in _HAS_LISTS:
+        signal.watchdog = number(is_watched, f"{what}: is_watched") > 0
+    else:
+        signal.watchdog = boolean(is_watched, f"{what}: is_watched")
 
 
 @declare(since="3.0")

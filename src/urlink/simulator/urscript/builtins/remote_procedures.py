@@ -48,6 +48,7 @@ def call_method(thread: ScriptThread, base: Any, name: str, arguments: Sequence[
         raise type_error(f"{type_name(base)} has no method '{name}'")
     if name == "closeXMLRPCClientConnection":
         return None
+    name = base.prefix + name
     # Imported where it is used: it loads a large part of the standard library.
     from xmlrpc.client import dumps
 
