@@ -228,17 +228,20 @@ class Engine:
         """In the reverse of the order in which they are done: controls are first."""
         jobs: list[Job] = []
         if self._drawn is not None:
-            drawn = [Job(path, mutation) for path, mutation in draw(self._files, SEED, COUNT)]
-            return drawn[self._drawn][::-1]
+            drawn = [Job(path, mutation) for path, mutation in draw(self._files, SEED, COUNT)][self._drawn]
+            return [job for job in drawn if not self._is_equivalent(job.path, job.mutation)][::-1]
         for path, source in self._sources.items():
-            name = path.relative_to(ROOT / "src").as_posix()
-            found = [one for one in mutations(source) if not any(row.matches(name, one) for row in self._equivalent)]
+            found = [one for one in mutations(source) if not self._is_equivalent(path, one)]
             if self._sample is not None and len(found) > self._sample:
                 found = sorted(self._random.sample(found, self._sample))
             jobs += [Job(path, mutation) for mutation in found]
         within = [job for job in jobs if job.mutation.function]
         controls = [job._replace(is_control=True) for job in self._random.sample(within, min(CONTROLS, len(within)))]
         return [*jobs[::-1], *controls]
+
+    def _is_equivalent(self, path: Path, mutation: Mutation) -> bool:
+        name = path.relative_to(ROOT / "src").as_posix()
+        return any(row.matches(name, mutation) for row in self._equivalent)
 
     # -- children ----------------------------------------------------------------------------
 

@@ -222,7 +222,7 @@ def _steps(block: Any, ask: Ask) -> Iterator[tuple[str, int, float]]:
     for _ in range(chance.randint(0, 5) if methods else 0):
         name = chance.choice(sorted(methods))
         often = chance.choice((1, 1, 25)) if name == "send" else 1
-        yield name, often, chance.choice((0.0, 0.01, 0.1, 0.6, 1.6))
+        yield name, often, chance.choice((0.0, 0.01, 0.1, 0.6, 2.0))
 
 
 def during(robot: Any, block: Any, ask: Ask) -> None:

@@ -38,6 +38,7 @@ _SCENES = 4
 
 #: Actions of `surface` by kind, and how often each kind is drawn.
 _ACTIONS = {kind: [name for name, each in ACTIONS.items() if each.kind == kind] for kind in ("motion", "block", "call")}
+_ACTIONS["block"] += ["motion.jog"] * 2
 _ACTION_KINDS = ("motion",) * 4 + ("block",) * 4 + ("call",) * 3
 _SITUATIONS = ("race",) * 3 + ("signal",) * 2 + ("lacks", "busy") + ("any", "held") * 2 + ("sweep",) * 3
 #: Actions that move the arm by messages, each as often as it is drawn.
@@ -68,7 +69,8 @@ def public(seed: int) -> World:
     asks = [_public_ask(chance, chance.choice(menu), thens, at) for _ in range(chance.choice((1, 1, 1, 2, 3)))]
     events: list[Event] = []
     if situation == "sweep":
-        wanted = [_action(chance), *(chance.choice(_ACTIONS["call"]) for _ in range(12))]
+        wanted = [*(_action(chance) for _ in range(3)), *(chance.choice(_ACTIONS["call"]) for _ in range(8))]
+        chance.shuffle(wanted)
         asks = [_public_ask(chance, what, ("wait",), at) for what in wanted if what not in _ENDS]
     elif situation == "signal":
         asks[0] = replace(asks[0], then="signal")
@@ -85,8 +87,10 @@ def public(seed: int) -> World:
         what = chance.choice(("hold_client", "suspend_client", "cut", "kill_client", "protective_stop"))
         events.append(Event(what, 0.1 + 0.5 * chance.random(), 2.0 + chance.random(), 0, chance.random(), 0))
     elif situation == "lacks":
-        what = chance.choice((*LACKS, "no_threads"))
-        events.append(Event(what, 0.01 * chance.random(), 2.0 * chance.random(), 0, chance.random(), 0))
+        # Not before everything is connected: that takes threads.
+        asks = [_public_ask(chance, "motion.stop", ("wait",), at), *asks]
+        what, after = chance.choice((*LACKS, "no_threads")), chance.choice((0.0, 0.0, 0.01)) * chance.random()
+        events.append(Event(what, after, 2.0 * chance.random(), 0, chance.random(), 1))
     if chance.random() < 0.25:
         events.append(_event(chance, at, HAPPENS, (Client(tuple(asks), 0.0),)))
     start = chance.choice(("register",) * 6 + ("flags",))

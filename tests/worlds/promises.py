@@ -43,6 +43,8 @@ PROMISES: Mapping[str, tuple[str, str]] = {
 }
 #: s on top of a watchdog or a timeout: the state that shows it, the way to the robot, and braking.
 _BRAKED = BRAKING + 0.3
+#: s in which a jog comes to rest from the speeds that `surface` draws.
+_AT_REST = 1.0
 #: The longest watchdog that `surface` draws, s.
 _WATCHDOG = 0.5
 #: rad/s above which the arm moves.
@@ -134,12 +136,12 @@ class Promises:
         """In each cycle in which the arm moves."""
         main = self._controller._runner.main
         sent = None if main is None else self._observed.programs.get(main.name)
-        if sent is None or speed <= _MOVES:
+        if sent is None or sent.ended is not None or speed <= _MOVES:
             return
         now, life = self._sim.now, sent.life
         if life.name == "jog":
             told = self._expires.get(life, sent.begun or now)
-            if now > max(told, sent.begun or 0.0) + _WATCHDOG + _BRAKED:
+            if now > max(told, sent.begun or 0.0) + _AT_REST:
                 self._fault(f"the arm moves at {speed:.3f} rad/s by a jog whose speed expired at {told:.3f} s")
         last = self._sent.get(life)
         is_led = sent.is_linked and life.name in _LED and last is not None

@@ -193,6 +193,7 @@ class Run:
                 files={PENDANT_PROGRAM: pick},
             ).start()
         acting.prepared(self.controller, world.seed)
+        self.controller.call(lambda: self.controller.pendant.load(PENDANT_PROGRAM))
         asks = [ask for client in world.clients for ask in client.asks]
         is_in_turn = all(ask.thread == 0 and ask.then != "forget" for ask in asks)
         self.is_sequence = not world.events and len(world.clients) == 1 and is_in_turn
@@ -358,6 +359,7 @@ class Run:
         owner = None
         self.watch.note(f"client {number} asks for {ask.what} ({ask.size:.2f}), then {ask.then}")
         observed, method = self.watch.observed, ask.what.rpartition(".")[2]
+        entered = self.sim.now
         try:
             if client.policy != "never" and ask.size > 0.3:
                 robot.safety.enable()
@@ -438,7 +440,10 @@ class Run:
         """A motion that lasts as long as a block; what its handle reports in the end."""
         block = BLOCK[ask.what](robot, ask)
         try:
-            with block as entered:
+            with contextlib.ExitStack() as leaving:
+                # What is begun by entering it is asked for then, and not when the block was made.
+                with self.watch.observed.calling(ask.what.rpartition(".")[2]):
+                    entered = leaving.enter_context(block)
                 DURING[ask.what](robot, entered, ask)
                 handle = _handle(entered)
                 if ask.then == "cancel" and handle is not None:
@@ -636,6 +641,7 @@ class Run:
                         self.watch.fault(f"a cancelled replace was carried out: the stream ends at {block.end:.3f} s")
                 elif name == "execute":
                     self.watch.observed.pause(block)
+                    await asyncio.sleep(1.5 * BRAKING)
                 if often > 1:
                     await robot.realtime.wait(2.0)
             await asyncio.sleep(rest)

@@ -1,0 +1,149 @@
+"""What closing a stream, a subscription or a queue leaves behind: nothing that waits, and no wait without an end."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Any
+
+import pytest
+
+from linkcore.errors import BadValue, ConnectionLost, LinkTimeout
+from linkcore.streaming.connection_life import Backoff, ConnectionEvent, ConnectionPhase, ConnectionState
+from linkcore.streaming.fanout import FanOut
+from linkcore.streaming.packet_queue import PacketQueue, drop_oldest
+from linkcore.streaming.stream import Stream
+from linkcore.streaming.thread_connection import ThreadConnection
+from tests.fakes.link import Count, CountProtocol, ScriptedTransport, counts, scripted
+from tests.waiting import until
+
+pytestmark = pytest.mark.simulated_time
+
+#: s in which everything has to have happened, on a busy machine too.
+_SOON = 20.0
+
+
+class Recorded(ScriptedTransport):
+    """Notes how often it was aborted, and can keep `open` waiting."""
+
+    def __init__(self, *openings: Exception | None) -> None:
+        super().__init__(*openings)
+        self.aborts = 0
+        self.may_open = threading.Event()
+        self.may_open.set()
+
+    def abort(self) -> None:
+        self.aborts += 1
+        super().abort()
+
+    def open(self, timeout: float) -> None:
+        self.may_open.wait(_SOON)
+        super().open(timeout)
+
+
+def test_closed_queue_drops_what_waits(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    connection = stream._connection
+    queue: PacketQueue = connection.open_queue(Count, drop_oldest(8))
+    transport.put(counts(1, 2, 3))
+    until(lambda: queue.waiting == 3)
+    connection.close_queue(queue)
+    assert (queue.is_over, queue.waiting, queue.dropped) == (True, 0, 3)
+
+
+def test_lost_connection_is_aborted() -> None:
+    transport = Recorded()
+    stream = scripted(transport, backoff=Backoff(first=30.0, most=30.0))
+    stream.start()
+    transport.put(ConnectionLost("cut"))
+    until(lambda: stream.connection is not ConnectionState.CONNECTED)
+    until(lambda: transport.aborts >= 1)
+    stream.close()
+
+
+def test_close_ends_a_stream_that_waits_to_reconnect() -> None:
+    transport = ScriptedTransport(None, ConnectionLost("again"))
+    stream = scripted(transport, backoff=Backoff(first=30.0, most=30.0))
+    states: list[ConnectionState] = []
+    stream.subscribe(lambda event: states.append(event.state), kind=ConnectionEvent)
+    stream.start()
+    transport.put(ConnectionLost("cut"))
+    until(lambda: ConnectionState.LOST in states)
+    stream.close()
+    assert stream.join(1.0)
+    assert stream._connection._life.phase is ConnectionPhase.CLOSED
+
+
+def test_start_gives_up_on_a_transport_that_hangs() -> None:
+    transport = Recorded()
+    transport.may_open.clear()
+    connection = ThreadConnection("script", transport, CountProtocol, FanOut(Count), timeout=0.1)
+    stream = Stream(connection, Count)
+    try:
+        with pytest.raises(LinkTimeout, match="no connection"):
+            stream.start()
+    finally:
+        transport.may_open.set()
+        stream.close()
+
+
+def test_join_ends_in_time_when_a_callback_hangs(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    entered, leave = threading.Event(), threading.Event()
+
+    def hang(count: Count) -> None:
+        entered.set()
+        leave.wait(_SOON)
+
+    stream.subscribe(hang)
+    transport.put(counts(1))
+    assert entered.wait(_SOON)
+    connection = stream._connection
+    connection._stop()
+    transport.abort()
+    until(lambda: connection._join_reader(0.0))
+    begun = time.monotonic()
+    assert not stream.join(0.05)
+    stream.close(0.05)
+    assert time.monotonic() - begun < 1.0
+    leave.set()
+
+
+def test_closed_subscription_has_no_callback_running(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    entered, left = threading.Event(), threading.Event()
+
+    def callback(count: Count) -> None:
+        entered.set()
+        time.sleep(0.1)
+        left.set()
+
+    subscription = stream.subscribe(callback)
+    transport.put(counts(1))
+    assert entered.wait(_SOON)
+    subscription.close(_SOON)
+    assert left.is_set()
+
+
+def test_inline_subscription_closes_at_once(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    subscription = stream.subscribe(lambda count: None, inline=True)
+    transport.put(counts(1))
+    begun = time.monotonic()
+    subscription.close(5.0)
+    assert time.monotonic() - begun < 1.0
+
+
+def test_wrong_timeout_ends_no_subscription(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    came = threading.Event()
+    subscription = stream.subscribe(lambda count: came.set())
+    with pytest.raises(BadValue):
+        subscription.finish(-1.0)
+    transport.put(counts(1))
+    assert came.wait(_SOON)
+
+
+def test_connection_reports_states_without_its_lock(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    held: list[bool] = []
+    connection = stream._connection
+    changed: Any = connection._changed
+    connection.subscribe_inline(ConnectionEvent, lambda event: held.append(changed._is_owned()))
+    transport.put(ConnectionLost("cut"))
+    until(lambda: len(held) > 3)
+    assert True not in held
