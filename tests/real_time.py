@@ -48,8 +48,10 @@ class RealTime:
         start = self._start
 
         def starting(thread: threading.Thread) -> None:
-            # In simulated time another one is in its place.
-            if self._noted is not None and threading.get_ident() not in self._others:
+            # In simulated time another one is in its place. The thread that draws the progress of a command ends with
+            # its block, and nothing depends on it.
+            is_progress = thread.name == "progress"
+            if not is_progress and self._noted is not None and threading.get_ident() not in self._others:
                 self._noted.add("starts a thread")
             start(thread)
 

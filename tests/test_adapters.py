@@ -36,6 +36,8 @@ MIDDLEWARES = {
 
 #: Modules that are public beside the names of their package, as the API page has them.
 PUBLIC = {
+    # The one clock, so that ages and deadlines of an adapter agree with those of the library.
+    "linkcore.clock",
     "urlink.kinematics",
     "urlink.mjcf",
     "urlink.models",

@@ -51,6 +51,7 @@ THREADS = {
     "rhdlink.drive",  # drives a robot between the motions that are asked for
     "rhdlink.smrcl.mission",  # for a mission that is started rather than run
     "urlink.view.arm_view",  # draws an arm for as long as a notebook shows it
+    "linkcore.cli.progress",  # draws the progress of a command
     "urlink.cli.monitor",  # asks who the robot is while the picture is drawn
 }
 
@@ -345,28 +346,45 @@ def test_what_is_declared_is_there() -> None:
     assert {module for module in MODULES if "socket" in imports(module)} == SOCKETS
 
 
-def clocks_as_values(text: str) -> list[int]:
-    """Lines that take `time.monotonic` and the like as a value rather than call it, or import them by name."""
-    names = {"monotonic", "time", "sleep", "perf_counter", "time_ns", "monotonic_ns"}
-    if not any(f"time.{name}" in text for name in names):
-        return []
-    tree = ast.parse(text)
-    called = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
-    return [
-        node.lineno
-        for node in ast.walk(tree)
-        if (
-            isinstance(node, ast.Attribute)
-            and node.attr in names
-            and isinstance(node.value, ast.Name)
-            and node.value.id == "time"
-            and id(node) not in called
-        )
+#: What to use instead of each function of the standard library that reads a monotonic clock, or sleeps.
+ONE_CLOCK = {
+    "monotonic": "clock.now()",
+    "monotonic_ns": "clock.now()",
+    "perf_counter": "clock.now()",
+    "perf_counter_ns": "clock.now()",
+    "clock_gettime": "clock.now()",
+    "clock_gettime_ns": "clock.now()",
+    "sleep": "clock.sleep(seconds)",
+}
+
+
+def other_clocks(text: str) -> list[tuple[int, str]]:
+    """Lines that use such a function of `time`, or import it by name, and what to use there instead."""
+    found = []
+    for node in ast.walk(ast.parse(text)) if "time" in text else ():
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "time":
+            names = [node.attr]
+        elif isinstance(node, ast.ImportFrom) and node.module == "time":
+            names = [alias.name for alias in node.names]
+        else:
+            continue
+        found += [(node.lineno, ONE_CLOCK[name]) for name in names if name in ONE_CLOCK]
+    return sorted(found)
+
+
+def test_time_is_read_and_waited_for_by_one_clock() -> None:
+    """Only `linkcore.clock` counts the time of a suspend, and can be simulated even where it is a default value."""
+    assert other_clocks("def f(c=time.monotonic):\n    time.sleep(1)") == [
+        (1, "clock.now()"),
+        (2, "clock.sleep(seconds)"),
     ]
-
-
-def test_clocks_are_called_and_not_kept() -> None:
-    """A clock that is kept stays the real one while time is simulated; `linkcore.clock` has one that may be."""
-    assert clocks_as_values("def f(clock=time.monotonic):\n    time.sleep(1)") == [1]
-    kept = {module: lines for module in MODULES if (lines := clocks_as_values(source(module)))}
-    assert kept.keys() <= {"linkcore.simulated.takeover", "linkcore.simulated.primitives"}, kept
+    assert other_clocks("from time import monotonic, time") == [(1, "clock.now()")]
+    adapters = {str(path): path.read_text() for path in (SRC.parent / "adapters").glob("*/src/**/*.py")}
+    texts = adapters | {module: source(module) for module in MODULES}
+    wrong = [
+        f"{name}, line {line}: use linkcore's {instead} instead (from linkcore import clock)"
+        for name, text in texts.items()
+        if name != "linkcore.clock" and not name.startswith("linkcore.simulated.")
+        for line, instead in other_clocks(text)
+    ]
+    assert not wrong, "\n".join(wrong)

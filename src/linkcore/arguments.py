@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Sequence
 from typing import Any
 
@@ -32,6 +33,9 @@ _OTHER_UNITS = {
 def check_seconds(value: Any, name: str, *, positive: bool = False, finite: bool = False) -> float:
     """`value` as a number of seconds, 0 or more; infinity is one, unless it has to be `finite`.
 
+    If it has to be finite, it must not exceed the longest wait that the operating system supports
+    (`threading.TIMEOUT_MAX`). Otherwise the wait itself would raise `OverflowError`, after a command was sent.
+
     Args:
         value: what the caller was given.
         name: what the caller calls it.
@@ -39,23 +43,25 @@ def check_seconds(value: Any, name: str, *, positive: bool = False, finite: bool
         finite: infinity will not do.
 
     Raises:
-        BadValue: it is not a number, is NaN, or is below what is allowed.
+        BadValue: it is not a number, is NaN, or is below or above what is allowed.
     """
     try:
         seconds = math.nan if isinstance(value, (bool, str, bytes)) else float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         seconds = math.nan
-    if (seconds > 0 or (seconds == 0 and not positive)) and not (finite and seconds == math.inf):
+    longest = threading.TIMEOUT_MAX if finite else math.inf
+    if (seconds > 0 or (seconds == 0 and not positive)) and seconds <= longest:
         return seconds
     expected = "a positive number of seconds" if positive else "a number of seconds, 0 or more"
-    raise BadValue(f"{name}={value!r}; expected {expected}")
+    limit = f", at most {threading.TIMEOUT_MAX:.4g}" if seconds > longest else ""
+    raise BadValue(f"{name}={value!r}; expected {expected}{limit}")
 
 
 def check_wait(value: bool | float) -> float:
     """The seconds of an argument ``wait=``: 0 for False, which does not wait, and 60 for True.
 
     Raises:
-        BadValue: neither of the two, and no finite number of seconds.
+        BadValue: neither of the two, and no finite number of seconds, or one that is too large (`check_seconds`).
     """
     if isinstance(value, bool):
         return _WAIT if value else 0.0
@@ -79,7 +85,8 @@ def check_number(
             unit if the value were within the limits in that one.
     """
     try:
-        if isinstance(value, (bool, str, bytes)):
+        # Of Python or of numpy, which has its own boolean type.
+        if isinstance(value, (str, bytes)) or type(value).__name__ in ("bool_", "bool"):
             raise TypeError
         real = float(value)
     except (TypeError, ValueError, OverflowError):
@@ -125,3 +132,29 @@ def check_callable(value: Any, name: str) -> None:
     """Raise `BadValue` unless `value` can be called."""
     if not callable(value):
         raise BadValue(f"{name}={value!r}; expected a function or something else that can be called")
+
+
+class Default(float):
+    """Default value of an argument that another argument overrides; see `check_overridden`.
+
+    It is the number itself, so signatures show it, and it distinguishes an omitted argument from a given one.
+    """
+
+    __slots__ = ()
+
+
+def check_overridden(reason: str, **given: Any) -> None:
+    """Raise `BadValue` if an argument was given that would be ignored.
+
+    >>> check_overridden("time sets the duration", speed=Default(1.05), delay=None)
+
+    Args:
+        reason: Why the arguments would be ignored.
+        given: Arguments by name. A `Default` and None are arguments that were omitted.
+
+    Raises:
+        BadValue: If any other value was given.
+    """
+    for name, value in given.items():
+        if value is not None and not isinstance(value, Default):
+            raise BadValue(f"{name}={value!r} would be ignored, since {reason}; omit {name}")

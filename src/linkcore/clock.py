@@ -1,8 +1,11 @@
-"""The clock: as a value for defaults, the times at which bytes arrived, and whether this process was held up.
+"""The one clock and the one way to wait, the times at which bytes arrived, and the expiry of commands.
 
-Simulated time (`linkcore.simulated`) takes the place of `time.monotonic` in each module that has it by a name. A
-default is bound when its function is defined and would stay the real clock, so `monotonic` is a function, which looks
-the name up when it is called.
+All ages, rates and deadlines use `now`, and everything that waits for a thread uses `wait` or one of its forms below.
+Both also count the time for which this computer was suspended: `time.monotonic` does not on Linux and macOS, so a state
+from before a suspend would count as fresh, and a timeout would start again where it was.
+
+`now` looks its source up in each call, so that it is also the simulated clock while time is simulated
+(`linkcore.simulated`), even where it is kept as a default value.
 
 `Expiry` is for a server that offers a robot in a middleware. What is sent to a process that is suspended, or gets no
 processor time, waits in the buffers of the middleware, and is delivered when the process goes on. Its client has given
@@ -13,25 +16,160 @@ it may have been sent before it.
 
 from __future__ import annotations
 
+import contextlib
 import math
+import queue
+import sys
 import threading
 import time
 from collections.abc import Callable
-from typing import NamedTuple
+from concurrent.futures import CancelledError, Future
+from concurrent.futures import TimeoutError as FutureTimeout
+from typing import NamedTuple, Protocol, TypeVar
 
 from .errors import LinkTimeout
 
+T = TypeVar("T")
+T_co = TypeVar("T_co", covariant=True)
 
-def monotonic() -> float:
-    """Seconds of `time.monotonic`, of the simulated clock while time is simulated."""
-    return time.monotonic()
+# -- the clock -------------------------------------------------------------------------------------
+
+if sys.platform == "win32":
+    # Before CPython 3.13 `time.monotonic` has steps of 15.6 ms there. Both clocks include the time of a suspend.
+    _read: Callable[[], float] = time.perf_counter
+
+    #: Smallest step of `now`, in seconds.
+    RESOLUTION = time.get_clock_info("perf_counter").resolution
+
+    def now() -> float:
+        """Time in seconds, on a monotonic clock that includes the time for which this computer was suspended."""
+        return _read()
+
+else:
+    _read = time.clock_gettime
+
+    def _which() -> int:
+        """The clock to read: on macOS and the BSDs CLOCK_MONOTONIC includes a suspend, on Linux only CLOCK_BOOTTIME."""
+        boot_time: int | None = getattr(time, "CLOCK_BOOTTIME", None)
+        if boot_time is not None:
+            with contextlib.suppress(OSError):  # a sandbox might not have it
+                _read(boot_time)
+                return boot_time
+        return time.CLOCK_MONOTONIC
+
+    _CLOCK = _which()
+    #: Smallest step of `now`, in seconds.
+    RESOLUTION = time.clock_getres(_CLOCK)
+
+    def now() -> float:
+        """Time in seconds, on a monotonic clock that includes the time for which this computer was suspended."""
+        return _read(_CLOCK)
+
+
+def left(until: float) -> float:
+    """Seconds left until the deadline `until` on this clock; 0.0 if it has passed."""
+    return max(until - now(), 0.0)
+
+
+# -- waiting ---------------------------------------------------------------------------------------
+
+#: Whether Ctrl-C does not interrupt a wait for a lock: on Windows, before CPython 3.14.
+_IS_DEAF = sys.platform == "win32" and sys.version_info < (3, 14)
+
+#: Seconds that one call of the system waits at most. Such a call does not count the time of a suspend on Linux and
+#: macOS, so a deadline that passed during a suspend is noticed so much later.
+_SLICE = 0.1 if _IS_DEAF else 1.0
+
+
+def slice_of(seconds: float | None) -> float | None:
+    """How long one call of the system should wait, of `seconds` in total; None if it may wait without a limit.
+
+    For a loop that reads the clock itself after each call; everything else uses `wait`.
+    """
+    if seconds is None or seconds == math.inf:
+        return _SLICE if _IS_DEAF else None
+    return min(max(seconds, 0.0), _SLICE)
+
+
+def wait(attempt: Callable[[float | None], object], timeout: float | None = None) -> bool:
+    """Wait by calls of `attempt`, such as `event.wait`, until one returns something true; False if time is up.
+
+    Args:
+        attempt: waits for as many seconds as it is given, or without a limit if it is given None.
+        timeout: seconds; None or infinity for no limit.
+    """
+    part = slice_of(timeout)
+    if part is None or part == timeout:  # one call is enough
+        return bool(attempt(part))
+    until = math.inf if timeout is None else now() + timeout
+    while not attempt(slice_of(until - now())):
+        if now() >= until:
+            return False
+    return True
+
+
+def sleep(seconds: float) -> None:
+    """Sleep for `seconds`; returns at once if there are none left."""
+    if seconds <= _SLICE:
+        time.sleep(max(seconds, 0.0))
+        return
+    until = now() + seconds
+    while (rest := until - now()) > 0.0:
+        time.sleep(min(rest, _SLICE))
+
+
+class _Queue(Protocol[T_co]):
+    def get(self, block: bool = True, timeout: float | None = None) -> T_co: ...
+
+
+def get(items: _Queue[T], timeout: float | None = None) -> T:
+    """Take the next item of a queue.
+
+    Raises:
+        queue.Empty: If no item came within `timeout` seconds.
+    """
+    got: list[T] = []
+
+    def attempt(seconds: float | None) -> bool:
+        with contextlib.suppress(queue.Empty):
+            got.append(items.get(timeout=seconds))
+        return bool(got)
+
+    if not wait(attempt, timeout):
+        raise queue.Empty
+    return got[0]
+
+
+def is_done(future: Future[T], timeout: float | None = None) -> bool:
+    """Wait until a future has a result, an error, or was cancelled; False if time is up."""
+
+    def attempt(seconds: float | None) -> bool:
+        with contextlib.suppress(CancelledError, FutureTimeout, TimeoutError):
+            future.exception(seconds)
+        return future.done()
+
+    return wait(attempt, timeout)
+
+
+def join(thread: threading.Thread, timeout: float | None = None) -> bool:
+    """Wait until a thread has ended; False if time is up."""
+
+    def attempt(seconds: float | None) -> bool:
+        thread.join(seconds)
+        return not thread.is_alive()
+
+    return wait(attempt, timeout)
+
+
+# -- the times at which bytes arrived --------------------------------------------------------------
 
 
 class Stamp(NamedTuple):
     """When the bytes of a packet arrived, on two clocks.
 
     Attributes:
-        monotonic: `time.monotonic()` in seconds; compare with it to learn an age.
+        monotonic: `linkcore.clock.now()` in seconds. `age` is the time since then. Do not compare it with
+            `time.monotonic()`, which differs from it once this computer was suspended.
         wall: `time.time()`, seconds since 1970 UTC; compare with it across machines.
     """
 
@@ -41,22 +179,18 @@ class Stamp(NamedTuple):
     @classmethod
     def now(cls) -> Stamp:
         """The stamp of this moment."""
-        return cls(time.monotonic(), time.time())
+        return cls(now(), time.time())
 
     @property
     def age(self) -> float:
-        """Seconds since then."""
-        return time.monotonic() - self.monotonic
+        """Seconds since then, including those for which this computer was suspended."""
+        return now() - self.monotonic
 
+
+# -- commands that may be too old ------------------------------------------------------------------
 
 #: Seconds between two ticks after which what comes may be too old; a busy machine may take 1.5 s for a tick.
 _HELD_UP = 2.0
-
-
-def _now() -> float:
-    """Seconds of a clock that also goes on while the computer sleeps, where the system has one."""
-    boot_time = getattr(time, "CLOCK_BOOTTIME", None)
-    return time.monotonic() if boot_time is None else time.clock_gettime(boot_time)
 
 
 class Expiry:
@@ -64,10 +198,10 @@ class Expiry:
 
     Args:
         settling: seconds for which commands are refused once it goes on; what was held back has come by then.
-        now: seconds of a clock that only grows; by default one that goes on while the computer sleeps.
+        now: Monotonic clock, in seconds.
     """
 
-    def __init__(self, settling: float, now: Callable[[], float] = _now) -> None:
+    def __init__(self, settling: float, now: Callable[[], float] = now) -> None:
         self._settling = settling
         self._now = now
         self._lock = threading.Lock()

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 from collections.abc import Callable, Coroutine, Generator
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from typing import Any, Generic, Protocol, TypeVar
 
+from . import clock
 from .errors import Closed, LocalError
 from .pending_call import PendingCall
 
@@ -68,7 +70,13 @@ async def within(seconds: float | None, future: asyncio.Future[Any]) -> bool:
     A task that is cancelled while it waits here ends at once, also in the turn of the loop in which the future is done.
     `asyncio.wait_for` of Python 3.11 and older returns then, and the task goes on (bpo-42130).
     """
-    await asyncio.wait({future}, timeout=seconds)
+    part = clock.slice_of(seconds)
+    if part is None or part == seconds:  # one call is enough
+        await asyncio.wait({future}, timeout=part)
+        return future.done()
+    until = math.inf if seconds is None else clock.now() + seconds
+    while not future.done() and (left := until - clock.now()) > 0.0:
+        await asyncio.wait({future}, timeout=clock.slice_of(left))
     return future.done()
 
 

@@ -38,13 +38,13 @@ import math
 from collections import deque
 from collections.abc import Callable, Generator, Mapping
 from concurrent.futures import Future
-from concurrent.futures import TimeoutError as FutureTimeout
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
+from . import clock
 from .arguments import check_callable, check_seconds
 from .errors import Cancelled, LinkError, LinkTimeout, unraised
-from .pending_call import current_call, regardless
+from .pending_call import current_call, has_started, next_order, regardless
 from .threads import CallbackThread
 
 if TYPE_CHECKING:
@@ -146,7 +146,20 @@ class Lifecycle:
         self.future.set_running_or_notify_cancel()
         self._releases: deque[Callable[[], object]] = deque()
         self._done_callbacks: deque[Callable[[], object]] = deque()
+        self.enter()
+
+    def enter(self) -> None:
+        """Count it as started by the call that this thread is in now.
+
+        A block is made by one call and entered by another one, perhaps much later.
+
+        Raises:
+            Cancelled: If that call was abandoned.
+        """
         self._call = current_call()
+        order = None if self._call is None else self._call.order
+        #: number of that call, to be compared with that of a stop; see `linkcore.pending_call`
+        self.order = next_order() if order is None else order
         if self._call is not None:
             self._call.has_begun(self)
 
@@ -275,9 +288,7 @@ class Lifecycle:
         """
         if not self.is_over:
             with self._waiting():
-                try:
-                    self.future.exception(timeout)
-                except (FutureTimeout, TimeoutError):
+                if not clock.is_done(self.future, timeout):
                     return self.is_over
         return True
 
@@ -410,6 +421,22 @@ class Handle:
     def __repr__(self) -> str:
         error = "" if self.error is None else f": {self.error}"
         return f"<{type(self).__name__} {self.name} {self.phase.value}{error}>"
+
+
+H = TypeVar("H", bound=Handle)
+
+
+def waited(handle: H, seconds: float) -> H:
+    """Return the handle of what was started; if `seconds` is not 0, wait for its end first, for so long at most.
+
+    Raises:
+        LinkTimeout: If it has not ended in time; it keeps running.
+        LinkError: If something else ended it. See `Handle.wait`.
+    """
+    has_started()
+    if seconds:
+        handle.wait(seconds)
+    return handle
 
 
 class Motion(Handle):

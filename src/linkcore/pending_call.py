@@ -1,70 +1,110 @@
-"""A call that a thread makes for a task of an event loop, which may give it up at any moment.
+"""Calls that can start something on a robot, their order among the stops of that robot, and how they are abandoned.
 
-Python cannot interrupt a thread from outside. So every wait of the library is entered with `interruptible`, which
-wakes the wait when the call is cancelled; the call then ends with `Cancelled`. A cancelled call sends nothing more:
-`check_wanted` is asked where bytes leave this computer. What it has begun on a robot is cancelled.
+Each call gets a number when it is entered (`Call`, `PendingCall`), and each stop of a robot gets a number too. What a
+call wants to send is compared with the last stop where bytes leave this computer: a call that was entered before the
+stop sends nothing after it. So a motion that is still being prepared, or that waits in a queue, does not begin after a
+stop. A call that was entered later is not affected.
+
+Python cannot interrupt a thread from outside. So each wait of the library that can take long is entered with
+`interruptible`, which wakes the wait when the call is abandoned; the call then ends with `Cancelled`. An abandoned call
+sends nothing more: `check_wanted` is asked where bytes leave this computer. What it has started on a robot is cancelled.
 """
 
 from __future__ import annotations
 
 import contextlib
+import functools
+import itertools
 import threading
 import weakref
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar
 
-from .errors import Cancelled
+from .errors import Cancelled, LinkTimeout
 
 if TYPE_CHECKING:
     from .handle import Lifecycle
 
+P = ParamSpec("P")
+S = TypeVar("S")
 T = TypeVar("T")
 
 _here = threading.local()
+_orders = itertools.count(1)
+
+
+def next_order() -> int:
+    """Number of a call or a stop: larger than each number before, in every thread and in signal handlers."""
+    return next(_orders)
+
+
+class _Lives:
+    """The lives of what one call has started, which it does not keep alive: an abandoned handle may be collected."""
+
+    def __init__(self) -> None:
+        # Appending is one step, for two threads too.
+        self._lives: list[weakref.ref[Lifecycle]] = []
+
+    def add(self, life: Lifecycle) -> None:
+        self._lives.append(weakref.ref(life))
+
+    def live(self) -> list[Lifecycle]:
+        """Those that have not ended."""
+        return [life for life in (each() for each in tuple(self._lives)) if life is not None and not life.is_over]
 
 
 class PendingCall:
-    """One call.
+    """A call that one thread makes for another party: a task of an event loop, or a client of a server.
+
+    Make this object when the call is requested, not when a thread gets to it: the call counts as entered then. The
+    party may abandon the call at any moment, before and while it is made.
+
+    Args:
+        is_ordered: whether everything in it counts as entered now. False for a function of the user that gives several
+            commands: each of them is entered when it is given.
 
     Attributes:
-        is_given_up: the task does not want it any more.
+        order: number of this call; None if not `is_ordered`.
+        is_given_up: whether the call was abandoned.
+        has_stopped: see `stopped_here`.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, is_ordered: bool = True) -> None:
+        self.order: int | None = next_order() if is_ordered else None
         self.is_given_up = False
-        # Weakly: what nobody holds does not run. Appending is one step, for two threads too.
-        self._lives: list[weakref.ref[Lifecycle]] = []
+        self.has_stopped = False
+        self._started = _Lives()
         self._undos: list[Callable[[], object]] = []
         self._wakes: list[Callable[[], object]] = []
         #: held while waits are woken, so that no wait is woken after it has ended
         self._waking = threading.RLock()
 
     def make(self, call: Callable[[], T]) -> T:
-        """Make it, in this thread.
+        """Make the call in this thread.
 
         Raises:
-            Cancelled: it was given up, and would have sent something.
+            Cancelled: If it was abandoned and would have sent something, or if the robot was stopped meanwhile.
         """
-        _here.call = self
+        outer, _here.call = _in_this_thread(), self
         try:
             return call()
         finally:
-            _here.call = None
+            _here.call = outer
 
     def has_begun(self, life: Lifecycle) -> None:
-        """It is about to begin something on a robot.
+        """Record something that it is about to start on a robot.
 
         Raises:
-            Cancelled: it was given up.
+            Cancelled: If it was abandoned.
         """
-        self._lives.append(weakref.ref(life))
+        self._started.add(life)
         self.check()
 
     def on_give_up(self, undo: Callable[[], object]) -> None:
-        """Call `undo` if the call is cancelled, even after its function has returned: nobody received the result then.
+        """Call `undo` if the call is abandoned, even after its function has returned: nobody received the result then.
 
         Args:
-            undo: Called in a thread, or here if the call was cancelled before. Must be idempotent.
+            undo: Called in a thread, or here if the call was abandoned before. Must be idempotent.
         """
         self._undos.append(undo)
         if self.is_given_up:
@@ -72,10 +112,10 @@ class PendingCall:
 
     @contextlib.contextmanager
     def interruptible(self, wake: Callable[[], object]) -> Iterator[None]:
-        """Around a wait: `wake` is called when the call is cancelled, and must end the wait without waiting itself.
+        """Around a wait: `wake` is called when the call is abandoned, and must end the wait without waiting itself.
 
         Raises:
-            Cancelled: The call was cancelled, whatever else the wait ended with.
+            Cancelled: If the call was abandoned, whatever else the wait ended with.
         """
         with self._waking:
             self._wakes.append(wake)
@@ -88,58 +128,165 @@ class PendingCall:
             self.check()
 
     def check(self) -> None:
-        """Raise where it was given up.
-
-        Raises:
-            Cancelled: it was.
-        """
+        """Raise `Cancelled` if it was abandoned."""
         if self.is_given_up:
-            raise Cancelled("the task that awaited this call has given it up; nothing more is sent")
+            raise Cancelled("the task that awaited this call was cancelled; nothing more is sent")
 
-    def give_up(self, submit: Callable[[Callable[[], object]], object]) -> None:
-        """Send nothing more, wake its waits, and cancel what it has begun. Returns at once; idempotent.
+    def give_up(self, submit: Callable[[Callable[[], object]], object] = lambda call: call()) -> None:
+        """Send nothing more, wake its waits, and cancel what it has started; the robot brakes. Idempotent.
+
+        From any thread.
 
         Args:
-            submit: has a thread cancel it: the robot is sent a stop, which may wait.
+            submit: Runs a function, which sends the robot a stop and may wait for that; by default in this thread.
         """
         self.is_given_up = True
         with self._waking:
             for wake in self._wakes:
                 wake()
-        for life in filter(None, (each() for each in tuple(self._lives))):
-            if not life.is_over:
-                submit(life.give_up)
+        for life in self._started.live():
+            submit(life.give_up)
         for undo in tuple(self._undos):
             submit(undo)
 
 
-def current_call() -> PendingCall | None:
-    """The call that this thread makes for a task, if it does."""
-    call: PendingCall | None = getattr(_here, "call", None)
+class Call:
+    """One call of a public method that can start a motion, from its entry to its return; see `starts_motion`.
+
+    Args:
+        outer: The call in which this one is entered, or None. This one counts as entered with it.
+
+    Attributes:
+        order: number of this call.
+        has_started: whether it only waits for the end of what it has started. If that wait times out, nothing is
+            cancelled.
+        outer: as given.
+    """
+
+    def __init__(self, outer: PendingCall | Call | None) -> None:
+        entered_before = None if outer is None or outer.has_stopped else outer.order
+        self.order: int = next_order() if entered_before is None else entered_before
+        self.has_started = False
+        self.has_stopped: bool = False
+        self.outer = outer
+        self._task: PendingCall | None = outer._task if isinstance(outer, Call) else outer
+        self._started = _Lives()
+
+    @property
+    def is_given_up(self) -> bool:
+        """Whether the pending call that it is made for was abandoned."""
+        return self._task is not None and self._task.is_given_up
+
+    def has_begun(self, life: Lifecycle) -> None:
+        """See `PendingCall.has_begun`."""
+        self._started.add(life)
+        if self._task is not None:
+            self._task.has_begun(life)
+
+    def on_give_up(self, undo: Callable[[], object]) -> None:
+        """See `PendingCall.on_give_up`."""
+        if self._task is not None:
+            self._task.on_give_up(undo)
+
+    def interruptible(self, wake: Callable[[], object]) -> contextlib.AbstractContextManager[None]:
+        """See `PendingCall.interruptible`."""
+        return contextlib.nullcontext() if self._task is None else self._task.interruptible(wake)
+
+    def check(self) -> None:
+        """See `PendingCall.check`."""
+        if self._task is not None:
+            self._task.check()
+
+    def abandon(self, error: BaseException) -> None:
+        """Cancel what it has started, since it does not return a handle; the robot brakes."""
+        if self.has_started and isinstance(error, LinkTimeout):
+            return  # the wait for it has timed out
+        what = "could not return its handle" if isinstance(error, Exception) else "was interrupted"
+        for life in self._started.live():
+            life.cancel(f"cancelled: the call that started it {what} ({type(error).__name__})", brake=True)
+
+
+def starts_motion(method: Callable[Concatenate[S, P], T]) -> Callable[Concatenate[S, P], T]:
+    """Decorate a public method that can start a motion.
+
+    The call is ordered among the stops of the robot from its entry on. If it raises before it has handed over what it
+    started (an exception, or Ctrl-C at any point), that is cancelled and the robot brakes: nobody has its handle.
+    """
+
+    @functools.wraps(method)
+    def call(self: S, /, *args: P.args, **kwargs: P.kwargs) -> T:
+        outer = _in_this_thread()
+        mine = Call(outer)
+        try:
+            _here.call = mine
+            return method(self, *args, **kwargs)
+        except BaseException as error:
+            mine.abandon(error)
+            raise
+        finally:
+            _here.call = outer
+
     return call
 
 
+def _in_this_thread() -> PendingCall | Call | None:
+    call: PendingCall | Call | None = getattr(_here, "call", None)
+    return call
+
+
+def current_call() -> PendingCall | Call | None:
+    """The call that this thread is in, or None."""
+    return _in_this_thread()
+
+
+def stopped_here() -> int:
+    """Number of a stop that this thread makes now.
+
+    A signal handler may stop the robot in the middle of a call, and then start another motion. That one is entered
+    after the stop, although it is entered within the interrupted call.
+    """
+    call = _in_this_thread()
+    while call is not None:
+        call.has_stopped = True
+        call = call.outer if isinstance(call, Call) else None
+    return next_order()
+
+
+def has_started() -> None:
+    """The call of this thread has started what it is for, and can only wait now."""
+    call = _in_this_thread()
+    if isinstance(call, Call):
+        call.has_started = True
+
+
 def check_wanted() -> None:
-    """Raise where this thread makes a call that was given up; called before anything is sent.
+    """Raise if this thread makes a call that was abandoned; called before anything is sent.
 
     Raises:
-        Cancelled: it was given up.
+        Cancelled: If it was.
     """
-    call = current_call()
+    call = _in_this_thread()
     if call is not None:
         call.check()
 
 
 def interruptible(wake: Callable[[], object]) -> contextlib.AbstractContextManager[None]:
-    """Around a wait in any thread; see `PendingCall.interruptible`. Without effect outside the call of a task."""
-    call = current_call()
+    """Around a wait in any thread; see `PendingCall.interruptible`. No effect unless the thread makes a pending call."""
+    call = _in_this_thread()
     return contextlib.nullcontext() if call is None else call.interruptible(wake)
 
 
+def on_give_up(undo: Callable[[], object]) -> None:
+    """See `PendingCall.on_give_up`. No effect unless the thread makes a pending call."""
+    call = _in_this_thread()
+    if call is not None:
+        call.on_give_up(undo)
+
+
 def regardless(call: Callable[[], T]) -> T:
-    """Make a call that may send whatever happens: it has the robot stop, or carries out what was decided before."""
-    pending, _here.call = current_call(), None
+    """Make a call that may send whatever happens: it stops the robot, or executes what was decided before."""
+    outer, _here.call = _in_this_thread(), None
     try:
         return call()
     finally:
-        _here.call = pending
+        _here.call = outer

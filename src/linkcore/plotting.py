@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import os
 import sys
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,13 +12,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from . import clock
 from .errors import BadRecording, BadValue
 from .lazy import needs
 
 #: Points of a line from which on only the least and the greatest of each stretch are drawn.
 _MOST_POINTS = 8000
-#: Of a pose, a speed or a force: its unit names two.
+#: Seconds that a window has at least for its events; matplotlib takes 0 for ever.
+SHORTEST = 0.01
+#: Elements of a pose, a speed or a force, whose unit names two, and units of vectors in space.
 _SPATIAL = ("x", "y", "z", "rx", "ry", "rz")
+_OF_VECTORS = frozenset({"m", "m/s", "m/s^2", "N", "Nm"})
+#: Lines of a panel that share one column of its legend.
+_COLUMN = 8
 _SUFFIXES = (".png", ".svg", ".pdf")
 
 
@@ -37,6 +42,22 @@ class Curves(NamedTuple):
     unit: str
     time: NDArray[np.float64]
     values: NDArray[Any]
+
+
+def element_names(unit: str, count: int) -> tuple[str, ...]:
+    """Names of the elements of a vector in a legend: axes, with their unit if there are two, else numbers.
+
+    >>> element_names("m, rad", 6)
+    ('x, m', 'y, m', 'z, m', 'rx, rad', 'ry, rad', 'rz, rad')
+    >>> element_names("N", 3), element_names("rad", 2)
+    (('x', 'y', 'z'), ('0', '1'))
+    """
+    first, comma, second = unit.partition(", ")
+    if comma and count == len(_SPATIAL):
+        return tuple(f"{name}, {first if number < 3 else second}" for number, name in enumerate(_SPATIAL))
+    if unit in _OF_VECTORS and count == 3:
+        return _SPATIAL[:3]
+    return tuple(map(str, range(count)))
 
 
 class Plot:
@@ -112,14 +133,19 @@ class Plot:
         panels = figure.subplots(len(self._curves), 1, sharex=True, squeeze=False)[:, 0]
         for panel, each in zip(panels, self._curves, strict=True):
             columns = each.values.reshape(len(each.time), -1).astype(float).T
-            names = _SPATIAL if len(columns) == 6 and "," in each.unit else tuple(map(str, range(len(columns))))
-            for name, column in zip(names, columns, strict=False):
+            for name, column in zip(element_names(each.unit, len(columns)), columns, strict=True):
                 panel.plot(*_thinned(each.time, column), linewidth=1.0, label=name)
             panel.set_title(each.name, loc="left", fontsize="medium")
-            panel.set_ylabel(each.unit)
+            panel.set_ylabel("" if each.unit == "1" else each.unit)
             panel.grid(alpha=0.3)
-            if 1 < len(columns) <= len(_SPATIAL):
-                panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize="small", frameon=False)
+            if len(columns) > 1:
+                panel.legend(
+                    loc="upper left",
+                    bbox_to_anchor=(1.0, 1.0),
+                    fontsize="small",
+                    frameon=False,
+                    ncols=-(-len(columns) // _COLUMN),
+                )
         panels[-1].set_xlabel("t [s]")
         if self._title:
             figure.suptitle(self._title)
@@ -162,11 +188,14 @@ class LivePlot:
     def __init__(self) -> None:
         self._handle: Any = None
         self._figure: Any = None
-        if is_in_notebook():
-            return
+        # Imported before states are received: the first import takes seconds.
         with needs("plot", "a live plot"):
-            from matplotlib import pyplot
-        self._pyplot = pyplot
+            if is_in_notebook():
+                from matplotlib import figure  # noqa: F401
+            else:
+                from matplotlib import pyplot
+
+                self._pyplot = pyplot
 
     def update(self, plot: Plot, pause: float) -> None:
         """Show a plot in place of the one before, and give a window `pause` seconds for its events."""
@@ -177,14 +206,14 @@ class LivePlot:
                 self._handle = display(plot, display_id=True)
             else:
                 self._handle.update(plot)
-            time.sleep(pause)
+            clock.sleep(pause)
             return
         if self._figure is None:
             self._figure = self._pyplot.figure(figsize=plot.size)
         self._figure.clear()
         plot.draw(self._figure)
         if self._pyplot.get_backend().lower() == "agg":
-            time.sleep(pause)  # there is no window that could have events
+            clock.sleep(pause)  # there is no window that could have events
         else:
             self._pyplot.pause(pause)
 

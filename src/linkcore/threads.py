@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterator
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
+from . import clock
 from .arguments import check_seconds
 from .errors import Closed, LinkTimeout, LocalError
 
@@ -43,18 +44,34 @@ def started(thread: threading.Thread) -> threading.Thread:
 
 
 @contextlib.contextmanager
+def acquired(lock: threading.Lock | threading.RLock, timeout: float) -> Iterator[bool]:
+    """Acquire a lock for a block, within `timeout` seconds; yields whether that was possible."""
+    got: list[bool] = []
+
+    def attempt(seconds: float | None) -> bool:
+        # Acquired and noted in one step: Ctrl-C can come between two of them, and would leave the lock locked for ever.
+        got.extend(map(lock.acquire, (True,), (-1 if seconds is None else seconds,)))
+        return got[-1]
+
+    try:
+        clock.wait(attempt, timeout)
+        yield True in got
+    finally:
+        if True in got:  # without a call, after which Ctrl-C could come
+            lock.release()
+
+
+@contextlib.contextmanager
 def held(lock: threading.Lock | threading.RLock, timeout: float, otherwise: str) -> Iterator[None]:
     """Hold a lock within a block; `timeout` seconds to get it.
 
     Raises:
         LinkTimeout: others kept it for so long; `otherwise` is the message.
     """
-    if not lock.acquire(timeout=timeout):
-        raise LinkTimeout(otherwise)
-    try:
+    with acquired(lock, timeout) as is_held:
+        if not is_held:
+            raise LinkTimeout(otherwise)
         yield
-    finally:
-        lock.release()
 
 
 _log = logging.getLogger(__name__)
@@ -105,6 +122,15 @@ class CallbackThread:
         self._thread: MadeOnce[tuple[threading.Thread, threading.Event]] = MadeOnce()
         weakref.finalize(self, self._calls.put, None)
 
+    def start(self) -> None:
+        """Start the thread now, if it does not run yet: a later call cannot fail for want of a thread.
+
+        Raises:
+            LocalError: If the system has no thread left.
+        """
+        if not self._has_thread(self.start):
+            raise LocalError(f"no thread could be started for {self._name}; nothing was sent")
+
     def call(self, function: Callable[..., object], *arguments: Any) -> None:
         """Call `function(*arguments)` soon. Where the system has no thread left, the log says so instead."""
         if self._has_thread(function):
@@ -135,7 +161,11 @@ class CallbackThread:
             return
         thread, has_ended = made
         self._calls.put(None)
-        if thread is not threading.current_thread() and has_ended.wait(max(timeout, 0.0)) and thread.ident is not None:
+        if (
+            thread is not threading.current_thread()
+            and clock.wait(has_ended.wait, timeout)
+            and thread.ident is not None
+        ):
             thread.join()
 
 
@@ -287,8 +317,8 @@ class Runnable(Closing, ABC):
             LinkError: what ended it by itself: see the class.
         """
         if timeout is not None:
-            timeout = min(check_seconds(timeout, "timeout"), threading.TIMEOUT_MAX)
-        if not self._ended.wait(timeout):
+            timeout = check_seconds(timeout, "timeout")
+        if not clock.wait(self._ended.wait, timeout):
             return False
         if self.failure is not None:
             raise self.failure

@@ -5,13 +5,13 @@ from __future__ import annotations
 import logging
 import os
 import threading
-import time
 import warnings
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 from numpy.typing import ArrayLike
 
+from linkcore import clock
 from linkcore.arguments import check_choice, check_seconds
 from linkcore.clock import Stamp
 from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError, RemoteError
@@ -159,7 +159,7 @@ class Variables(Declarations, Closing):
         self._sync_thread: SyncThread | None = None
         self._connections = 0
         self._state = ConnectionState.IDLE
-        self._open(time.monotonic() + timeout)
+        self._open(clock.now() + timeout)
 
     # -- values --------------------------------------------------------------------------------
 
@@ -300,9 +300,9 @@ class Variables(Declarations, Closing):
         if os.getpid() != self._process:
             raise LocalError(f"{self._address} was connected to by the parent process; connect again in this one")
         # One deadline for everything: waiting for another thread, connecting, and each receive take what is left of it.
-        until = time.monotonic() + seconds
+        until = clock.now() + seconds
         otherwise = f"{self.address}: another thread has been in sync() for {seconds:g} s"
-        with held(self._exchange, min(seconds, threading.TIMEOUT_MAX), otherwise):
+        with held(self._exchange, seconds, otherwise):
             if self._closing.is_set():
                 raise Closed(f"{self._address} was closed")
             self._sync(replica, until)
@@ -396,7 +396,7 @@ class Variables(Declarations, Closing):
         if self._transport is None:
             return
         timeout = check_seconds(timeout, "timeout")
-        until = time.monotonic() + timeout
+        until = clock.now() + timeout
         # In this order: a thread in `sync` finds the flag when closing the transport wakes it, and raises Closed.
         self._closing.set()
         self._transport.close()

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from typing import Protocol
 
+from linkcore import clock
 from linkcore.clock import Stamp
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout, PacketError, WrongPeer
 from linkcore.pending_call import check_wanted
@@ -58,7 +58,7 @@ class Connection:
         fallback: "r" accepts reader access where there is a master already; else None.
         width: words of a time stamp; None finds out.
         limits: what the server may ask for.
-        until: when the handshake has to be done, by `time.monotonic`.
+        until: when the handshake has to be done, by `linkcore.clock.now`.
 
     Attributes:
         access: what was granted, "r" or "w".
@@ -156,13 +156,13 @@ class Connection:
 
         Args:
             period: seconds between ticks, as far as known.
-            until: when to be done at the latest, by `time.monotonic`.
+            until: when to be done at the latest, by `linkcore.clock.now`.
         """
         if self._is_settled or self._outstanding or not self._has_answered:
             return
         seconds = _MOST_UNSOLICITED_WAIT if period is None else min(1.5 * period + 2e-3, _MOST_UNSOLICITED_WAIT)
-        enough = time.monotonic() + seconds
-        while not self._is_settled and (left := min(enough, until) - time.monotonic()) > 0:
+        enough = clock.now() + seconds
+        while not self._is_settled and (left := min(enough, until) - clock.now()) > 0:
             try:
                 arrived = self._transport.receive(left)
             except LinkTimeout:
@@ -192,7 +192,7 @@ class Connection:
 
         Args:
             data: data packages to send with it.
-            until: when to be done at the latest, by `time.monotonic`.
+            until: when to be done at the latest, by `linkcore.clock.now`.
 
         Raises:
             LinkTimeout: no reply in time; it stays outstanding.
@@ -202,7 +202,7 @@ class Connection:
         """
         check_wanted()
         try:
-            self._transport.send(encode_ready(self.access) + data + END, max(until - time.monotonic(), 0.0))
+            self._transport.send(encode_ready(self.access) + data + END, clock.left(until))
         except LinkTimeout as error:
             # Half a request may have gone out: whatever followed would be taken for its other half.
             raise ConnectionLost(str(error)) from error
@@ -232,7 +232,7 @@ class Connection:
 
 
 def _left(until: float) -> float:
-    left = until - time.monotonic()
+    left = until - clock.now()
     if left <= 0:
         raise LinkTimeout("no time is left")
     return left

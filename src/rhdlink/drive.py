@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable
 from typing import NamedTuple
 
+from linkcore import clock
 from linkcore.arguments import check_choice, check_number
 from linkcore.errors import BadValue, Closed, LinkTimeout
 from linkcore.handle import Lifecycle, Motion
@@ -28,8 +29,10 @@ from .smrcl.robot_link import Robot, open_link, suitable_conf
 from .smrcl.sensors import LineKind
 from .world import Pose
 
-#: m, m/s, m/s2 or degrees beyond which no mobile robot is meant.
+#: m or degrees beyond which no mobile robot is meant.
 _MOST = 1e6
+#: m/s and m/s2 beyond which no mobile robot is meant; the fastest robots with RHD drive a few m/s.
+_FASTEST, _STRONGEST = 10.0, 100.0
 #: Cycles in which a simulated robot comes to rest after a motion, before it is sent the speed 0: 5 s, in which the
 #: heading error, which falls to 1/e in 1 s, becomes less than 0.01 degrees. A heading counter may hunt by one count for
 #: ever.
@@ -134,8 +137,9 @@ class Drive(Closing):
 
     Args:
         robot: connected with write access; an address; or a plugin such as `Turtle()`.
-        speed: m/s, for motions that do not say.
-        acceleration: m/s2.
+        speed: m/s, for motions without a speed of their own; above 0 and at most 10. The sign of the distance or the
+            angle is the direction.
+        acceleration: m/s2; above 0 and at most 100.
         conf: what the robot is, see `Mission`.
         compat: "sound", or "mrc" for motions that end as MRC's do.
 
@@ -154,8 +158,8 @@ class Drive(Closing):
         conf: RobotConf | str | os.PathLike[str] | None = None,
         compat: Profile | str = "sound",
     ) -> None:
-        self._speed = _number("speed", speed)
-        self._acceleration = _positive("acceleration", acceleration)
+        self._speed = _positive("speed", speed, _FASTEST, "m/s")
+        self._acceleration = _positive("acceleration", acceleration, _STRONGEST, "m/s²")
         chosen = find_profile(compat)
         self._wake = threading.Event()
         self._closing = threading.Event()
@@ -182,6 +186,11 @@ class Drive(Closing):
         """Straight on for `distance` m, backward if it is negative; slows down before obstacles and before the end.
 
         The distance is measured from the place that the motion before aimed at, so that errors do not add up.
+
+        Raises:
+            BadValue: If `distance` is not a number, or `speed` is not above 0 and at most 10 m/s. All motions check
+                their numbers in this way, and the robot does not move.
+            Closed: If the robot is not driven any more.
         """
         return self._begin("forward", Forward(_number("distance", distance)), speed)
 
@@ -233,8 +242,8 @@ class Drive(Closing):
         return self._begin("follow_wall", FollowWall(side == "left", _positive("distance", distance)), speed)
 
     def wheels(self, left: float, right: float) -> Motion:
-        """The speeds of the wheels, m/s, until another motion begins. It is over at once."""
-        return self._begin("wheels", Wheels(_number("left", left), _number("right", right)), None)
+        """The speeds of the wheels, -10 to 10 m/s, until another motion begins. It is over at once."""
+        return self._begin("wheels", Wheels(_wheel("left", left), _wheel("right", right)), None)
 
     def stop(self) -> Motion:
         """Stand, and hold the heading."""
@@ -245,7 +254,7 @@ class Drive(Closing):
     ) -> Motion:
         if self._closing.is_set() or self._error is not None:
             raise Closed(f"{self._link.name} is not driven any more") from self._error
-        wanted = self._speed if speed is None else _number("speed", speed)
+        wanted = self._speed if speed is None else _positive("speed", speed, _FASTEST, "m/s")
         control = self._vehicle.control
 
         def prepare() -> None:
@@ -296,7 +305,7 @@ class Drive(Closing):
     def _leave(self) -> None:
         self._closing.set()
         self._wake.set()
-        self._thread.join(_CLOSE_TIMEOUT)
+        clock.join(self._thread, _CLOSE_TIMEOUT)
 
     def _run(self) -> None:
         settling = 0
@@ -325,7 +334,7 @@ class Drive(Closing):
     def _rest(self) -> None:
         """Let the robot's time stand still until there is a motion."""
         while self._motions.is_idle and not self._closing.is_set():
-            self._wake.wait()
+            clock.wait(self._wake.wait)
             self._wake.clear()
 
     @property
@@ -361,8 +370,12 @@ def _number(name: str, value: float) -> float:
     return check_number(value, name, -_MOST, _MOST)
 
 
-def _positive(name: str, value: float) -> float:
-    number = _number(name, value)
-    if number <= 0.0:
-        raise BadValue(f"{name} is {value!r}; expected a number above 0")
+def _wheel(name: str, value: float) -> float:
+    return check_number(value, name, -_FASTEST, _FASTEST, "m/s")
+
+
+def _positive(name: str, value: float, most: float = _MOST, unit: str = "") -> float:
+    number = check_number(value, name, 0.0, most, unit)
+    if number == 0.0:
+        raise BadValue(f"{name} is {value!r}; expected a number above 0{unit and f' and up to {most:g} {unit}'}")
     return number

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 import weakref
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
+from linkcore import clock
 from linkcore.arguments import check_callable, check_seconds
 from linkcore.clock import Stamp
 from linkcore.errors import BadValue, Closed, RemoteError
@@ -66,7 +66,7 @@ class SyncThread(Closing):
         """Sync no more; waits up to `timeout` seconds for a sync that is under way. Idempotent."""
         self._closing.set()
         if self._thread is not threading.current_thread():
-            self._thread.join(max(timeout, 0.0))
+            clock.join(self._thread, timeout)
 
     def __repr__(self) -> str:
         state = "running" if self.is_running else "ended" if self.failure is None else f"ended by {self.failure!r}"
@@ -81,7 +81,7 @@ class SyncThread(Closing):
 
     def _sync_until_closed(self) -> None:
         waits = self._backoff.waits()
-        due = time.monotonic()
+        due = clock.now()
         while not self._closing.is_set():
             sync = self._sync()
             if sync is None:  # the program has dropped the robot
@@ -107,12 +107,12 @@ class SyncThread(Closing):
             finally:
                 del sync  # or the robot would live as long as this thread waits
             if wait is not None:
-                self._closing.wait(wait)
-                due = time.monotonic()
+                clock.wait(self._closing.wait, wait)
+                due = clock.now()
             elif self._period is not None:
                 # On absolute deadlines; one that was missed is not made up for.
-                due = max(due + self._period, time.monotonic())
-                self._closing.wait(due - time.monotonic())
+                due = max(due + self._period, clock.now())
+                clock.wait(self._closing.wait, due - clock.now())
 
 
 class _Subscriber(NamedTuple):
@@ -204,9 +204,9 @@ class Subscribers:
                 each.offer(Update(own, received))
 
     def close(self, until: float) -> None:
-        """Deliver what waits, until then by `time.monotonic`, and nothing more."""
+        """Deliver what waits, until then by `linkcore.clock.now`, and nothing more."""
         with self._lock:
             self._is_closed = True
             subscribers = self._subscribers
         for each in subscribers:
-            each.delivery.finish(max(until - time.monotonic(), 0.0))
+            each.delivery.finish(clock.left(until))

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     )
     from linkcore.clock import Expiry as Expiry
     from linkcore.handle import Handle as Handle, Motion as Motion, Phase as Phase
+    from linkcore.pending_call import PendingCall as PendingCall
     from linkcore.recording.file import RecordingWriter as RecordingWriter
     from linkcore.realtime import RealtimeReport as RealtimeReport, realtime_options as realtime_options
     from linkcore.recording.recorder import Recorder as Recorder
@@ -113,6 +114,7 @@ else:
             """,
             "linkcore.clock": "Expiry",
             "linkcore.handle": "Handle Motion Phase",
+            "linkcore.pending_call": "PendingCall",
             "linkcore.recording.file": "RecordingWriter",
             "linkcore.realtime": "RealtimeReport realtime_options",
             "linkcore.recording.recorder": "Recorder",

@@ -11,7 +11,7 @@ from urllib.parse import parse_qsl, unquote, urlsplit
 
 from linkcore.errors import BadAddress, BadVersion
 
-from .firmware import Firmware, known_firmware
+from .firmware import Firmware, existing_firmware
 from .ports import PORTS
 
 #: Whether a simulated arm stands still until a program commands it, or moves slowly about its home posture.
@@ -129,7 +129,7 @@ def _simulator(text: str, model: str, options: dict[str, str]) -> SimulatorAddre
     if motion not in (None, "still", "demo"):
         raise BadAddress(f"{text!r}: motion={motion!r}; expected {' or '.join(get_args(Motion))}")
     try:
-        version = None if firmware is None else known_firmware(firmware)
+        version = None if firmware is None else existing_firmware(firmware)
     except BadVersion as error:
         raise BadAddress(f"{text!r}: {error}") from None
     files = [None if each is None else Path(each) for each in (like, scene)]

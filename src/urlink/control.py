@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Hashable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
+from linkcore import clock
 from linkcore.errors import Closed, LocalError
 from linkcore.net.recall import Recall
 from linkcore.streaming.stream import Stream
@@ -194,7 +194,7 @@ class Control:
 
     def close(self, timeout: float) -> None:
         """End motions, programs, callbacks and the connections of dashboard and gripper, in `timeout` seconds."""
-        until = time.monotonic() + timeout
+        until = clock.now() + timeout
         self._is_closed = True
         self._recall.close(self)
         self._programs.close(timeout)
@@ -206,4 +206,4 @@ class Control:
             gripper._disconnect()
         if (serial := self._serial.made) is not None:
             serial.close()
-        self._callbacks.close(max(until - time.monotonic(), 0.0))
+        self._callbacks.close(clock.left(until))

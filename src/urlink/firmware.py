@@ -201,18 +201,25 @@ RELEASES: tuple[Release, ...] = (
 
 #: The newest firmware of the e-Series that the table knows: the default of a simulated arm.
 NEWEST = [row.since for row in RELEASES if row.since.major == 5][-1]
+#: The last releases of CB2 and CB3, which get no further ones.
+LAST_CB2, LAST_CB3 = Firmware(1, 8), Firmware(3, 15)
+
+_MAJORS = sorted({row.since.major for row in RELEASES})
 
 
 def release_of(firmware: Firmware) -> Release:
     """The row that holds for `firmware`; one that is later than all of its generation has the newest row below it.
 
+    A generation that is newer than the whole table has the newest row, since a controller may be newer than this
+    library. A number between two generations of the table, such as 6.1, was never released.
+
     Raises:
-        BadVersion: older than every row of the table.
+        BadVersion: older than every row of the table, or of a generation that does not exist.
     """
     rows = [row for row in RELEASES if row.since <= firmware]
     same = [row for row in rows if row.since.major == firmware.major]
-    if not rows or (not same and not firmware.is_e_series):
-        known = ", ".join(f"{major}.x" for major in sorted({row.since.major for row in RELEASES}))
+    if not rows or (not same and firmware.major < _MAJORS[-1]):
+        known = ", ".join(f"{major}.x" for major in _MAJORS)
         raise BadVersion(f"nothing is known of firmware {firmware}; the table has {known}, from {RELEASES[0].since} on")
     return (same or rows)[-1]
 
@@ -221,10 +228,29 @@ def known_firmware(text: str | Firmware) -> Firmware:
     """The firmware, if the table has a row for it.
 
     Raises:
-        BadVersion: it is not a version, or one that is older than every row.
+        BadVersion: it is not a version, one that is older than every row, or of a generation that does not exist.
     """
     firmware = Firmware.parse(text)
     release_of(firmware)
+    return firmware
+
+
+def existing_firmware(text: str | Firmware) -> Firmware:
+    """The firmware, if a controller can have it: what a simulated controller can be asked to be.
+
+    Later releases of a generation that still gets releases are accepted.
+
+    Raises:
+        BadVersion: If `known_firmware` raises it, the generation is newer than the table, or it is later than the last
+            release of CB2 or CB3.
+    """
+    firmware = known_firmware(text)
+    last = {each.major: each for each in (LAST_CB2, LAST_CB3)}.get(firmware.major)
+    if firmware.major > _MAJORS[-1] or (last is not None and firmware[:2] > last[:2]):
+        raise BadVersion(
+            f"no controller has firmware {firmware}; expected 1.x up to {LAST_CB2}, 3.x up to {LAST_CB3}, "
+            f"{' or '.join(f'{major}.x' for major in _MAJORS if major >= 5)}"
+        )
     return firmware
 
 

@@ -14,9 +14,10 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from linkcore.arguments import check_number, check_wait
+from linkcore.arguments import Default, check_number, check_overridden, check_wait
 from linkcore.errors import BadValue, LinkError, LocalError
-from linkcore.handle import Lifecycle, Motion
+from linkcore.handle import Lifecycle, Motion, waited
+from linkcore.pending_call import starts_motion
 from linkcore.streaming.packet_queue import drop_oldest, latest
 from linkcore.threads import CallbackThread
 
@@ -25,7 +26,7 @@ from .interfaces.realtime.packets import RealtimeState
 from .motion.common_time import CommonPace, CommonTime
 from .motion.follower import Follower
 from .motion.following import Tolerances, stands
-from .motion.group_motion import GroupMotion, GroupStream, end_all
+from .motion.group_motion import GroupMotion, GroupStream, end_all, naming
 from .motion.linked import LinkedProgram
 from .motion.motions import LinkName
 from .motion.trajectory import Trajectory
@@ -73,6 +74,7 @@ class Group:
 
     # -- motions ---------------------------------------------------------------------------------------
 
+    @starts_motion
     def follow(
         self,
         trajectories: Sequence[Trajectory],
@@ -117,9 +119,11 @@ class Group:
             clock = common.member(robot.clock.to_local, 1.0 / robot.firmware.rate)
             servoing = motions._servoing(watchdog, lookahead_time, gain)
             parts.append((motions, Follower(trajectory, tolerances, servoing, clock=clock), clock))
+        # Before the first arm moves: what ends the motion of one arm stops the others in this thread.
+        self._stopping.start()
         begun: list[Motion] = []
         try:
-            for motions, follower, clock in parts:
+            for name, (motions, follower, clock) in zip(self._names, parts, strict=True):
                 life = motions._context.programs.life("follow")
                 program = LinkedProgram(
                     life, motions._context, follower, motions._opener(link), tolerance=tolerances.start
@@ -127,22 +131,21 @@ class Group:
                 clock.is_paused = partial(getattr, program, "is_paused")
                 life.on_end(clock.leave)
                 begun.append(Motion(life, partial(getattr, follower, "progress")))
-                program.begin()
+                with naming(name):
+                    program.begin()
         except BaseException:
             end_all([motion._life for motion in begun], "stopped, since that of another arm could not begin")
             raise
         life = self._life("follow")
         life.begin()
-        motion = GroupMotion(life, begun, self._names, self._stopping)
-        if seconds:
-            motion.wait(seconds)
-        return motion
+        return waited(GroupMotion(life, begun, self._names, self._stopping), seconds)
 
+    @starts_motion
     def move_joints(
         self,
         q: Sequence[Numbers],
-        speed: float = 1.05,
-        acceleration: float = 1.4,
+        speed: float = Default(1.05),
+        acceleration: float = Default(1.4),
         *,
         time: float | None = None,
         wait: bool | float = False,
@@ -156,7 +159,7 @@ class Group:
             q: (6,) rad for each arm.
             speed: rad/s of the joint that moves fastest, of all arms.
             acceleration: rad/s² of the joint that is accelerated most.
-            time: s that it takes; speed and acceleration have no effect then.
+            time: s that it takes, instead of a speed and an acceleration; these cannot be given with it.
             wait: see `Motions`.
 
         Raises:
@@ -164,6 +167,9 @@ class Group:
             LocalError: an arm moves.
             LinkError: one arm could not begin; none has moved.
         """
+        check_wait(wait)
+        if time is not None:
+            check_overridden("time sets the duration", speed=speed, acceleration=acceleration)
         if len(q) != len(self.robots):
             raise BadValue(f"{len(q)} goals for a group of {len(self.robots)} robots")
         goals = [six(goal, f"q[{number}]") for number, goal in enumerate(q)]
@@ -239,9 +245,10 @@ class Group:
         seconds = check_wait(wait)
         stops: list[Motion] = []
         errors: list[LinkError] = []
-        for robot in self.robots:
+        for robot, name in zip(self.robots, self._names, strict=True):
             try:
-                stops.append(robot.motion.stop(acceleration))
+                with naming(name):
+                    stops.append(robot.motion.stop(acceleration))
             except LinkError as error:
                 errors.append(error)
         if seconds:
@@ -252,7 +259,12 @@ class Group:
 
     @property
     def _names(self) -> list[str]:
-        return [robot.address for robot in self.robots]
+        """The addresses, with the number of the robot if two simulated arms have the same address."""
+        addresses = [robot.address for robot in self.robots]
+        return [
+            address if addresses.count(address) == 1 else f"{address} (robots[{number}])"
+            for number, address in enumerate(addresses)
+        ]
 
     def _life(self, name: str) -> Lifecycle:
         sections = [robot.motion._context.section for robot in self.robots]

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+from linkcore import clock
 from linkcore.errors import (
     BadRecording,
     BadValue,
@@ -185,7 +185,7 @@ class Introduction:
     def __init__(self, name: str, timeout: float) -> None:
         self._name = name
         self._timeout = timeout
-        self._until = time.monotonic() + timeout
+        self._until = clock.now() + timeout
         self._protocol = PrimaryProtocol()
         self._received = b""
         self._lost: ConnectionLost | None = None
@@ -196,7 +196,7 @@ class Introduction:
     @property
     def left(self) -> float:
         """Seconds that are left to listen."""
-        return max(self._until - time.monotonic(), 0.0)
+        return clock.left(self._until)
 
     @property
     def is_over(self) -> bool:
@@ -219,7 +219,7 @@ class Introduction:
                 self._configuration = self._configuration or packet.configuration_data
                 self._kinematics = self._kinematics or packet.kinematics_info
         if self._protocol.firmware is not None or self._state is not None:
-            self._until = min(self._until, time.monotonic() + _GRACE)
+            self._until = min(self._until, clock.now() + _GRACE)
 
     def lose(self, error: ConnectionLost) -> None:
         """The connection was lost: nothing more will come."""

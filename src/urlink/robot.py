@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-import time
 import warnings
 import weakref
 from collections.abc import Callable, Hashable, Sequence
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, Literal
 
+from linkcore import clock
 from linkcore.arguments import check_callable, check_choice
 from linkcore.errors import BadValue, Closed, LocalError
 from linkcore.net.recall import Recall
@@ -601,14 +601,14 @@ class Robot(AnswersForeignNames, Closing):
 
     def close(self, timeout: float = 2.0) -> None:
         """End motions, close every stream, and the simulator if there is one; in `timeout` seconds. Idempotent."""
-        until = time.monotonic() + timeout
+        until = clock.now() + timeout
         self._is_closed = True
         if (control := self._control.made) is not None:
             control.close(timeout)
         if (rtde := self._rtde.made) is not None:
-            rtde.close(max(until - time.monotonic(), 0.0))
+            rtde.close(clock.left(until))
         for stream in tuple(self._streams.values()):
-            stream.close(max(until - time.monotonic(), 0.0))
+            stream.close(clock.left(until))
         if self._controller is not None:
             self._controller.close()
 

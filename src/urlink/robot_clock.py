@@ -6,8 +6,7 @@ the time in a state until it sends it; that it is one cycle is a guess (`state_l
 
 from __future__ import annotations
 
-import time
-
+from linkcore import clock
 from linkcore.streaming.peer_clock import ClockEstimator, ClockRelation
 from linkcore.streaming.stream import Stream
 
@@ -20,8 +19,9 @@ class RobotClock:
     """The clock of a controller, and this computer's monotonic clock; made by `Robot.clock`.
 
     The controller's is that of `RealtimeState.time`, and of ``timestamp`` in RTDE: seconds since it was started. This
-    computer's is `time.monotonic`, which `state.received.monotonic` has too. All of these wait for the first state, if
-    none has come yet, and raise `LinkTimeout` if none does.
+    computer's is `linkcore.clock.now`, which `state.received.monotonic` has too. On Linux it equals `time.monotonic`
+    until this computer is suspended for the first time. All of these wait for the first state, if none has come yet,
+    and raise `LinkTimeout` if none does.
     """
 
     def __init__(self, stream: Stream[RealtimeState], who: KnownIdentity) -> None:
@@ -43,7 +43,7 @@ class RobotClock:
     @property
     def offset(self) -> float:
         """Seconds by which the controller's clock is ahead of this computer's, now."""
-        now = time.monotonic()
+        now = clock.now()
         return self.to_controller(now) - now
 
     @property
@@ -61,7 +61,7 @@ class RobotClock:
         """
         relation = self._relation()
         latency = self._latency
-        return relation.bound(relation.to_peer(time.monotonic(), latency), latency)
+        return relation.bound(relation.to_peer(clock.now(), latency), latency)
 
     @property
     def restarts(self) -> int:

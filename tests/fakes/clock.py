@@ -7,7 +7,9 @@ from types import ModuleType, SimpleNamespace
 
 import pytest
 
-__all__ = ["Clock"]
+import linkcore.clock
+
+__all__ = ["Clock", "Suspend"]
 
 
 class Clock:
@@ -34,4 +36,20 @@ class Clock:
 
     def replace(self, module: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
         """Have a module take its time from here."""
-        monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=self, sleep=self.sleep))
+        fake = SimpleNamespace(now=self, sleep=self.sleep, left=lambda until: max(until - self.now, 0.0))
+        monkeypatch.setattr(module, "clock", fake)
+
+
+class Suspend:
+    """Advances `linkcore.clock` when it is called, and nothing else, as a suspend of this computer does."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self._seconds = 0.0
+        self._read: Callable[..., float] = linkcore.clock._read
+        monkeypatch.setattr(linkcore.clock, "_read", self._late)
+
+    def _late(self, *which: int) -> float:
+        return self._read(*which) + self._seconds
+
+    def __call__(self, seconds: float) -> None:
+        self._seconds += seconds

@@ -10,6 +10,7 @@ import time
 from collections import deque
 from pathlib import Path
 
+import linkcore.clock
 from linkcore.clock import Stamp
 from linkcore.errors import ConnectionLost, LinkTimeout, PacketError
 from linkcore.net.transport import Transport
@@ -153,7 +154,7 @@ class ScriptedTransport:
             item = self._items.popleft()
         if isinstance(item, Exception):
             raise item
-        return item, Stamp(time.monotonic(), time.time())
+        return item, Stamp(linkcore.clock.now(), time.time())
 
     def send(self, data: bytes, timeout: float) -> None:
         refusal, self.refusal = self.refusal, None

@@ -1,92 +1,165 @@
-"""Calls that a thread makes for a task: what happens when the task is cancelled."""
+"""Calls that start motions: their order, and what happens to what they have started when they fail."""
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from linkcore.errors import Cancelled
-from linkcore.pending_call import PendingCall, interruptible, regardless
+from linkcore.errors import Cancelled, LinkTimeout, LocalError
+from linkcore.handle import Handle, Lifecycle, Phase, waited
+from linkcore.pending_call import PendingCall, current_call, next_order, regardless, starts_motion, stopped_here
+from linkcore.threads import CallbackThread
 
-pytestmark = pytest.mark.simulated_time
-
-
-def at_once(call: Callable[[], object]) -> None:
-    call()
-
-
-def test_give_up_wakes_an_interruptible_wait() -> None:
-    call, waits, woken = PendingCall(), threading.Event(), threading.Event()
-    ended: list[Exception] = []
-
-    def wait() -> None:
-        with interruptible(woken.set):
-            waits.set()
-            assert woken.wait(60.0)
-
-    def make() -> None:
-        try:
-            call.make(wait)
-        except Cancelled as error:
-            ended.append(error)
-
-    thread = threading.Thread(target=make)
-    thread.start()
-    assert waits.wait(60.0)
-    call.give_up(at_once)
-    thread.join(60.0)
-    assert len(ended) == 1
+CALLBACKS = cast(CallbackThread, SimpleNamespace(call=lambda function, *arguments: function(*arguments)))
 
 
-def test_interruptible_refuses_to_wait_after_give_up() -> None:
-    call = PendingCall()
-    call.give_up(at_once)
+class Arm:
+    """Something with a method that starts a motion."""
 
-    def wait() -> None:
-        with interruptible(lambda: None):
-            raise AssertionError("it waited")
+    def __init__(self) -> None:
+        self.brakes = 0
+        self.started: list[Handle] = []
 
+    def begin(self) -> Handle:
+        life = Lifecycle("motion", CALLBACKS)
+        life.brake = self._brake
+        self.started.append(Handle(life))
+        return self.started[-1]
+
+    def _brake(self) -> None:
+        self.brakes += 1
+
+    @starts_motion
+    def move(self, *, error: BaseException | None = None, wait: float = 0.0) -> Handle:
+        """Start a motion."""
+        handle = self.begin()
+        if error is not None:
+            raise error
+        return waited(handle, wait)
+
+    @starts_motion
+    def order(self) -> int:
+        call = current_call()
+        assert call is not None
+        assert call.order is not None
+        return call.order
+
+    @starts_motion
+    def orders(self, stops: bool = False) -> tuple[int, int]:
+        """The order of this call and of one within it, before which this thread has perhaps stopped the robot."""
+        call = current_call()
+        assert call is not None
+        if stops:
+            stopped_here()
+        return cast(int, call.order), self.order()
+
+
+@pytest.fixture
+def arm() -> Arm:
+    return Arm()
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), LocalError("no thread is left"), ValueError("a defect")])
+def test_call_cancels_what_it_started_when_it_raises(arm: Arm, error: BaseException) -> None:
+    with pytest.raises(type(error)):
+        arm.move(error=error)
+    assert arm.started[0].phase is Phase.CANCELLED
+    assert arm.brakes == 1
+
+
+def test_call_leaves_the_motion_running_when_its_wait_times_out(arm: Arm) -> None:
+    with pytest.raises(LinkTimeout):
+        arm.move(wait=1e-9)
+    assert arm.started[0].phase is Phase.SENT
+    assert arm.brakes == 0
+
+
+def test_call_cancels_the_motion_when_it_cannot_wait_for_it(arm: Arm, monkeypatch: pytest.MonkeyPatch) -> None:
+    def overflow(life: Lifecycle, timeout: float) -> bool:
+        raise OverflowError("timestamp out of range")
+
+    monkeypatch.setattr(Lifecycle, "wait", overflow)
+    with pytest.raises(OverflowError):
+        arm.move(wait=1.0)
+    assert arm.brakes == 1
+
+
+def test_call_leaves_earlier_motions_alone_when_it_raises(arm: Arm) -> None:
+    earlier = arm.move()
+    with pytest.raises(KeyboardInterrupt):
+        arm.move(error=KeyboardInterrupt())
+    assert earlier.phase is Phase.SENT
+
+
+def test_call_is_current_only_while_it_runs(arm: Arm) -> None:
+    assert current_call() is None
+    arm.order()
+    with pytest.raises(ValueError, match="a defect"):
+        arm.move(error=ValueError("a defect"))
+    assert current_call() is None
+
+
+def test_order_increases_from_call_to_call(arm: Arm) -> None:
+    first, stop, second = arm.order(), next_order(), arm.order()
+    assert first < stop < second
+
+
+def test_call_within_a_call_has_its_order(arm: Arm) -> None:
+    outer, inner = arm.orders()
+    assert outer == inner
+
+
+def test_call_within_a_call_comes_after_a_stop_of_its_thread(arm: Arm) -> None:
+    outer, inner = arm.orders(stops=True)
+    assert outer < inner
+
+
+def test_pending_call_is_entered_when_it_is_made(arm: Arm) -> None:
+    pending = PendingCall()
+    stop = next_order()
+    assert pending.make(arm.order) < stop
+
+
+def test_unordered_pending_call_orders_each_call_in_it(arm: Arm) -> None:
+    pending = PendingCall(is_ordered=False)
+    stop = next_order()
+    assert pending.make(arm.order) > stop
+
+
+def test_abandoned_pending_call_starts_nothing_more(arm: Arm) -> None:
+    pending = PendingCall()
+    pending.give_up(lambda call: call())
     with pytest.raises(Cancelled):
-        call.make(wait)
+        pending.make(arm.move)
+    assert not arm.started
 
 
-def test_give_up_wakes_no_wait_that_has_ended() -> None:
-    call, woken = PendingCall(), threading.Event()
-
-    def wait() -> None:
-        with interruptible(woken.set):
-            pass
-
-    call.make(wait)
-    call.give_up(at_once)
-    assert not woken.is_set()
+def test_abandoned_pending_call_cancels_what_it_started(arm: Arm) -> None:
+    pending = PendingCall()
+    handle = pending.make(arm.move)
+    pending.give_up(lambda call: call())
+    assert handle.phase is Phase.CANCELLED
+    assert arm.brakes == 1
 
 
-def test_interruptible_has_no_effect_outside_a_call() -> None:
-    call, woken = PendingCall(), threading.Event()
-
-    def wait() -> None:
-        with interruptible(woken.set):
-            call.give_up(at_once)
-
-    wait()
-    call = PendingCall()
-    call.make(lambda: regardless(wait))
-    assert not woken.is_set()
+def test_regardless_leaves_the_call_and_returns_to_it(arm: Arm) -> None:
+    pending = PendingCall()
+    seen: list[Any] = []
+    pending.make(lambda: seen.extend([regardless(current_call), current_call()]))
+    assert seen == [None, pending]
 
 
-def test_give_up_undoes_a_call_that_has_returned() -> None:
-    call, undone = PendingCall(), threading.Event()
-    call.make(lambda: call.on_give_up(undone.set))
-    assert not undone.is_set()
-    call.give_up(at_once)
-    assert undone.is_set()
-
-
-def test_on_give_up_undoes_at_once_after_give_up() -> None:
-    call, undone = PendingCall(), threading.Event()
-    call.give_up(at_once)
-    call.on_give_up(undone.set)
-    assert undone.is_set()
+@given(st.lists(st.sampled_from(["call", "stop"]), max_size=30))
+def test_call_is_overtaken_exactly_by_later_stops(events: list[str]) -> None:
+    arm, last_stop, calls = Arm(), 0, []
+    for at, event in enumerate(events):
+        if event == "stop":
+            last_stop = next_order()
+        else:
+            calls.append((at, arm.order()))
+    last = max((at for at, event in enumerate(events) if event == "stop"), default=-1)
+    assert [order < last_stop for _, order in calls] == [at < last for at, _ in calls]

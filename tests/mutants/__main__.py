@@ -26,6 +26,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1, help="of that choice (%(default)s)")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes side by side (%(default)s)")
     parser.add_argument("--budget", type=float, default=60.0, help="seconds of tests for a mutation (%(default)g)")
+    parser.add_argument("--drawn", metavar="FROM:TO", help="of the group drawn, these of the defects of `drawn`")
     parser.add_argument("--report", type=Path, metavar="FILE", help="write every result there, one JSON object a line")
     parser.add_argument("--into", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
@@ -33,8 +34,10 @@ def main() -> int:
         parser.error(f"no group {', '.join(unknown)}; there are {', '.join(GROUPS)}")
     if options.into is not None:
         (name,) = options.groups
+        first, _, last = (options.drawn or ":").partition(":")
+        drawn = slice(int(first or 0), int(last) if last else None) if name == "drawn" else None
         results = run_group(
-            name, options.only, options.tests, options.sample, options.jobs, options.budget, options.seed
+            name, options.only, options.tests, options.sample, options.jobs, options.budget, options.seed, drawn
         )
         with options.into.open("a") as file:
             file.writelines(json.dumps(each.as_json()) + "\n" for each in results)

@@ -16,6 +16,7 @@ them texts of the log. Cosmic Ray starts an interpreter, and all tests, for each
 
 from __future__ import annotations
 
+import ast
 import contextlib
 import faulthandler
 import gc
@@ -39,6 +40,8 @@ from typing import Any, NamedTuple
 import coverage
 import pytest
 
+from tests.mutants.defects import draw, with_defect
+from tests.mutants.drawn import COUNT, SEED
 from tests.mutants.equivalent import Equivalent, equivalents
 from tests.mutants.operators import Function, Mutation, mutated, mutations
 from tests.mutants.targets import GROUPS, ROOT
@@ -165,8 +168,10 @@ class Engine:
         jobs: int,
         budget: float,
         seed: int,
+        drawn: slice | None = None,
     ) -> None:
         self._files = files
+        self._drawn = drawn
         self._equivalent = equivalent
         self._sample = sample
         self._parallel = jobs
@@ -222,6 +227,9 @@ class Engine:
     def _jobs(self) -> list[Job]:
         """In the reverse of the order in which they are done: controls are first."""
         jobs: list[Job] = []
+        if self._drawn is not None:
+            drawn = [Job(path, mutation) for path, mutation in draw(self._files, SEED, COUNT)]
+            return drawn[self._drawn][::-1]
         for path, source in self._sources.items():
             name = path.relative_to(ROOT / "src").as_posix()
             found = [one for one in mutations(source) if not any(row.matches(name, one) for row in self._equivalent)]
@@ -259,7 +267,10 @@ class Engine:
         if function is None or (str(job.path), function) not in self._functions:
             return None
         module = compile(
-            mutated(self._sources[job.path], job.mutation.number), str(job.path), "exec", dont_inherit=True
+            changed(self._sources[job.path], job.mutation.number, job.mutation.kind),
+            str(job.path),
+            "exec",
+            dont_inherit=True,
         )
         (code,) = (each for each in codes(module) if (each.co_name, each.co_firstlineno) == function)
         for each in self._functions[str(job.path), function]:
@@ -371,7 +382,13 @@ def codes(code: CodeType) -> Iterator[CodeType]:
 
 
 def _interpreter(job: Job, seconds: dict[str, float], folder: Path) -> int:
-    order = {"path": str(job.path), "number": job.mutation.number, "seconds": seconds, "folder": str(folder)}
+    order = {
+        "path": str(job.path),
+        "number": job.mutation.number,
+        "kind": job.mutation.kind,
+        "seconds": seconds,
+        "folder": str(folder),
+    }
     command = [sys.executable, "-m", "tests.mutants.engine"]
     process = subprocess.Popen(
         command,
@@ -390,28 +407,37 @@ def _interpreter(job: Job, seconds: dict[str, float], folder: Path) -> int:
     return process.pid
 
 
+def changed(source: str, number: int, kind: str) -> ast.Module:
+    """The module with one mutation, or with one defect if there is a kind."""
+    return with_defect(source, number) if kind else mutated(source, number)
+
+
 class MutatedLoader(importlib.machinery.SourceFileLoader):
-    def __init__(self, fullname: str, path: str, number: int) -> None:
+    def __init__(self, fullname: str, path: str, number: int, kind: str) -> None:
         super().__init__(fullname, path)
         self._number = number
+        self._kind = kind
 
     def get_code(self, fullname: str) -> CodeType:
         # Not that of the base, which takes bytecode from the cache: that is the program as it is.
-        return compile(mutated(self.get_data(self.path).decode(), self._number), self.path, "exec", dont_inherit=True)
+        return compile(
+            changed(self.get_data(self.path).decode(), self._number, self._kind), self.path, "exec", dont_inherit=True
+        )
 
 
 class Finder(importlib.abc.MetaPathFinder):
     """Finds one module as it is, and gives it a loader that mutates it."""
 
-    def __init__(self, path: str, number: int) -> None:
+    def __init__(self, path: str, number: int, kind: str) -> None:
         self._path = path
         self._number = number
+        self._kind = kind
 
     def find_spec(self, fullname: str, path: Any, target: Any = None) -> Any:
         spec = importlib.machinery.PathFinder.find_spec(fullname, path, target)
         if spec is None or spec.origin != self._path:
             return None
-        spec.loader = MutatedLoader(fullname, self._path, self._number)
+        spec.loader = MutatedLoader(fullname, self._path, self._number, self._kind)
         return spec
 
 
@@ -423,7 +449,7 @@ def options() -> list[str]:
 def run_order() -> int:
     """A new interpreter's work: import the mutated module, run the tests."""
     order = json.load(sys.stdin)
-    sys.meta_path.insert(0, Finder(order["path"], order["number"]))
+    sys.meta_path.insert(0, Finder(order["path"], order["number"], order["kind"]))
     # A test that cannot be collected has noticed as well.
     return int(pytest.main([*options(), *order["seconds"]], plugins=[First(order["seconds"], Path(order["folder"]))]))
 
@@ -436,10 +462,11 @@ def run_group(
     jobs: int,
     budget: float,
     seed: int,
+    drawn: slice | None = None,
 ) -> list[Result]:
     group = GROUPS[name]
     files = [path for path in group.files() if only is None or path.stem == only]
-    engine = Engine(files, equivalents(name), sample, jobs, budget, seed)
+    engine = Engine(files, equivalents(name), sample, jobs, budget, seed, drawn)
     status = pytest.main([*options(), *(str(ROOT / test) for test in tests or group.tests)], plugins=[engine])
     if status != pytest.ExitCode.OK:
         raise SystemExit(f"the tests of {name} could not be collected")

@@ -66,6 +66,8 @@ class Mutation(NamedTuple):
     function: Function | None
     before: str
     after: str
+    #: which operator of `defects`; empty for those of this module
+    kind: str = ""
 
 
 class _Mutator(ast.NodeTransformer):

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import NamedTuple
 
+from tests.mutants.drawn import MODULES
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -54,6 +56,22 @@ GROUPS = {
             "tests/urlink/test_cycles.py",
             "tests/urlink/test_group.py",
             "tests/urlink/test_public_names.py",
+        ),
+    ),
+    # Of these the defects are drawn: `--drawn`.
+    "drawn": Group(
+        MODULES,
+        (
+            "tests/urlink/commanding",
+            "tests/urlink/motion",
+            "tests/urlink/rtde",
+            "tests/urlink/aio",
+            "tests/urlink/test_group.py",
+            "tests/urlink/test_robot.py",
+            "tests/linkcore/streaming",
+            "tests/linkcore/aio",
+            "tests/linkcore/test_handle.py",
+            "tests/rhdlink",
         ),
     ),
     "rhd-wire": Group(("rhdlink/wire/*.py",), ("tests/rhdlink",)),

@@ -397,6 +397,8 @@ def test_16_lengths_beyond_127_and_values_set_before_another_variable_is_made() 
             self.first = range(300)
             self.host.database.read.add("second", 200)
 
+        def periodic(self, tick: int) -> None: ...
+
     with Host([Early()], period=0.002, port=0) as host, RawClient(host.port) as client:
         client.greeting()
         assert client.words("first") == list(range(300))
@@ -409,6 +411,8 @@ def test_17_the_end_is_in_order_whoever_is_connected(robot: Robot) -> None:
     class Ending(Plugin):
         def __init__(self, name: str) -> None:
             self.name = name
+
+        def periodic(self, tick: int) -> None: ...
 
         def terminate(self) -> None:
             ended.append(self.name)

@@ -25,6 +25,7 @@ from rhdlink.host.config import BadConfiguration, Element, parse_config
 from rhdlink.host.host import Host, HostFailed, HostStatistics, PluginFailed
 from rhdlink.host.plugin import Plugin
 from rhdlink.host.server import TickSchedule
+from rhdlink.smrcl.robot_link import PluginLink
 from rhdlink.variables.declarations import Read, Write
 from rhdlink.variables.value_types import Int32
 from tests.fakes.clock import Clock
@@ -311,8 +312,12 @@ def test_variables_that_cannot_be_together_are_the_second_plugin_s_failure() -> 
     class One(Plugin):
         speed = Write(Int32)
 
+        def periodic(self, tick: int) -> None: ...
+
     class Other(Plugin):
         speed = Write(Int32, 2)
+
+        def periodic(self, tick: int) -> None: ...
 
     with pytest.raises(PluginFailed, match="plugin other failed in init: WrongVariables"):
         Host([One(), Other()], port=0).start()
@@ -793,6 +798,40 @@ class Configured(Plugin):
 
     def init(self, config: Element) -> None:
         self.gain = config.integer("gain", 1) * config.integer("x", 1)
+
+    def periodic(self, tick: int) -> None: ...
+
+
+class Stepped(Plugin):
+    def step(self, tick: int) -> None: ...
+
+
+class Bare(Plugin): ...
+
+
+class Misspelt(Noted):
+    def termniate(self) -> None: ...
+
+
+@pytest.mark.parametrize(
+    ("plugin", "says"),
+    [
+        (Stepped(), r"Stepped has no method 'periodic', .*; no host calls its 'step'; define periodic\(self, tick\)"),
+        (Bare(), r"Bare has no method 'periodic', which the host calls at each tick; define periodic\(self, tick\)"),
+        (Misspelt("one", []), r"Misspelt has a method 'termniate', which no host calls; did you mean 'terminate'\?"),
+    ],
+)
+def test_host_rejects_plugins_whose_methods_are_never_called(plugin: Plugin, says: str) -> None:
+    with pytest.raises(BadValue, match=says):
+        Host([plugin], port=0)
+    with pytest.raises(BadValue, match=says):
+        PluginLink([plugin])
+
+
+def test_host_from_a_file_rejects_plugins_without_periodic() -> None:
+    config = parse_config(CONFIG.replace(":Configured", ":Bare"))
+    with pytest.raises(BadConfiguration, match="Bare has no method 'periodic'"):
+        Host.from_config(config)
 
 
 def test_a_host_from_a_file() -> None:

@@ -62,6 +62,8 @@ class Typed(Plugin, order="big"):
     fix = Read(Structure([("quality", "u1"), ("age", "f4")]), 2)
     order = Write(Float64, order="little")
 
+    def periodic(self, tick: int) -> None: ...
+
     def init(self, config: Element) -> None:
         self.host.database.read.add("raw", 2)
         self.host.database.write.add("speed")

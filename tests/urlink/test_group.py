@@ -10,6 +10,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
+import linkcore.clock
 import urlink
 from linkcore.errors import BadValue, Cancelled, LinkTimeout, LocalError
 from linkcore.handle import Phase
@@ -63,7 +64,7 @@ class Side:
         controller = self.controller
         assert controller._server is not None
         with self.sim.on(self.computer):
-            cycles = (time.monotonic() - controller._server._epoch) * self.rate + controller._server._first
+            cycles = (linkcore.clock.now() - controller._server._epoch) * self.rate + controller._server._first
         self.marks.append((self.sim.now, (cycles - (controller._state.cycle - controller._state.uptime)) / self.rate))
 
     def path(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -205,7 +206,7 @@ def test_a_stop_of_one_reaches_the_other() -> None:
         controller = both.left.controller
         stopped = both.sim.now
         controller.call(controller.faults.protective_stop)
-        with pytest.raises(SafetyStop):
+        with pytest.raises(SafetyStop, match=r"^192\.168\.0\.100: .*protective stop"):
             motion.wait()
         assert motion.phase is Phase.FAILED
         with pytest.raises(Cancelled, match=r"stopped, since that of 192\.168\.0\.100 ended: .*stop"):
@@ -252,7 +253,7 @@ def test_stop_stops_each() -> None:
         time.sleep(0.5)
         both.right.robot.motion.speed_joints([0, 0, 0, 0, 0, 0.2], duration=0.5)
         time.sleep(0.1)
-        with pytest.raises(SafetyStop):
+        with pytest.raises(SafetyStop, match=r"^192\.168\.0\.100: "):
             both.group.stop()
         time.sleep(0.3)
         assert not both.right.controller.arm.is_moving
@@ -264,8 +265,10 @@ def test_where_one_cannot_begin_none_does() -> None:
         controller = both.right.controller
         controller.call(controller.faults.protective_stop)
         time.sleep(0.5)
-        with pytest.raises(SafetyStop):
+        with pytest.raises(SafetyStop, match=r"^192\.168\.0\.101: "):
             both.group.move_joints(both.goals())
+        with pytest.raises(SafetyStop, match=r"^192\.168\.0\.101: "), both.group.stream():
+            pass
         time.sleep(0.5)
         assert both.left.robot.motion.current is None
         assert both.left.robot.realtime.wait().q_target == pytest.approx(both.start[0], abs=1e-9)
@@ -489,7 +492,7 @@ def test_a_stop_of_one_ends_the_stream_of_all(latency: float, monkeypatch: pytes
             controller.call(controller.faults.protective_stop)
             monkeypatch.setattr(MotionGenerator, "servoj", watched)  # from now on of the other one only
             time.sleep(0.5)
-            with pytest.raises(SafetyStop):
+            with pytest.raises(SafetyStop, match=r"^192\.168\.0\.100: "):
                 stream.append(both.dense())
         assert isinstance(stream.error, SafetyStop)
         with pytest.raises(Cancelled, match=r"stopped, since that of 192\.168\.0\.100 ended: .*stop"):
@@ -641,3 +644,11 @@ def test_what_a_group_refuses() -> None:
         one.realtime.wait_until(lambda state: state.qd_target[5] > 0.1)
         with pytest.raises(LocalError, match="moves: a group begins where its arms stand"):
             group.move_joints([here, here])
+        with pytest.raises(BadValue, match=r"speed=0\.5 would be ignored"):
+            group.move_joints([here, here], 0.5, time=2.0)
+        with pytest.raises(BadValue, match="wait="):
+            group.move_joints([here, here], wait=1e10)
+        two.controller.faults.protective_stop()
+        two.safety.wait_for_stop(5.0)
+        with pytest.raises(SafetyStop, match=r"^sim://ur5e \(robots\[1\]\): "):
+            group.stop()

@@ -52,6 +52,7 @@ NAMES = [
     "NotOffered",
     "NotRunning",
     "PacketError",
+    "PendingCall",
     "Phase",
     "Policy",
     "Program",
@@ -177,7 +178,7 @@ SURFACES = {
     "urlink.Trajectory.from_arrays([0, 1], [[0] * 6] * 2)": """at check duration from_arrays from_csv from_poses
         has_velocities is_quintic plot points q qd qdd retimed sample time to_csv""",
     "robot.controller": """address arm call close counters cycle dashboard faults fieldbus firmware flags
-        follow greeting gripper host is_running_program is_serving is_up modbus model modes passing pendant
+        follow greeting gripper has_local_control host is_running_program is_serving is_up modbus model modes passing pendant
         ports program_name push realtime_packet received registers remote_control robot_api rtde schedule
         serial signals speed_fraction start state_package step stopped_since take take_messages teach_button
         time tool_serial world""",
@@ -283,7 +284,7 @@ DEFAULTS = {
     "robot.io.wait_configurable_digital_in": "on=True, timeout=5.0",
     "robot.io.wait_digital_in": "on=True, timeout=5.0",
     "robot.io.wait_tool_digital_in": "on=True, timeout=5.0",
-    "robot.script.run": "wait=False, on_text=None",
+    "robot.script.run": "wait=False, detached=False, on_text=None",
     "robot.safety.wait_enabled": "timeout=60.0",
     "robot.safety.wait_until_clear": "timeout=60.0",
 }

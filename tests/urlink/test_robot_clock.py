@@ -8,6 +8,7 @@ import time
 
 import pytest
 
+import linkcore.clock
 import urlink
 from linkcore.errors import LinkTimeout, LocalError
 from urlink.simulator import Controller
@@ -26,7 +27,7 @@ class Truth:
     def __call__(self) -> float:
         assert self._server is not None
         with self._sim.on(self._cell):
-            cycles = (time.monotonic() - self._server._epoch) * self._rate + self._server._first
+            cycles = (linkcore.clock.now() - self._server._epoch) * self._rate + self._server._first
         return (cycles - (self._state.cycle - self._state.uptime)) / self._rate
 
 
@@ -49,7 +50,7 @@ def test_it_is_right_within_its_bound(firmware: str, seed: int, drift: float, la
             robot.realtime.wait()
             while sim.now < 30.0:
                 time.sleep(sim.random.uniform(0.0, 0.02))
-                true, now = truth(), time.monotonic()
+                true, now = truth(), linkcore.clock.now()
                 off, bound = robot.clock.to_controller(now) - true, robot.clock.bound
                 looks += 1
                 wrong += abs(off) > bound
@@ -84,7 +85,7 @@ def test_a_controller_that_is_started_again_is_seen() -> None:
             robot.realtime.wait()
             time.sleep(0.1)
             assert robot.clock.restarts == 1
-            assert robot.clock.to_controller(time.monotonic()) == pytest.approx(truth(), abs=robot.clock.bound)
+            assert robot.clock.to_controller(linkcore.clock.now()) == pytest.approx(truth(), abs=robot.clock.bound)
         with sim.on(cell):
             controller.close()
 
@@ -94,7 +95,7 @@ def test_it_waits_for_the_first_state() -> None:
     with urlink.connect("sim://ur5e") as robot:
         clock = robot.clock
         assert repr(clock) == "<RobotClock: no state has come>"
-        assert clock.to_local(robot.realtime.wait().time) == pytest.approx(time.monotonic(), abs=0.05)
+        assert clock.to_local(robot.realtime.wait().time) == pytest.approx(linkcore.clock.now(), abs=0.05)
         robot.realtime.wait_until(lambda state: robot.clock.bound < 0.01)
     with urlink.connect("sim://ur5e") as robot:
         robot.controller.faults.stall(3600.0, "realtime")

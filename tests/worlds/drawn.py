@@ -8,17 +8,125 @@ from dataclasses import replace
 
 from urlink.firmware import RELEASES
 
+from .mobile import MOBILE
 from .scenes import SCENES
-from .world import ASKED, BLOCKS, CABLES, CALLS, HAPPENS, MOTIONS, STOPS, THEN, Ask, Client, Event, World
+from .surface import ACTIONS
+from .world import (
+    ASKED,
+    BLOCKS,
+    CABLES,
+    CALLS,
+    HAPPENS,
+    LACKS,
+    MOTIONS,
+    STOPS,
+    THEN,
+    THEN_OR_SIGNAL,
+    Ask,
+    Client,
+    Event,
+    World,
+)
 
 _KINDS = ("threads",) * 8 + ("asyncio",) * 4 + ("rtde", "dashboard", "ur_rtde", "urx", "foreign", "foreign")
 _FIRMWARES = [str(row.since) for row in RELEASES for _ in range(1 if row.since.is_cb2 else 3)]
+#: Share of the worlds of `public` with a mobile robot.
+_MOBILE = 0.12
 #: Of so many worlds in a row, one is a scene that is varied.
 _SCENES = 4
 
 
+#: Actions of `surface` by kind, and how often each kind is drawn.
+_ACTIONS = {kind: [name for name, each in ACTIONS.items() if each.kind == kind] for kind in ("motion", "block", "call")}
+_ACTION_KINDS = ("motion",) * 4 + ("block",) * 4 + ("call",) * 3
+_SITUATIONS = ("race",) * 3 + ("signal",) * 2 + ("lacks", "busy") + ("any", "held") * 2 + ("sweep",) * 3
+#: Actions that move the arm by messages, each as often as it is drawn.
+_LED = (*(name for name in _ACTIONS["block"] if name.startswith("motion")), "motion.jog", "motion.speed_joints")
+#: Actions after which nothing else can be asked for.
+_ENDS = ("robot.close", "realtime.close", "primary.close", "dashboard.power_off", "dashboard.quit", "rtde.close")
+#: What races with what another thread prepares.
+_ENDING = ("motion.stop", "motion.stop", "close", "cancel_current", "cancel_current", "dashboard.stop", "robot.close")
+
+
 def draw(seed: int) -> World:
-    """The world of a seed: a few kinds of asks and of events, which come again and again.
+    """The world of a seed: every other one has actions of the whole surface, the others are as `written` has them."""
+    return public(seed) if seed % _SCENES in (2, 3) else written(seed)
+
+
+def public(seed: int) -> World:
+    """A world whose actions come from `surface`, few of them, in one of five situations."""
+    chance = random.Random(f"public {seed}")
+    if chance.random() < _MOBILE:
+        return _mobile(chance, seed)
+    situation = chance.choice(
+        ("race",) * 3 + ("signal",) * 2 + ("lacks", "busy") + ("any", "held") * 2 + ("sweep",) * 3
+    )
+    kind = {"signal": "threads", "busy": "asyncio"}.get(situation, chance.choice(("threads", "asyncio")))
+    at = chance.uniform(0.05, 0.2)
+    thens = THEN_OR_SIGNAL if situation == "signal" else THEN
+    menu = [_action(chance) for _ in range(3)]
+    asks = [_public_ask(chance, chance.choice(menu), thens, at) for _ in range(chance.choice((1, 1, 1, 2, 3)))]
+    events: list[Event] = []
+    if situation == "sweep":
+        wanted = [_action(chance), *(chance.choice(_ACTIONS["call"]) for _ in range(12))]
+        asks = [_public_ask(chance, what, ("wait",), at) for what in wanted if what not in _ENDS]
+    elif situation == "signal":
+        asks[0] = replace(asks[0], then="signal")
+    elif situation == "busy":
+        busy = Ask("busy", "wait", 0.0, chance.random(), 0.05 * chance.random())
+        asks = [busy, *asks, *(_public_ask(chance, chance.choice(("motion.stop", menu[0])), thens, at) for _ in "1")]
+    elif situation == "race":
+        after = chance.choice((0.0, 0.001, 0.01, 0.1)) * chance.random()
+        other = chance.choice(_ENDING) if chance.random() < 0.7 else _action(chance)
+        asks = [asks[0], replace(_public_ask(chance, other, thens, at), thread=1, after=after)]
+    elif situation == "held":
+        # In the middle of something that moves by messages of this process.
+        asks = [replace(asks[0], what=chance.choice(_LED), then=chance.choice(("leave", "wait")))]
+        what = chance.choice(("hold_client", "suspend_client", "cut", "kill_client", "protective_stop"))
+        events.append(Event(what, 0.1 + 0.5 * chance.random(), 2.0 + chance.random(), 0, chance.random(), 0))
+    elif situation == "lacks":
+        what = chance.choice((*LACKS, "no_threads"))
+        events.append(Event(what, 0.01 * chance.random(), 2.0 * chance.random(), 0, chance.random(), 0))
+    if chance.random() < 0.25:
+        events.append(_event(chance, at, HAPPENS, (Client(tuple(asks), 0.0),)))
+    start = chance.choice(("register",) * 6 + ("flags",))
+    clients = [Client(tuple(asks), chance.uniform(-1e-4, 1e-4), kind, "never", start)]
+    if chance.random() < 0.15:
+        clients.append(_client(chance, at, _menu(chance)))
+    latency, jitter = chance.choice((5e-5, 5e-4, 5e-3)), chance.choice((0.0, 2e-4))
+    lines = chance.choice((0.0, at + 0.1 * chance.random())) if situation == "race" else 0.0
+    # Threads that wait look at each state, of which there are fewer on this firmware.
+    firmware = "3.15" if situation == "busy" else chance.choice(_FIRMWARES)
+    return World(seed, firmware, latency, jitter, tuple(clients), tuple(events), lines)
+
+
+def _mobile(chance: random.Random, seed: int) -> World:
+    """A client of a mobile robot; the arm rests."""
+    menu = [name for name in MOBILE if name.startswith("drive.")] if chance.random() < 0.5 else list(MOBILE)
+    menu += ["variables.background", "variables.sync"] * 4
+    asks = []
+    for _ in range(chance.choice((1, 2, 4))):
+        patience = chance.choice((0.05, 0.3)) * chance.random()
+        asks.append(Ask(chance.choice(menu), chance.choice(THEN), 0.0, chance.random(), patience))
+    events = []
+    if chance.random() < 0.3:
+        what = chance.choice(("hold_client", "suspend_client", "cut", "reset"))
+        events.append(Event(what, 0.3 * chance.random(), 0.3 * chance.random(), 0, 1.0, None))
+    lines = chance.choice((0.0, 0.0, 0.3))
+    return World(seed, "3.15", 5e-4, 0.0, (Client(tuple(asks), 0.0, "mobile"),), tuple(events), lines)
+
+
+def _action(chance: random.Random) -> str:
+    return chance.choice(_ACTIONS[chance.choice(_ACTION_KINDS)])
+
+
+def _public_ask(chance: random.Random, what: str, thens: Sequence[str], at: float) -> Ask:
+    patience = chance.choice((0.002, 0.05, 0.5, 1.5)) * chance.random()
+    return Ask(what, chance.choice(thens), 0.0, chance.random(), patience, 0, at)
+
+
+def written(seed: int) -> World:
+    """The world of a seed from the actions of `asked`: a few kinds of asks and of events, which come again and again.
 
     In every other world they meet: threads and clients begin the same few things in the same moment, and what happens
     happens then. One in four is a scene instead, with other numbers and other motions.

@@ -111,6 +111,12 @@ def elsewhere(event: Event, network: Network, client: Computer, robot: Computer)
     elif what == "suspend_robot":
         robot.suspend()
         return robot.resume
+    elif what == "no_threads":
+        client.starts_threads = False
+        return lambda: setattr(client, "starts_threads", True)
+    elif what == "clock_jumps":
+        client.jumped += 7200.0 * (event.size - 0.5)
+        return None
     elif what == "kill_client":
         client.kill()
         return None

@@ -13,6 +13,7 @@ import re
 import weakref
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from threading import get_ident
 from typing import Any
 
 from linkcore.handle import Event, Handle, Lifecycle, Phase
@@ -67,6 +68,9 @@ class Sent:
         wrapped, life: as `Programs.start` was given them.
         is_stop, is_linked: the same.
         asked: when its text left, s; before that, when it was asked for.
+        entered: when the call that sent it was entered, s.
+        thread: number of the thread that sent it.
+        abandoned: when that call raised and left no handle; None otherwise.
         ended, error: when its handle ended, and by what.
         begun: when the controller began it; None before.
         over: when the controller ended it.
@@ -84,6 +88,9 @@ class Sent:
     is_stop: bool
     is_linked: bool
     asked: float
+    entered: float
+    thread: int
+    abandoned: float | None = None
     ended: float | None = None
     error: BaseException | None = None
     begun: float | None = None
@@ -94,6 +101,12 @@ class Sent:
     ignored: float = -math.inf
     moved: bool = False
     place: tuple[str, str] = ("", "none")
+
+    @property
+    def unwanted(self) -> float | None:
+        """Since when nobody wants it, s: its handle ended, or the call that was to return one raised."""
+        times = [each for each in (self.ended, self.abandoned) if each is not None]
+        return min(times) if times else None
 
     @property
     def is_admitted(self) -> bool:
@@ -178,6 +191,14 @@ class Observed:
         self.stops: dict[int, bool] = {}
         #: (from, to) of each stop; s
         self.stopped: list[list[float]] = []
+        #: calls under way: who makes them, by which method, and when it was entered, s
+        self.calls: list[tuple[Computer, str, float]] = []
+        #: the same by thread
+        self._call_of: dict[int, float] = {}
+        #: stops that a client has asked for and that have returned: when they were entered and when they returned, s
+        self._stops: dict[Computer, list[tuple[float, float]]] = {}
+        #: when `Robot.close` returned, s
+        self._left: dict[Computer, float] = {}
         #: when a person, or a client, let a paused program go on
         self.played: list[float] = []
         self.stop_holds = False
@@ -201,6 +222,7 @@ class Observed:
             (Lifecycle, "fire", self._fire),
             (Handle, "wait", self._wait),
             (Robot, "rtde", self._rtde),
+            (Robot, "close", self._leave),
             (FanOut, "publish", self._publish),
             (Connection, "_disconnected", self._disconnected),
             (Computer, "suspend", self._suspend),
@@ -223,13 +245,92 @@ class Observed:
     def _start(self, start: Callable[..., None]) -> Callable[..., None]:
         def wrapped(programs: Programs, text: Wrapped, life: Lifecycle, **how: Any) -> None:
             is_stop, is_linked = how.get("is_stop", False), how.get("is_linked", False)
-            sent = Sent(here(), text, life, is_stop, is_linked, self._sim.now)
+            entered, ident = self._entered(life.name), get_ident()
+            sent = Sent(here(), text, life, is_stop, is_linked, self._sim.now, entered, ident)
             self.programs[text.name] = sent
             self._step(sent)
             life.on_end(lambda: self._ended(sent))
             start(programs, text, life, **how)
 
         return wrapped
+
+    # -- calls -------------------------------------------------------------------------------------------
+
+    @contextlib.contextmanager
+    def calling(self, name: str, *, in_thread: bool = True) -> Iterator[float]:
+        """A client makes a call for as long as the block lasts; gives when it was entered.
+
+        Args:
+            name: of the method.
+            in_thread: the calling thread makes it, rather than one for a task.
+        """
+        entered, client, ident = self._sim.now, here(), get_ident()
+        call = client, name, entered
+        self.calls.append(call)
+        before = self._call_of.get(ident)
+        if in_thread:
+            self._call_of[ident] = entered
+        try:
+            yield entered
+        finally:
+            self.calls.remove(call)
+            self._call_of.pop(ident, None)
+            if before is not None:
+                self._call_of[ident] = before
+
+    def _entered(self, name: str) -> float:
+        """When the call was entered that begins a program of this name."""
+        found = self._call_of.get(get_ident())
+        if found is None:
+            found = max((at for who, what, at in self.calls if who is here() and what == name), default=self._sim.now)
+        return found
+
+    def has_stopped(self, entered: float) -> None:
+        """A stop that was entered then has returned: what was asked for before is not sent any more."""
+        self._stops.setdefault(here(), []).append((entered, self._sim.now))
+
+    def abandon(self, entered: float, name: str | None = None) -> bool:
+        """A call that was entered then has raised and returned no handle: its programs must not go on.
+
+        Args:
+            name: of the method, if another thread made the call.
+
+        Returns:
+            Whether there is such a program.
+        """
+        has_any = False
+        for sent in self._of(here()):
+            is_its = sent.thread == get_ident() if name is None else sent.life.name == name
+            if is_its and sent.entered >= entered and not sent.is_stop and not sent.life.is_over:
+                sent.abandoned = self._sim.now
+                has_any = True
+        return has_any
+
+    def pause(self, block: Any) -> None:
+        """Nothing of a block is wanted now: what it was asked for was cancelled."""
+        for sent in self._of(here()):
+            if sent.life is block._part._life:
+                sent.abandoned = self._sim.now
+
+    def resume(self, block: Any) -> None:
+        """It is asked for something again."""
+        for sent in self._of(here()):
+            if sent.life is block._part._life:
+                sent.abandoned, sent.rests = None, 0
+
+    def _leave(self, close: Callable[..., None]) -> Callable[..., None]:
+        def wrapped(robot: Robot, *arguments: Any, **options: Any) -> None:
+            close(robot, *arguments, **options)
+            self._left[here()] = self._sim.now
+
+        return wrapped
+
+    def _overtaken(self, sent: Sent) -> str | None:
+        """Why a program must not be sent any more."""
+        for entered, returned in self._stops.get(sent.computer, ()):
+            if sent.entered < entered and not sent.is_stop:
+                return f"was asked for at {sent.entered:.6f} s, before the stop that returned at {returned:.6f} s"
+        return None
 
     def _ended(self, sent: Sent) -> None:
         sent.ended, sent.error = self._sim.now, sent.life.error
@@ -261,6 +362,11 @@ class Observed:
             for sent in self._of(here()):
                 if sent.wrapped.text == whole:
                     sent.asked = self._sim.now
+                    overtaken = self._overtaken(sent)
+                    if overtaken is not None:
+                        self._fault(f"{here().name} sent {sent.wrapped.name} ({sent.life.name}), which {overtaken}")
+            if here() in self._left:
+                self._fault(f"{here().name} sent {whole.splitlines()[0]} after its robot was closed")
             if refusal is not None and (is_permission or whole.startswith("def ")):
                 self._fault(f"{here().name} sent {whole.splitlines()[0]} although {refusal}")
             if is_given_up:
@@ -513,7 +619,7 @@ class Observed:
             if not self._controller.remote_control:
                 sent.rests, sent.ignored = 0, self._sim.now  # in local control a stop is ignored; it is sent again
                 continue
-            is_ending = sent.ended is not None and not self.is_held(sent.computer)
+            is_ending = sent.unwanted is not None and not self.is_held(sent.computer)
             if sent.over is None and (sent.computer in self._dead or (is_ending and self.has_arrived(sent.computer))):
                 sent.rests += 1
 
@@ -543,12 +649,15 @@ class Observed:
             sent.moved = True
             self._step(sent)
         is_gone = is_dead or not sent.computer.is_running
-        if sent.ended is None or sent.is_stop or is_gone or sent.is_admitted or sent.rests <= braking:
+        unwanted = sent.unwanted
+        if unwanted is None or sent.is_stop or is_gone or sent.is_admitted or sent.rests <= braking:
             return None
-        if not sent.is_linked and self.lost_since(sent.computer, sent.ended - 1.0):
+        if not sent.is_linked and self.lost_since(sent.computer, unwanted - 1.0):
             return None  # what stops it may be lost with the connection
         if self._is_kept(sent) or self._closed.get(sent.computer, math.inf) <= sent.ignored + _RESENT:
             return None
+        if sent.ended is None:
+            return f"whose call raised at {unwanted:.3f} s"
         return f"whose handle ended at {sent.ended:.3f} s: {sent.error}"
 
     def _is_kept(self, sent: Sent) -> bool:
@@ -557,12 +666,13 @@ class Observed:
         Its client stops it within `_KEPT` of that, unless it did not stay so long, or has read of the stop and, over a
         network that was cut, of nothing since; docs/safety.md names this.
         """
-        assert sent.ended is not None
+        ended = sent.unwanted
+        assert ended is not None
         closed, known = self._closed.get(sent.computer, math.inf), self._known.get(sent.computer)
         is_unaware = known is not None and known.next_stopped > 0
-        until = sent.ended + _KEPT  # a stop that begins later finds it stopped, but for one just after another
+        until = ended + _KEPT  # a stop that begins later finds it stopped, but for one just after another
         for begun, over in self.stopped:
-            if begun <= until and sent.ended <= over + _KEPT:
+            if begun <= until and ended <= over + _KEPT:
                 until = max(until, over + _KEPT)
                 is_in_time = is_unaware or min(closed, self._sim.now) <= over + _KEPT
                 if is_in_time and self.played[-1:] > [over]:

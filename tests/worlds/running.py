@@ -5,16 +5,19 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import functools
+import inspect
 import itertools
 import logging
+import math
+import random
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from typing import Any
 
 import urlink
-from linkcore.errors import LinkError, RemoteError
+from linkcore.errors import LinkError, LinkTimeout, RemoteError
 from linkcore.event_loop import within
 from linkcore.handle import Event as LifeEvent
 from linkcore.handle import Handle
@@ -25,10 +28,14 @@ from urlink.compat.urx import Robot as UrxRobot
 from urlink.interfaces.enums import ProgramState
 from urlink.simulator import Controller, Still
 
+from . import acting
 from .asked import BLOCK, CALL, DURING, MOTION, PENDANT_PROGRAM, UR_RTDE, URX
 from .foreign import RAW
 from .happening import at_the_robot, elsewhere
-from .watch import BRAKING, Outcome, Watch
+from .mobile import Base
+from .signals import signalled
+from .surface import ACTIONS
+from .watch import ADMITS, BRAKING, Outcome, Watch
 from .world import AT_THE_ROBOT, Ask, Client, Event, World
 
 __all__ = ["Outcome", "Run", "run"]
@@ -38,8 +45,14 @@ HOST = "192.168.0.100"
 LATE = 1.5
 #: s in which a motion has begun or has not, whatever happens, and in which what was given up has come to its end.
 BEGUN, ENDED = 20.0, 30.0
+#: s in which a cancelled task ends, in which a robot is closed; each as it is documented.
+CANCELLED, CLOSED = 6.0, 2.0
+#: Calls that only wait, which keep all threads of the asyncio face busy.
+BUSY = 16
 #: s for which `then` waits for a motion, and for a block, which does not end by itself.
 WAIT, WAIT_IN_BLOCK = 20.0, 0.5
+#: Checks in a row, a tenth of the braking time apart, after which nothing is expected to move any more.
+QUIET = 3
 #: s of simulated time for everything.
 LIMIT = 400.0
 #: Between whose lines threads yield: of the library, but for what a process keeps from one world for the next.
@@ -63,8 +76,14 @@ PREEMPTED = (
 #: Calls that neither move the arm nor keep others from moving it.
 _HARMLESS = ("output", "analog_output", "payload", "tcp", "registers", "outputs", "subscribe", "iterate", "wait_state")
 #: Calls after which the arm may move with no handle that could tell when it ends.
-_LASTING = ("line",)
+_LASTING = ("line", "script.send_line")
 _NO_END = {"servoJ", "speedJ", "jogStart", "forceMode", "freedriveMode", "speedj"}
+
+
+MOTION = {**MOTION, **{name: acting.begin for name, action in ACTIONS.items() if action.kind == "motion"}}
+BLOCK = {**BLOCK, **{name: acting.begin for name, action in ACTIONS.items() if action.kind == "block"}}
+DURING = {**DURING, **{name: acting.during for name, action in ACTIONS.items() if action.kind == "block"}}
+CALL = {**CALL, **{name: acting.call for name, action in ACTIONS.items() if action.kind == "call"}}
 
 
 class Interrupted(Exception):
@@ -84,6 +103,7 @@ class _Awaited:
         self._function = function
         self._robot = robot
         self._ask = ask
+        self._is_public = ask.what in ACTIONS
         self.is_making = False
         self.made: Any = None
         self.error: BaseException | None = None
@@ -101,17 +121,56 @@ class _Awaited:
             self.is_making = False
         return self.made
 
+    async def _made_publicly(self) -> Any:
+        """By the awaited face itself."""
+        action, drawn = ACTIONS[self._ask.what], acting.drawing(self._robot, self._ask)
+        drawn.on_call = lambda: acting.on_call(self._robot, self._ask)
+        positional, named = action.arguments(drawn)
+        if action.kind == "motion" and action.name != "motion.stop":
+            named.setdefault("wait", False)
+        try:
+            method = action.of(self._robot)
+            takes = inspect.signature(method).parameters
+            if not any(each.kind is each.VAR_KEYWORD for each in takes.values()):
+                named = {name: value for name, value in named.items() if name in takes}
+            made = method(*positional, **named)
+            if inspect.isawaitable(made) and action.kind != "block":
+                made = await made
+        except Exception as error:
+            self.error = error
+            raise
+        if action.kind != "block":
+            self.made = made
+        return made
+
     async def begun(self) -> Any:
         """What the function returns; `wait=False`."""
+        if self._is_public:
+            return await self._made_publicly()
         return await self._robot._workers.make(self._make, awaited._end)
 
     async def done(self) -> None:
         """As with `wait=True`."""
+        if self._is_public:
+            made = await self._made_publicly()
+            if self._ask.what in MOTION:
+                await made
+            else:
+                await acting.use_awaited(made, self._ask)
+            return
         await self._robot._workers.make(functools.partial(self._make, WAIT), awaited._end)
 
     def block(self) -> Any:
         """What is entered."""
+        if self._is_public:
+            return self._entered_publicly()
         return awaited.Block(self._robot._workers, self._make, lambda made, workers: made)
+
+    @contextlib.asynccontextmanager
+    async def _entered_publicly(self) -> AsyncIterator[Any]:
+        async with await self._made_publicly() as entered:
+            self.made = getattr(entered, "_part", entered)
+            yield entered
 
 
 class Run:
@@ -133,18 +192,31 @@ class Run:
                 seed=world.seed,
                 files={PENDANT_PROGRAM: pick},
             ).start()
-        self.watch = Watch(sim, self.controller, outcome, is_quiet=_is_quiet(world))
+        acting.prepared(self.controller, world.seed)
+        asks = [ask for client in world.clients for ask in client.asks]
+        is_in_turn = all(ask.thread == 0 and ask.then != "forget" for ask in asks)
+        self.is_sequence = not world.events and len(world.clients) == 1 and is_in_turn
+        self.is_alone = not world.events and sum(len(client.asks) for client in world.clients) == 1
+        self.watch = Watch(
+            sim, self.controller, outcome, is_quiet=_is_quiet(world), is_alone=self.is_alone and not world.lines
+        )
         self.computers: list[Computer] = []
         self.gone: set[int] = set()
         #: by client, the numbers of those of its asks for which the arm may move
         self.owners: list[set[int]] = [set() for _ in world.clients]
         self._numbers = itertools.count()
         self._begun = 0.0
+        self._threads_of_robot = 0
+        #: calls of a task that only wait, and keep threads busy
+        self._busy: dict[int, list[asyncio.Future[Any]]] = {}
+        #: by client, the robot that is not the arm
+        self._peers: dict[int, Computer] = {}
         #: those who press what is at the pendant
         self.hands: list[threading.Thread] = []
 
     def everything(self) -> None:
         self._begun = self.sim.now
+        self._threads_of_robot = len(self.sim.threads)
         if self.world.lines:
             self.sim.preempt(*PREEMPTED)
             self.sim.at(self._begun + self.world.lines, self.sim.preempt)
@@ -173,7 +245,7 @@ class Run:
                 self.watch.fault(f"client {number} has not come to its end\n{self.sim.stacks()}")
         for hand in self.hands:
             hand.join(60.0)
-        time.sleep(2 * BRAKING)
+        self._settle()
         with self.sim.on(self.robot):
             self.controller.close()
         left = [
@@ -184,6 +256,17 @@ class Run:
         self.watch.observed.check_ends()
         if not self.gone and self.sim.open_sockets:
             self.watch.fault(f"{self.sim.open_sockets} sockets are left")
+
+    def _settle(self) -> None:
+        """Watch the arm until nothing can move it any more: for `BRAKING` twice, or until all is at rest and empty."""
+        until = self.sim.now + 2 * BRAKING
+        quiet = 0
+        while self.sim.now < until and quiet < QUIET:
+            time.sleep(BRAKING / 10)
+            has_arrived = all(map(self.watch.observed.has_arrived, self.computers))
+            is_alone = len(self.sim.threads) <= self._threads_of_robot and not self.gone
+            is_quiet = is_alone and has_arrived and self.controller.stopped_since is None
+            quiet = quiet + 1 if is_quiet and self.watch.is_at_rest else 0
 
     def _until(self, ask: Ask) -> float:
         """Seconds until it is asked for."""
@@ -218,6 +301,7 @@ class Run:
             "ur_rtde": self._ur_rtde,
             "urx": self._urx,
             "foreign": self._foreign,
+            "mobile": self._mobile,
         }
         try:
             kinds.get(client.kind, self._threads)(number, client)
@@ -273,33 +357,82 @@ class Run:
         error: BaseException | None = None
         owner = None
         self.watch.note(f"client {number} asks for {ask.what} ({ask.size:.2f}), then {ask.then}")
+        observed, method = self.watch.observed, ask.what.rpartition(".")[2]
         try:
             if client.policy != "never" and ask.size > 0.3:
                 robot.safety.enable()
-            if ask.what in CALL:
-                if ask.what in _LASTING:
-                    self.begin(number)
-                CALL[ask.what](robot, ask)
-            else:
-                owner = self.begin(number)
-                if ask.what in MOTION:
-                    with self._in_time(number, ask, "has begun", BEGUN):
-                        motion = MOTION[ask.what](robot, ask)
-                    if ask.then == "forget":
-                        self._forget(number, owner, motion, kept)
-                        owner = None
-                    else:
-                        error = self._then(number, robot, motion, ask)
+            with observed.calling(method) as entered:
+                if ask.what in CALL:
+                    if ask.what in _LASTING:
+                        self.begin(number)
+                    with self._signals(robot, ask), self._in_time(number, ask, "takes", _limit(ask)):
+                        CALL[ask.what](robot, ask)
+                    self._check_effect(robot, ask)
                 else:
-                    error = self._block(number, robot, ask)
-        except Interrupted:
-            pass
+                    owner = self.begin(number)
+                    if ask.what in MOTION:
+                        with self._signals(robot, ask), self._in_time(number, ask, "has begun", _limit(ask)):
+                            motion = MOTION[ask.what](robot, ask)
+                        if method == "stop":
+                            observed.has_stopped(entered)
+                        if ask.then == "forget":
+                            self._forget(number, owner, motion, kept)
+                            owner = None
+                        else:
+                            error = self._then(number, robot, motion, ask)
+                            if error is None and ask.then == "wait":
+                                self._check_effect(robot, ask)
+                    else:
+                        with self._signals(robot, ask):
+                            error = self._block(number, robot, ask)
+        except (Interrupted, KeyboardInterrupt):
+            self._abandoned(observed.abandon(entered))
         except LinkError as raised:
             error = raised
+            if not (isinstance(error, LinkTimeout) or ADMITS.search(str(error))):  # a wait that times out ends nothing
+                self._abandoned(observed.abandon(entered))
         finally:
             self.watch.told(number, ask.what, error)
             if owner is not None:
                 self.end(number, owner, error)
+
+    def _abandoned(self, has_any: bool) -> None:
+        """A call raised: if it left a program behind, see whether that goes on, before the robot is closed."""
+        if has_any:
+            time.sleep(1.5 * BRAKING)
+
+    def _check_effect(self, robot: urlink.Robot, ask: Ask) -> None:
+        """What a call promises to have done when it returns, if nothing else can have undone it."""
+        if self.is_sequence and ask.what in ACTIONS and ask.then != "signal":
+            wrong = acting.effect(robot, self.controller, ask)
+            if wrong is not None:
+                self.watch.fault(f"{ask.what}: {wrong}")
+
+    def _signals(self, robot: urlink.Robot, ask: Ask) -> contextlib.AbstractContextManager[object]:
+        """With `then="signal"`, a signal comes between two lines of the library, in the main thread of a program."""
+        if ask.then != "signal" or ask.thread or self.world.lines:
+            return contextlib.nullcontext()
+        chance = random.Random(f"signal {ask.size}")
+        name = chance.choice(("interrupt", "interrupt", "stop", "cancel", "close"))
+        # Before its first few lines a call has not been entered, so a stop by the handler does not overtake it.
+        lines = int(math.exp(chance.uniform(math.log(12.0), math.log(4000.0))))
+
+        def handler() -> None:
+            self.watch.note(f"a signal comes, whose handler does: {name}")
+            if name == "interrupt":
+                raise KeyboardInterrupt
+            with contextlib.suppress(LinkError), self.watch.observed.calling(f"{name} in a handler") as entered:
+                if name == "stop":
+                    robot.motion.stop()
+                    self.watch.observed.has_stopped(entered)
+                elif name == "close":
+                    robot.close()
+                else:
+                    motion = robot.motion.current
+                    if motion is not None:
+                        motion.cancel()
+
+        return signalled(PREEMPTED, lines, handler)
 
     def _block(self, number: int, robot: urlink.Robot, ask: Ask) -> BaseException | None:
         """A motion that lasts as long as a block; what its handle reports in the end."""
@@ -308,10 +441,9 @@ class Run:
             with block as entered:
                 DURING[ask.what](robot, entered, ask)
                 handle = _handle(entered)
-                assert handle is not None
-                if ask.then == "cancel":
+                if ask.then == "cancel" and handle is not None:
                     handle.cancel()
-                elif ask.then == "wait":
+                elif ask.then == "wait" and handle is not None:
                     handle.wait(WAIT_IN_BLOCK)
                 elif ask.then == "interrupt":
                     raise Interrupted
@@ -364,18 +496,19 @@ class Run:
             yield
         finally:
             took = self.sim.now - begun
-            stood = sum(
-                event.lasts
-                for event in self.world.events
-                if event.client == number and event.what in ("suspend_client", "hold_client")
-            )
-            if took > limit + stood + LATE and number not in self.gone:
+            if took > limit + self._held_for(number) + LATE and number not in self.gone:
                 self.watch.fault(f"{ask.what}: {what} {took:.2f} s, longer than {limit:g} s")
+
+    def _held_for(self, number: int) -> float:
+        """s for which a client may be held up by what happens to its computer."""
+        held = ("suspend_client", "hold_client")
+        return sum(each.lasts for each in self.world.events if each.client == number and each.what in held)
 
     # -- clients with tasks --------------------------------------------------------------------------------
 
     async def _tasks(self, number: int, client: Client) -> None:
         kept: dict[int, Handle] = {}
+        self._busy[number] = []
         async with urlink.connect_async(HOST, **self._options(client)) as robot:
             states = await robot.realtime.subscribe(lambda state: None)
 
@@ -388,13 +521,27 @@ class Run:
 
             await asyncio.gather(*(asks(which) for which in sorted({ask.thread for ask in client.asks})))
             states.close()
+            leaving = self.sim.now
+        took, held = self.sim.now - leaving, self._held_for(number)
+        if took > CLOSED + held + LATE and number not in self.gone:
+            self.watch.fault(f"client {number}: leaving the block of its robot took {took:.2f} s")
+        await asyncio.gather(*self._busy[number], return_exceptions=True)
         self._all_over(number, kept)
 
     async def _ask_async(self, number: int, client: Client, robot: Any, ask: Ask, kept: dict[int, Handle]) -> None:
         self.watch.note(f"client {number} asks for {ask.what} ({ask.size:.2f}), then {ask.then}, in a task")
+        if ask.what == "busy":
+            waits = [asyncio.ensure_future(robot.io.wait_digital_in(7, True, 5.0 + ask.size)) for _ in range(BUSY)]
+            self._busy[number] += waits
+            await asyncio.sleep(ask.patience)
+            for each in waits:
+                each.cancel()
+            return
         owner = None if ask.what in CALL and ask.what not in _LASTING else self.begin(number)
         error: BaseException | None = None
         call = _Awaited(CALL.get(ask.what) or MOTION.get(ask.what) or BLOCK[ask.what], robot, ask)
+        observed, method = self.watch.observed, ask.what.rpartition(".")[2]
+        entered = self.sim.now
         try:
             if client.policy != "never" and ask.size > 0.3:
                 await robot.safety.enable()
@@ -404,15 +551,21 @@ class Run:
             if ask.what == "iterate":
                 await robot.primary.wait(ask.patience)
                 return
-            if owner is not None and ask.then == "forget" and ask.what in MOTION:
-                self._forget(number, owner, await call.begun(), kept)
-                owner = None
-                return
-            await self._then_async(robot, call, ask)
-        except (asyncio.CancelledError, asyncio.TimeoutError, Interrupted):
-            pass
+            with observed.calling(method, in_thread=False) as entered:
+                if owner is not None and ask.then == "forget" and ask.what in MOTION:
+                    self._forget(number, owner, await call.begun(), kept)
+                    owner = None
+                    return
+                await self._then_async(number, robot, call, ask)
+            if ask.what == "motion.stop":
+                observed.has_stopped(entered)
         except LinkError as raised:
             error = raised
+        except (asyncio.CancelledError, asyncio.TimeoutError, Interrupted):
+            if call.made is None:
+                has_any = observed.abandon(entered, method)
+                await asyncio.sleep(1.5 * BRAKING if has_any else 0.0)
+            await self._check_cancelled(ask)
         finally:
             if owner is not None:
                 error = await self._ended(call, ask) or error
@@ -420,16 +573,28 @@ class Run:
             if owner is not None and ask.what not in _LASTING:
                 self.end(number, owner, error)
 
-    async def _then_async(self, robot: Any, call: _Awaited, ask: Ask) -> None:
+    async def _check_cancelled(self, ask: Ask) -> None:
+        """What a cancelled call must not leave behind, if it is the only one that could have done it."""
+        if ask.what == "dashboard.play" and self.is_alone:
+            await asyncio.sleep(2 * BRAKING)
+            if self.controller.is_running_program:
+                self.watch.fault("dashboard.play was cancelled, and its program plays")
+
+    async def _then_async(self, number: int, robot: Any, call: _Awaited, ask: Ask) -> None:
         async def whole() -> None:
             if ask.what in BLOCK:
                 async with call.block() as entered:
-                    await robot.call(DURING[ask.what], robot._part, entered, ask)
+                    if ask.what in ACTIONS:
+                        await self._during_async(robot, entered, ask)
+                    else:
+                        await robot.call(DURING[ask.what], robot._part, entered, ask)
                     if ask.then == "interrupt":
                         raise Interrupted
                     await asyncio.sleep(ask.patience)
             elif ask.what in CALL:
-                await call.begun()
+                made = await call.begun()
+                if ask.what in ACTIONS:
+                    await acting.use_awaited(made, ask)
             elif ask.then == "leave":
                 with await call.begun():
                     await asyncio.sleep(ask.patience)
@@ -442,14 +607,40 @@ class Run:
 
         task = asyncio.ensure_future(whole())
         if ask.then != "cancel":  # not by `asyncio.wait_for`, which takes other turns of the loop from Python 3.12 on
-            await within(ask.patience if ask.then == "wait_briefly" else WAIT, task)
+            await within(ask.patience if ask.then == "wait_briefly" else _limit(ask) + WAIT, task)
         elif ask.size > 0.5:
             await asyncio.sleep(ask.patience)
         else:
             for _ in range(int(40 * ask.size)):
                 await asyncio.sleep(0)
         task.cancel()
-        await task
+        with self._in_time(number, ask, "is cancelled", CANCELLED):
+            await task
+
+    async def _during_async(self, robot: Any, block: Any, ask: Ask) -> None:
+        """Use a block by its awaited methods; some of these calls are cancelled."""
+        for step, (name, often, rest) in enumerate(acting.steps_awaited(block, ask)):
+            chance = random.Random(f"cancelled {ask.size} {step}")
+            for _ in range(often):
+                end = getattr(block, "end", None) if name == "replace" else None
+                task = asyncio.ensure_future(acting.during_awaited(robot, block, name, ask, step))
+                if often == 1 and chance.random() < 0.5:
+                    await asyncio.sleep(chance.choice((0.0, 0.001, 0.005, 0.05)))
+                    task.cancel()
+                await asyncio.wait({task})
+                if not task.cancelled():
+                    task.result()
+                elif name == "replace":
+                    await asyncio.sleep(0.3)
+                    if block.end != end:
+                        self.watch.fault(f"a cancelled replace was carried out: the stream ends at {block.end:.3f} s")
+                elif name == "execute":
+                    self.watch.observed.pause(block)
+                if often > 1:
+                    await robot.realtime.wait(2.0)
+            await asyncio.sleep(rest)
+            if name == "execute":
+                self.watch.observed.resume(block)
 
     async def _ended(self, call: _Awaited, ask: Ask) -> BaseException | None:
         """Wait until what a call has begun is over, and return what its handle reports."""
@@ -520,6 +711,15 @@ class Run:
             except OSError as error:
                 self.watch.note(f"client {number}: {ask.what}: {error}")
 
+    def _mobile(self, number: int, client: Client) -> None:
+        with self.sim.on(self.robot):
+            base = Base(self.sim, self.watch.fault, is_wheeled=client.asks[0].size > 0.5)
+        self._peers[number] = base.computer
+        try:
+            base.use(client.asks, sum(event.lasts for event in self.world.events))
+        finally:
+            base.close()
+
     # -- events ------------------------------------------------------------------------------------------
 
     def _happen(self, client: int, ask: int | None) -> None:
@@ -537,7 +737,7 @@ class Run:
         def happen() -> None:
             self.watch.note(f"{event.what} ({event.size:.2f}), client {event.client}, for {event.lasts:.3f} s")
             client = self.computers[event.client]
-            undo = elsewhere(event, self.sim.network, client, self.robot)
+            undo = elsewhere(event, self.sim.network, client, self._peers.get(event.client, self.robot))
             if event.what in ("kill_client", "power_client"):
                 self.leave(event.client)
             if undo is not None:
@@ -562,7 +762,8 @@ class _Errors(logging.Handler):
         self.fault: Callable[[str], object] | None = None
 
     def emit(self, record: logging.LogRecord) -> None:
-        if record.exc_info and self.fault is not None:
+        lacks = record.exc_info is not None and "can't start new thread" in str(record.exc_info[1])
+        if record.exc_info and self.fault is not None and not lacks:
             self.fault(f"logged: {self.format(record)}")
 
     def uncaught(self, args: threading.ExceptHookArgs) -> None:
@@ -581,7 +782,7 @@ def _handle(entered: Any) -> Handle | None:
 
 def _is_quiet(world: World) -> bool:
     """Nothing happens beside clients that move the arm, or do no harm: nothing may be said to have stopped it."""
-    moves = {*MOTION, *BLOCK, *_HARMLESS}
+    moves = {*MOTION, *BLOCK, *_HARMLESS} - ACTIONS.keys()
     return not world.events and all(ask.what in moves for client in world.clients for ask in client.asks)
 
 
@@ -591,6 +792,11 @@ def _rest(robot: urlink.Robot, ask: Ask, seconds: float | None = None) -> None:
     if ask.size > 0.5:
         with contextlib.suppress(LinkError):
             robot.realtime.wait(0.1)
+
+
+def _limit(ask: Ask) -> float:
+    """s that the call of an ask may take."""
+    return acting.limit(ask) if ask.what in ACTIONS else BEGUN if ask.what in MOTION else WAIT + BEGUN
 
 
 def _brief(error: BaseException) -> str:

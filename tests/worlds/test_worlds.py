@@ -13,7 +13,7 @@ import pytest
 from linkcore.errors import Cancelled
 from linkcore.handle import Lifecycle
 from tests.worlds.__main__ import shrunk
-from tests.worlds.drawn import draw
+from tests.worlds.drawn import draw, written
 from tests.worlds.planted import NAMES
 from tests.worlds.running import run
 from tests.worlds.scenes import SCENES
@@ -39,7 +39,7 @@ def test_nothing_moves_unasked(seeds: range) -> None:
 
 @pytest.mark.parametrize("seed", [*FAILED, pytest.param(159_034, marks=pytest.mark.slow)])
 def test_a_seed_that_has_failed(seed: int) -> None:
-    outcome = run(draw(seed))
+    outcome = run(written(seed))
     assert outcome.faults == [], "\n".join(outcome.log)
 
 

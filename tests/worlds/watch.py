@@ -15,10 +15,12 @@ from dataclasses import dataclass, field
 from linkcore.simulated import Simulation
 from urlink.simulator import Controller
 
+from . import guarded
 from .counted import Counted
 from .observed import ADMITS, BRAKING, Observed, here
+from .promises import Promises
 
-__all__ = ["BRAKING", "Outcome", "Watch"]
+__all__ = ["ADMITS", "BRAKING", "Outcome", "Watch"]
 
 #: rad/s above which the arm moves.
 MOVES = 0.01
@@ -59,17 +61,21 @@ class Watch:
         sim, controller: of the world.
         outcome: where it is written.
         is_quiet: no stop can come, and the robot cannot go away.
+        is_alone: one client asks for one thing, and nothing happens.
 
     Attributes:
         observed: programs and handles of the world.
     """
 
-    def __init__(self, sim: Simulation, controller: Controller, outcome: Outcome, *, is_quiet: bool) -> None:
+    def __init__(
+        self, sim: Simulation, controller: Controller, outcome: Outcome, *, is_quiet: bool, is_alone: bool
+    ) -> None:
         self._is_quiet = is_quiet
         self._sim = sim
         self._controller = controller
         self._outcome = outcome
         self.observed = Observed(sim, controller, self._once)
+        self._promises = Promises(sim, controller, self.observed, self._once, is_alone=is_alone)
         self._counted = Counted(controller.firmware.rate, self._once)
         #: the clients that want the arm to move, and until when it may although none does
         self.wanting: set[int] = set()
@@ -94,7 +100,12 @@ class Watch:
     @contextlib.contextmanager
     def watching(self) -> Iterator[None]:
         """Observe what the library does, too, for as long as the block lasts."""
-        with self.observed.watching(), self._counted.watching():
+        with (
+            self.observed.watching(),
+            self._counted.watching(),
+            self._promises.watching(),
+            guarded.watching(self._once),
+        ):
             yield
         self._outcome.places = self.observed.places
 
@@ -133,6 +144,11 @@ class Watch:
         """A safeguard stop is over, and the controller goes on with its program by itself."""
         self.observed.played.append(self._sim.now)
 
+    @property
+    def is_at_rest(self) -> bool:
+        """Whether no program is on the controller and the arm does not move."""
+        return not self._controller.is_running_program and max(map(abs, self._qd)) <= MOVES
+
     def _look(self) -> None:
         controller, observed = self._controller, self.observed
         setpoint = controller.arm.setpoint
@@ -163,6 +179,8 @@ class Watch:
                 self._is_admitted = False
             return
         self._outcome.moved += period
+        if not self.is_led:
+            self._promises.look(speed)
         if sent is not None:
             why = observed.why_not(sent, is_faster=speed > before + 1e-3)
             if why is not None:

@@ -115,6 +115,8 @@ ASKED = {
 }
 #: How it goes on after that.
 THEN = ("wait", "wait_briefly", "cancel", "leave", "interrupt", "forget")
+#: The same, with a signal that comes meanwhile.
+THEN_OR_SIGNAL = (*THEN, "signal", "signal")
 #: What happens beside the clients: at the pendant and to the arm, to the network and to computers.
 AT_THE_ROBOT = (
     "protective_stop",
@@ -151,6 +153,9 @@ HAPPENS = (
     "power_client",
     "hold_client",
 )
+
+#: What happens in worlds whose actions come from `surface`, in addition to `HAPPENS`.
+LACKS = ("no_threads", "clock_jumps")
 
 #: Stops, and what comes between two computers.
 STOPS = ("protective_stop", "safeguard_stop", "emergency_stop", "pendant_stop", "pendant_pause")

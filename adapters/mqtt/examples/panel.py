@@ -8,6 +8,7 @@ import argparse
 import json
 import math
 import queue
+import uuid
 from typing import Any
 
 from paho.mqtt.client import Client
@@ -43,7 +44,7 @@ def main() -> None:
     q = status["q_actual"]
     print(f"{args.name}: base at {math.degrees(q[0]):.2f} degrees, {status['safety_mode']}")
     q[0] += math.radians(1.0)
-    command = {"client": CLIENT, "id": "1", "server": status["server"], "time": status["time"], "age": 5.0}
+    command = {"client": CLIENT, "id": uuid.uuid4().hex, "age": 5.0, **{key: status[key] for key in ("server", "time")}}
     client.publish(f"{arm}/command/move_joints", json.dumps({**command, "arguments": {"q": q, "speed": 0.2}}), qos=1)
     print("answer:", next_of("answer"))
     while (motion := next_of("motion"))["phase"] in ("sent", "running"):

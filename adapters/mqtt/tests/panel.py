@@ -6,6 +6,7 @@ import json
 import os
 import queue
 import socket
+import uuid
 from typing import Any
 
 from paho.mqtt.client import Client
@@ -65,13 +66,20 @@ class Panel:
     def send(self, name: str, arguments: dict[str, Any], **changed: Any) -> None:
         until(lambda: self.status.get("server"))
         status = self.status
-        asked = {"client": self.name, "id": "1", "server": status["server"], "time": status["time"], "age": 30.0}
-        payload = json.dumps({**asked, "arguments": arguments, **changed})
-        self.mqtt.publish(f"urlink/arm/command/{name}", payload, qos=1)
+        asked = {"client": self.name, "id": uuid.uuid4().hex, "server": status["server"], "time": status["time"]}
+        self.publish(name, json.dumps({**asked, "age": 30.0, "arguments": arguments, **changed}))
+
+    def publish(self, name: str, payload: str, *, retain: bool = False) -> None:
+        """Send a command as text; again, if it was sent before."""
+        self.mqtt.publish(f"urlink/arm/command/{name}", payload, qos=1, retain=retain)
+
+    def answer(self) -> dict[str, Any]:
+        """The next answer to this client."""
+        return self._answers.get(timeout=30.0)
 
     def ask(self, name: str, arguments: dict[str, Any] | None = None, **changed: Any) -> dict[str, Any]:
         self.send(name, arguments or {}, **changed)
-        return self._answers.get(timeout=30.0)
+        return self.answer()
 
     def lose(self) -> None:
         """Lost, rather than gone in order: the broker says its last will."""

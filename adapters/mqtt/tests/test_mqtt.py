@@ -66,6 +66,57 @@ def test_a_client_moves_a_robot_and_is_told_of_it(server: Server, panels: Panels
 
 
 @needs_broker
+@pytest.mark.parametrize("name", ["stop", "cancel"])
+def test_motion_does_not_begin_when_a_stop_came_after_it(
+    server: Server, panels: Panels, urlink_robot: urlink.Robot, urlink_controller: Controller, name: str
+) -> None:
+    panel = panels()
+    assert panel.ask("move_joints", {"q": HOME, "speed": 2.0})["error"] is None
+    until(lambda: panel.of("motion") and panel.of("motion")[-1]["phase"] == "done")
+    urlink_controller.faults.stall(1.0, "dashboard")
+    panel.send("load", {"path": "nothing.urp"})  # keeps the motion waiting
+    panel.send("move_joints", {"q": FAR})
+    answers = [panel.ask(name), panel.answer(), panel.answer()]
+    assert [(answer["command"], answer["error"]) for answer in answers] == [
+        (name, None),
+        ("load", "DashboardRefused"),
+        ("move_joints", "Cancelled"),
+    ]
+    assert urlink_robot.realtime.wait().q_target.tolist() == pytest.approx(HOME, abs=1e-3)
+
+
+@needs_broker
+def test_message_is_not_executed_again_when_it_is_delivered_again(
+    server: Server, panels: Panels, urlink_robot: urlink.Robot
+) -> None:
+    panel = panels()
+    status = panel.status
+    asked = {"client": panel.name, "id": "1", "server": status["server"], "time": status["time"], "age": 30.0}
+    payload = json.dumps({**asked, "arguments": {"q": FAR}})
+    panel.publish("move_joints", payload)
+    assert panel.answer()["error"] is None
+    assert panel.ask("cancel")["error"] is None
+    panel.publish("move_joints", payload)
+    answer = panel.answer()
+    assert (answer["error"], answer["message"]) == (
+        "LocalError",
+        "this move_joints was received before; each command needs an id of its own",
+    )
+    assert urlink_robot.motion.current is None
+
+
+@needs_broker
+def test_command_with_the_retain_flag_is_not_executed(server: Server, panels: Panels) -> None:
+    panel = panels()
+    status = panel.status
+    asked = {"client": panel.name, "id": "1", "server": status["server"], "time": status["time"], "age": 30.0}
+    panel.publish("move_joints", json.dumps({**asked, "arguments": {"q": FAR}}), retain=True)
+    assert panel.ask("enable")["command"] == "enable"  # it came later, and is answered first
+    assert panel.of("motion") == []
+    panel.mqtt.publish("urlink/arm/command/move_joints", b"", qos=1, retain=True).wait_for_publish(10.0)
+
+
+@needs_broker
 @pytest.mark.parametrize(
     ("name", "changed", "error", "said"),
     [

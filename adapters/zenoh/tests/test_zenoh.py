@@ -23,6 +23,7 @@ import urlink
 from tests.waiting import until
 from urlink.simulator import Controller
 from urlink_zenoh import Collector, RemoteRobot, Sample, Server, open_session, robots
+from urlink_zenoh.commands import Kind
 from urlink_zenoh.expiry import Expiry
 from urlink_zenoh.keys import attachment, stamped
 from urlink_zenoh.publication import Publication
@@ -524,3 +525,65 @@ def test_nobody_is_there(session: zenoh.Session) -> None:
             with pytest.raises(urlink.LinkTimeout):
                 ask()
     assert time.monotonic() - began < 5.0
+
+
+@pytest.mark.parametrize("name", ["stop", "cancel"])
+def test_motion_does_not_begin_when_a_stop_came_after_it(
+    server: Server, session: zenoh.Session, urlink_robot: urlink.Robot, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    is_asked, may_go_on = threading.Event(), threading.Event()
+    errors: list[Exception] = []
+    with RemoteRobot(session, "arm") as remote:
+        asked = remote._asked
+
+        def held(what: str) -> dict[str, Any]:
+            is_asked.set()
+            assert may_go_on.wait(30.0)
+            return asked(what)
+
+        def move() -> None:
+            try:
+                remote.call("move_joints", q=FAR)
+            except urlink.LinkError as error:
+                errors.append(error)
+
+        monkeypatch.setattr(remote, "_asked", held)
+        mover = threading.Thread(target=move)
+        mover.start()
+        assert is_asked.wait(30.0)
+        remote.call(name)
+        may_go_on.set()
+        mover.join(30.0)
+    assert [type(error) for error in errors] == [urlink.Cancelled]
+    assert urlink_robot.motion.current is None or urlink_robot.motion.current.name == "stop"
+
+
+@pytest.mark.parametrize("name", ["stop", "cancel"])
+def test_motion_that_waits_in_its_lane_does_not_begin_after_a_stop(
+    server: Server, session: zenoh.Session, urlink_robot: urlink.Robot, name: str
+) -> None:
+    served = server._served[0]
+    is_busy, may_go_on = threading.Event(), threading.Event()
+
+    def occupy() -> None:
+        is_busy.set()
+        may_go_on.wait(30.0)
+
+    served._lanes[Kind.MOTION].submit(occupy)
+    assert is_busy.wait(30.0)
+    errors: list[Exception] = []
+
+    def move(remote: RemoteRobot) -> None:
+        try:
+            remote.call("move_joints", q=FAR)
+        except urlink.LinkError as error:
+            errors.append(error)
+
+    with RemoteRobot(session, "arm") as one, RemoteRobot(session, "arm") as another:
+        mover = threading.Thread(target=move, args=(one,))
+        mover.start()
+        until(lambda: served._requested)
+        another.call(name)
+        may_go_on.set()
+        mover.join(30.0)
+    assert [type(error) for error in errors] == [urlink.Cancelled]

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import Callable
 from typing import Any, Generic, TypeVar
 
+from .. import clock
 from ..arguments import check_callable, check_seconds
 from ..streaming.connection_life import ConnectionState
 from ..streaming.feed import LAGGARD, Feed
@@ -79,14 +79,14 @@ class AsyncFeed(Generic[T]):
         """
         check_callable(condition, "condition")
         timeout = check_seconds(timeout, "timeout")
-        end = time.monotonic() + timeout
+        end = clock.now() + timeout
         looked_at = 0
         async with self._packets(drop_oldest(LAGGARD), timeout) as packets:
             await packets.open()
             newest = None if self._feed._has_events else self.latest
             if newest is not None and condition(newest):
                 return newest
-            while (packet := await packets.next(max(end - time.monotonic(), 0.0))) is not None:
+            while (packet := await packets.next(clock.left(end))) is not None:
                 looked_at += 1
                 if condition(packet):
                     return packet
@@ -108,7 +108,8 @@ class AsyncFeed(Generic[T]):
                 when its turn comes is dropped and counted as `expired`.
 
         Returns:
-            The iterator; its `stats` count what was offered, delivered and dropped.
+            The iterator; its `stats` count what was offered, delivered and dropped. `AsyncStream.stats` counts what
+            slow loops drop, as `dropped`.
 
         Raises:
             BadValue: no policy, or no number of seconds.
@@ -118,10 +119,11 @@ class AsyncFeed(Generic[T]):
         policy = self._feed._policy(policy, latest)
         if timeout is not None:
             timeout = check_seconds(timeout, "timeout")
-        return self._packets(policy, timeout, check_lifespan(lifespan))
+        lifespan = check_lifespan(lifespan)
+        return Packets(self._loop_connection, self._feed, policy, timeout, lifespan, is_loop=True)
 
-    def _packets(self, policy: Policy, timeout: float | None, lifespan: float | None = None) -> Packets[T]:
-        return Packets(self._loop_connection, self._feed, policy, timeout, lifespan)
+    def _packets(self, policy: Policy, timeout: float) -> Packets[T]:
+        return Packets(self._loop_connection, self._feed, policy, timeout, None, is_loop=False)
 
     def __aiter__(self) -> Packets[T]:
         return self.iterate()
@@ -176,15 +178,15 @@ class AsyncFeed(Generic[T]):
         seconds = check_seconds(seconds, "seconds", positive=True, finite=True)
         period = check_seconds(period, "period", positive=True, finite=True)
         live = LivePlot()
-        end = time.monotonic() + seconds
         try:
             with await self.history(window) as history:
+                end = clock.now() + seconds
                 for picture in self._feed._pictures(history, fields, end):
                     if picture is None:
-                        await self.wait(max(end - time.monotonic(), 0.0))
+                        await self.wait(clock.left(end))
                     else:
                         live.update(picture, _EVENTS)
-                        await asyncio.sleep(period)
+                        await asyncio.sleep(min(period, clock.left(end)))
                 if not len(history):
                     raise self._feed._why_nothing(seconds)
         finally:

@@ -14,10 +14,10 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import threading
-import time
 from collections.abc import Callable
 from typing import Any
 
+from .. import clock
 from ..errors import Closed, ConnectionLost, LinkTimeout, LocalError, unraised
 from ..event_loop import happened, within
 from ..net.awaited import AwaitedTransport, watch
@@ -152,7 +152,7 @@ class LoopConnection(Connection):
     def _join_reader(self, timeout: float) -> bool:
         if self.reads_here():
             return True
-        return self._has_ended.wait(min(timeout, threading.TIMEOUT_MAX))
+        return clock.wait(self._has_ended.wait, timeout)
 
     def _hang_up(self) -> None:
         """The task disconnects: `_stop` has woken it."""
@@ -203,7 +203,7 @@ class LoopConnection(Connection):
 
         with contextlib.suppress(LocalError):
             self.call(abort)
-            done.wait(_HANDOVER)
+            clock.wait(done.wait, _HANDOVER)
         self._transport.abort()
 
     def _abort_here(self) -> None:
@@ -256,7 +256,7 @@ class LoopConnection(Connection):
             return
         self._receiver = self._opened()
         self._over = over = self._loop.create_future()
-        self.silence.end(time.monotonic())
+        self.silence.end(clock.now())
         try:
             self._watch()
             while self._take_waiting():  # what came while it was connected; after that the loop tells
@@ -351,7 +351,7 @@ class LoopConnection(Connection):
 
     def _set_timer(self) -> None:
         """Be called when nothing has come for `silence.wait` seconds from now."""
-        self._quiet_since = time.monotonic()
+        self._quiet_since = clock.now()
         self._timer_wait = self.silence.wait
         self._call_in(self._timer_wait)
 
@@ -369,7 +369,7 @@ class LoopConnection(Connection):
             return
         wait = self._timer_wait
         assert wait is not None
-        left = self._quiet_since + wait - time.monotonic()
+        left = self._quiet_since + wait - clock.now()
         if left > _EARLY:  # not set anew for each packet: that would cost more than reading it
             self._call_in(left)
             return

@@ -46,6 +46,7 @@ class LoopQueue:
 
     def __init__(self, policy: Policy, connection: LoopConnection, lifespan: float | None = None) -> None:
         self.offered = self.taken = self.dropped = self.expired = 0
+        self._discarded = 0  # those of the dropped ones that were waiting when it was closed
         self._lifespan = lifespan
         self.evicts = policy.evicts
         self.is_over = False
@@ -59,6 +60,11 @@ class LoopQueue:
     def waiting(self) -> int:
         """Packets in the queue."""
         return len(self._packets)
+
+    @property
+    def overtaken(self) -> int:
+        """Packets among `dropped` that newer ones replaced, or that had expired: the task fell behind."""
+        return self.dropped - self._discarded
 
     def offer(self, packets: Sequence[Any]) -> None:
         """Hand packets over."""
@@ -86,6 +92,7 @@ class LoopQueue:
 
     def close(self) -> None:
         """Drop what waits, take nothing more; idempotent."""
+        self._discarded += len(self._packets)
         self.dropped += len(self._packets)
         self._packets.clear()
         self.end()
@@ -152,16 +159,25 @@ class Packets(Generic[T]):
         policy: what to do when the task falls behind.
         timeout: seconds within which each has to come; None for ever.
         lifespan: seconds after its arrival for which a packet is worth having; None for ever.
+        is_loop: Whether `Stream.stats` counts what is dropped because the task falls behind.
     """
 
     def __init__(
-        self, connection: LoopConnection, feed: Feed[T], policy: Policy, timeout: float | None, lifespan: float | None
+        self,
+        connection: LoopConnection,
+        feed: Feed[T],
+        policy: Policy,
+        timeout: float | None,
+        lifespan: float | None,
+        *,
+        is_loop: bool,
     ) -> None:
         self._connection = connection
         self._feed = feed  # keeps the stream from being collected
         self._timeout = timeout
         self._expand: Callable[[Any], Iterable[T]] | None = connection.fan_out.expander(feed._kind)
         self._queue = LoopQueue(policy, connection, lifespan)
+        self._is_loop = is_loop
         self._parts: deque[T] = deque()  # of the packet that was taken last
         self._is_open = False
         self._missed = 0
@@ -223,6 +239,8 @@ class Packets(Generic[T]):
             self._is_open = False
             connection.fan_out.remove(self._queue)
             raise
+        if self._is_loop:
+            connection.counters.loop_began(self._queue)
         if connection.is_over:
             self._queue.end()
 
@@ -230,6 +248,7 @@ class Packets(Generic[T]):
         """Take no more; what waits is dropped and counted. Idempotent."""
         self._connection.fan_out.remove(self._queue)
         self._queue.close()
+        self._connection.counters.loop_ended(self._queue)
 
     async def __aenter__(self) -> Self:
         return self
@@ -242,6 +261,7 @@ class Packets(Generic[T]):
         if getattr(self, "_is_open", False):
             connection, queue = self._connection, self._queue
             connection.fan_out.remove(queue)
+            connection.counters.loop_ended(queue)
             with contextlib.suppress(LocalError):  # the loop is closed
                 connection.call(queue.close)  # this may be a thread that collects garbage
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 from ..recording.file import Progress
-from .terminal import ProgressBar
+from .progress import ProgressBar
 
 #: What declares arguments at a parser, or at a group of one.
 Row = Callable[[Any], None]
@@ -86,10 +86,7 @@ class Subcommand(NamedTuple):
             epilog=heading.strip() + "\n" + examples,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
-        parser.add_argument(
-            "-v", "--verbose", action="count", default=0, help="log to stderr what happens; twice for everything"
-        )
-        parser.add_argument("-q", "--quiet", action="store_true", help="draw no progress bar")
+        common_options(parser)
         for row in self.rows:
             row(parser)
         parser.set_defaults(
@@ -97,6 +94,12 @@ class Subcommand(NamedTuple):
             usage_error=parser.error,
             options=lambda: [option for each in parser._actions for option in each.option_strings],
         )
+
+
+def common_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of every command, which are also accepted before the command."""
+    parser.add_argument("-v", "--verbose", action="count", default=0, help="log events; twice logs everything")
+    parser.add_argument("-q", "--quiet", action="store_true", help="show no progress")
 
 
 def command(

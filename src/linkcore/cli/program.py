@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import io
+import itertools
 import logging
 import os
 import re
@@ -18,9 +19,11 @@ from importlib import import_module
 
 from ..errors import LinkError
 from ..text import printable, similar
-from .options import Subcommand, argument, command, completed_words
+from .options import Subcommand, argument, command, common_options, completed_words
 from .terminal import Interrupted, raise_on_sigterm
 
+#: An option of every command.
+_COMMON = re.compile("-[qv]+|--quiet|--verbose")
 #: The distribution of all packages.
 _DISTRIBUTION = "urlink"
 
@@ -42,7 +45,12 @@ def program(
         prog=name, description=description, epilog=epilog, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and end")
+    common_options(parser)
     subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", dest="command", required=True)
+    # A subparser overwrites what the main parser has read, so the options of every command are moved behind it.
+    leading = list(itertools.takewhile(_COMMON.fullmatch, argv))
+    if 0 < len(leading) < len(argv) and not argv[len(leading)].startswith("-"):
+        argv = [argv[len(leading)], *leading, *argv[len(leading) + 1 :]]
     asked = next((word for word in argv if not word.startswith("-")), "")
 
     def declare(names: Iterable[str]) -> argparse.ArgumentParser:
@@ -57,13 +65,21 @@ def program(
     try:
         if asked and asked not in commands and argv[0] == asked:
             parser.error(f"no command {asked!r}{similar(asked, commands) or ';'} there are {', '.join(commands)}")
+        if asked not in commands and argv and argv[0].startswith("--") and not "--version".startswith(argv[0]):
+            behind = next((word for word in argv if word in commands), None)
+            if behind is not None:
+                parser.error(f"{argv[0]} is before the command; write {name} {behind} {argv[0]}")
         args, extra = parser.parse_known_args(argv)
         # argparse does not assign positional arguments of variable number that come after an option.
         trailing = getattr(args, "trailing", None)
         if extra and trailing is not None and not any(each.startswith("-") for each in extra):
             getattr(args, trailing).extend(extra)
         elif extra:
-            hint = similar(extra[0].partition("=")[0], args.options())
+            option = extra[0].partition("=")[0]
+            if option in args.options():
+                hint = f"; options come after the command: {name} {args.command} {option}"
+            else:
+                hint = similar(option, args.options())
             args.usage_error(f"unrecognized arguments: {' '.join(extra)}{hint}")
     except SystemExit as exit_:  # argparse has printed the error, or the help
         return int(exit_.code or 0)

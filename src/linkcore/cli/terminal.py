@@ -1,4 +1,4 @@
-"""What a command has of the terminal: signals that end it, a progress bar, and a view that is drawn again and again."""
+"""What a command has of the terminal: signals that end it, and a view that is drawn again and again."""
 
 from __future__ import annotations
 
@@ -7,12 +7,11 @@ import math
 import os
 import signal
 import sys
-import time
 from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from ..text import printable
+from .. import clock
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -75,12 +74,12 @@ class Interruption:
 
     def end_after(self, duration: float | None) -> None:
         """Be over `duration` seconds from now."""
-        self._until = math.inf if duration is None else time.monotonic() + duration
+        self._until = math.inf if duration is None else clock.now() + duration
 
     @property
     def is_over(self) -> bool:
         """Whether a signal has come, or the duration is over."""
-        return self.number is not None or time.monotonic() >= self._until
+        return self.number is not None or clock.now() >= self._until
 
     @property
     def status(self) -> int:
@@ -89,10 +88,10 @@ class Interruption:
 
     def wait(self, seconds: float) -> bool:
         """Sleep until it is over, at most `seconds`; returns whether it is."""
-        until = min(time.monotonic() + seconds, self._until)
+        until = min(clock.now() + seconds, self._until)
         # A signal that is only noted does not end a sleep, so it sleeps in short steps.
-        while self.number is None and (left := until - time.monotonic()) > 0:
-            time.sleep(min(left, 0.05))
+        while self.number is None and (left := until - clock.now()) > 0:
+            clock.sleep(min(left, 0.05))
         return self.is_over
 
     def __enter__(self) -> Interruption:
@@ -101,49 +100,6 @@ class Interruption:
 
     def __exit__(self, *exc: object) -> None:
         self._handled.__exit__(None, None, None)
-
-
-#: Characters of a bar.
-_WIDTH = 30
-#: Seconds between two drawings, and before the first: shorter work needs no bar.
-_PERIOD = 0.2
-
-
-class ProgressBar:
-    """A progress bar, as a context manager; call it with the fraction that is done, 0 to 1.
-
-    Args:
-        text: what is being done.
-        quiet: do not draw on a terminal either.
-
-    Attributes:
-        is_shown: whether it is drawn.
-    """
-
-    def __init__(self, text: str, quiet: bool = False) -> None:
-        self._text = text
-        self.is_shown = sys.stderr.isatty() and not quiet
-        self._next = time.monotonic() + _PERIOD
-        self._is_drawn = False
-
-    def __call__(self, part: float) -> None:
-        """Draw it, if the last drawing is old enough."""
-        now = time.monotonic()
-        if not self.is_shown or now < self._next or part <= 0.0:  # 0: there is no progress to show
-            return
-        self._next = now + _PERIOD
-        done = round(min(max(part, 0.0), 1.0) * _WIDTH)
-        # The rest of the line is erased: the bar before may have been longer.
-        bar = f"\r{printable(self._text)} [{'=' * done}{' ' * (_WIDTH - done)}] {part:4.0%}\x1b[K"
-        print(bar, end="", file=sys.stderr, flush=True)
-        self._is_drawn = True
-
-    def __enter__(self) -> ProgressBar:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        if self._is_drawn:  # erased, so that what is printed next stands alone
-            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
 
 
 _T = TypeVar("_T")

@@ -7,11 +7,11 @@ import contextlib
 import errno
 import os
 import socket
-import time
 from collections.abc import Callable
 from functools import partial
 from typing import Any, Protocol
 
+from .. import clock
 from ..clock import Stamp
 from ..errors import ConnectFailed, LinkTimeout, LocalError, unraised
 from ..event_loop import happened, within
@@ -63,9 +63,9 @@ class AwaitedTcp(TcpTransport):
             ConnectionLost: the peer closed or reset the connection, or it was closed here.
             LocalError: the loop cannot wait for sockets.
         """
-        until = time.monotonic() + timeout
+        until = clock.now() + timeout
         while (received := self.receive_waiting()) is None:
-            if not await _is_ready(self.fileno(), until - time.monotonic()):
+            if not await _is_ready(self.fileno(), until - clock.now()):
                 raise LinkTimeout(f"{self.name}: nothing within {timeout:g} s")
         return received
 
@@ -111,20 +111,20 @@ async def _connected(host: str, port: int, timeout: float) -> tuple[socket.socke
 
     `timeout` is for all of them together.
     """
-    until = time.monotonic() + timeout
+    until = clock.now() + timeout
     failure: Exception | None = None
     places = await _addresses(host, port, timeout)
     for number, (family, kind, protocol, _, address) in enumerate(places):
-        left = (until - time.monotonic()) / (len(places) - number)
+        left = (until - clock.now()) / (len(places) - number)
         try:
             connection = socket.socket(family, kind, protocol)
         except OSError as error:  # this computer lacks the family
             failure = unraised(error)
             continue
         try:
-            began = time.monotonic()
+            began = clock.now()
             await _connect(connection, address, max(left, 1e-3))
-            round_trip = time.monotonic() - began
+            round_trip = clock.now() - began
         except OSError as error:
             failure = unraised(error)
             connection.close()

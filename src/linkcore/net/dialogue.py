@@ -8,11 +8,12 @@ question. The next one begins on a new connection. A question that may have reac
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable
 from typing import Protocol
 
+from .. import clock
 from ..errors import Closed, ConnectionLost, LinkTimeout, WrongPeer
+from ..threads import held
 from .recall import MAY_STILL
 from .transport import TcpTransport
 
@@ -87,11 +88,8 @@ class Dialogue:
             Closed: `close` was called.
             LinkError: whatever the protocol or the gate raises.
         """
-        until = time.monotonic() + timeout
-        if not self._lock.acquire(timeout=timeout):
-            raise LinkTimeout(
-                f"{self._name}: {text!r} was not sent, since for {timeout:g} s another thread waited for its own reply"
-            )
+        until = clock.now() + timeout
+        busy = f"{self._name}: {text!r} was not sent, since for {timeout:g} s another thread waited for its own reply"
         is_sent, answer = False, None
 
         def send() -> None:
@@ -102,26 +100,27 @@ class Dialogue:
                 raise LinkTimeout(f"{self._name} does not take {text[:80]!r}")
             is_sent = True
 
-        try:
-            protocol = self._connected(min(until, time.monotonic() + self._timeout))
-            gate(send)
-            while answer is None:
-                answer = protocol.feed(self._received(protocol, until, f"no reply to {text!r} within {timeout:g} s"))
-            if not stays(answer):
+        with held(self._lock, timeout, busy):
+            try:
+                protocol = self._connected(min(until, clock.now() + self._timeout))
+                gate(send)
+                while answer is None:
+                    answer = protocol.feed(
+                        self._received(protocol, until, f"no reply to {text!r} within {timeout:g} s")
+                    )
+                if not stays(answer):
+                    self._disconnect()
+            except BaseException as error:
                 self._disconnect()
-        except BaseException as error:
-            self._disconnect()
-            hint = ""
-            if given_up is not None and is_sent and answer is None:
-                given_up()
-                hint = f"; {MAY_STILL}"
-            if self.is_closed and isinstance(error, ConnectionLost):
-                raise Closed(f"{self._name} was closed while {text!r} waited{hint}") from error
-            if isinstance(error, (ConnectionLost, LinkTimeout, WrongPeer)):
-                error.args = (f"{error}{hint}",)
-            raise
-        finally:
-            self._lock.release()
+                hint = ""
+                if given_up is not None and is_sent and answer is None:
+                    given_up()
+                    hint = f"; {MAY_STILL}"
+                if self.is_closed and isinstance(error, ConnectionLost):
+                    raise Closed(f"{self._name} was closed while {text!r} waited{hint}") from error
+                if isinstance(error, (ConnectionLost, LinkTimeout, WrongPeer)):
+                    error.args = (f"{error}{hint}",)
+                raise
         return answer
 
     def close(self) -> None:
@@ -137,7 +136,7 @@ class Dialogue:
             if self.is_closed:
                 raise Closed(f"{self._name} was closed")
             protocol = self._make()
-            self._transport.open(max(until - time.monotonic(), 0.0))
+            self._transport.open(clock.left(until))
             if self.is_closed:
                 raise ConnectionLost(f"{self._name} was closed here")
             while not protocol.is_greeted:
@@ -153,7 +152,7 @@ class Dialogue:
             return False
 
     def _received(self, protocol: DialogueProtocol, until: float, otherwise: str) -> bytes:
-        left, settling = until - time.monotonic(), protocol.settling
+        left, settling = until - clock.now(), protocol.settling
         try:
             if left > 0:
                 return self._transport.receive(left if settling is None else min(left, settling))[0]

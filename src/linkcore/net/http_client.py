@@ -6,11 +6,11 @@ them up for ever.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from urllib.parse import urljoin, urlsplit
 
+from .. import clock
 from ..errors import Closed, ConnectionLost, LinkTimeout, PacketError, WrongPeer
 from ..wire.http import HttpParser, HttpRequest, HttpResponse
 from .recall import MAY_STILL
@@ -51,7 +51,7 @@ class HttpClient:
             LinkTimeout: the answer was not whole within `timeout` seconds.
             Closed: `close` was called.
         """
-        until = time.monotonic() + timeout
+        until = clock.now() + timeout
         host, port = self.host, self.port
         for _ in range(_MOST_REDIRECTS + 1):
             response = self._ask(host, port, request, until, timeout, given_up)
@@ -136,7 +136,7 @@ def _received(transport: TcpTransport, parser: HttpParser, left: float) -> HttpR
 
 
 def _left(until: float, name: str, timeout: float) -> float:
-    left = until - time.monotonic()
+    left = until - clock.now()
     if left <= 0.0:
         raise LinkTimeout(f"{name} has not answered within {timeout:g} s")
     return left

@@ -10,12 +10,11 @@ import select
 import subprocess
 import sys
 import threading
-import time
 from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from .. import errors
+from .. import clock, errors
 from ..clock import Stamp
 from ..errors import ConnectionLost, LinkTimeout, LocalError, RemoteError
 from .isolated_reader import CONNECTED, DATA, LOST, HandedOver, Records, Slot
@@ -133,9 +132,9 @@ class IsolatedTransport:
         return record.payload, record.stamp
 
     def _next(self, timeout: float, kind: bytes) -> HandedOver:
-        until = time.monotonic() + timeout
+        until = clock.now() + timeout
         while not self._waiting:
-            data = self._read(max(until - time.monotonic(), 0.0))
+            data = self._read(clock.left(until))
             if data is None:
                 raise LinkTimeout(f"{self.name}: nothing within {timeout:g} s")
             self._waiting.extend(self._records.feed(data))

@@ -30,14 +30,12 @@ import selectors
 import socket
 import struct
 import threading
-import time
 import weakref
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
-from concurrent.futures import TimeoutError as FutureTimeout
 
-from ..clock import monotonic
+from .. import clock
 from ..errors import BadAddress, LinkTimeout
 from .listener import bound_socket, numeric_host
 
@@ -426,7 +424,7 @@ class SelectorLoop:
         failures: exceptions that handlers raised.
     """
 
-    def __init__(self, clock: Callable[[], float] = monotonic) -> None:
+    def __init__(self, clock: Callable[[], float] = clock.now) -> None:
         #: now, on the loop's clock
         self.time = clock
         self.ports: list[ListeningPort] = []
@@ -513,13 +511,10 @@ class SelectorLoop:
             change()
             return
         self.wake()
-        try:
-            done.result(timeout)
-        except FutureTimeout:
-            if done.done():
-                raise  # `change` itself raised it
+        if not clock.is_done(done, timeout):
             done.cancel()
-            raise LinkTimeout(f"the server's thread did not answer within {timeout:g} s") from None
+            raise LinkTimeout(f"the server's thread did not answer within {timeout:g} s")
+        done.result()
 
     # -- the owner's thread ----------------------------------------------------------------------------
 
@@ -599,7 +594,7 @@ class SelectorLoop:
         whole = int(seconds * 1e3) * 1e-3
         events = self._selector.select(whole)
         if not events and whole == 0.0:
-            time.sleep(seconds)
+            clock.sleep(seconds)
         return events
 
     def _register(self, link: socket.socket, before: int, after: int, data: Connection | ListeningPort) -> None:

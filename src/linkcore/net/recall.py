@@ -15,12 +15,12 @@ import contextlib
 import logging
 import os
 import threading
-import time
 import weakref
 from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
+from .. import clock
 from ..errors import Closed, LinkError, LinkTimeout, LocalError
 from ..threads import started
 
@@ -141,12 +141,12 @@ class Recall:
 
     def settle(self, timeout: float) -> bool:
         """Wait until nothing is pending; False if that takes longer."""
-        until = time.monotonic() + timeout
+        until = clock.now() + timeout
         while self._pending and not self._closed.is_set():
             thread = self._thread
-            if thread is None or thread is threading.current_thread() or time.monotonic() >= until:
+            if thread is None or thread is threading.current_thread() or clock.now() >= until:
                 return False
-            thread.join(_POLL)
+            clock.join(thread, _POLL)
         return True
 
     def drop(self) -> None:
@@ -218,13 +218,13 @@ class Recall:
                 if not self._pending or self._closed.is_set():
                     self._thread = None
                     return
-            began = time.monotonic()
+            began = clock.now()
             for name, take_back in tuple(self._pending.items()):
                 self._try(name, take_back)
             if self._pending:
-                if time.monotonic() - began > _PAUSE:
+                if clock.now() - began > _PAUSE:
                     pause = _PAUSE
-                self._closed.wait(pause)
+                clock.wait(self._closed.wait, pause)
                 pause = min(2.0 * pause, _LONGEST)
 
     def _try(self, name: str, take_back: TakeBack[Any]) -> None:

@@ -30,6 +30,7 @@ import weakref
 from collections.abc import Callable, Iterator
 from typing import Any, Protocol
 
+from .. import clock
 from ..clock import Stamp
 from ..errors import ConnectFailed, ConnectionLost, LinkTimeout, RemoteError, unraised
 from ..pending_call import check_wanted
@@ -177,7 +178,7 @@ class TcpTransport:
             raise mapped(error, self.name, timeout, ConnectionLost) from error
         if not data:
             raise self._ended(connection)
-        return data, _new_stamp(Stamp, (time.monotonic(), time.time()))
+        return data, _new_stamp(Stamp, (clock.now(), time.time()))
 
     def fileno(self) -> int:
         """The descriptor of the socket, for those who wait for many at once; -1 if there is none."""
@@ -204,7 +205,7 @@ class TcpTransport:
             raise mapped(error, self.name, 0.0, ConnectionLost) from error
         if not data:
             raise self._ended(connection)
-        return data, _new_stamp(Stamp, (time.monotonic(), time.time()))
+        return data, _new_stamp(Stamp, (clock.now(), time.time()))
 
     def _set_receive_timeout(self, connection: socket.socket, timeout: float) -> None:
         # One percent more is not worth a system call for each packet, where the timeout is what a deadline leaves.
@@ -223,12 +224,12 @@ class TcpTransport:
             LinkTimeout: the peer did not take it in time; part of it may have been sent.
             ConnectionLost: the connection is gone.
         """
-        until = time.monotonic() + timeout
+        until = clock.now() + timeout
         rest = memoryview(data)
         while rest:
             sent = self.send_some(rest)
             rest = rest[sent:]
-            if not sent and not self.wait_for_room(until - time.monotonic()):
+            if not sent and not self.wait_for_room(until - clock.now()):
                 raise LinkTimeout(f"sending to {self.name}: nothing within {timeout:g} s")
 
     def send_some(self, data: bytes | memoryview) -> int:
@@ -259,9 +260,9 @@ class TcpTransport:
         Raises:
             ConnectionLost: the connection is gone.
         """
-        until = time.monotonic() + timeout
+        until = clock.now() + timeout
         while (connection := self._socket) is not None:
-            left = max(until - time.monotonic(), 0.0)
+            left = clock.left(until)
             try:
                 if _has_room(connection, min(left, _SLICE)):
                     return True
@@ -288,7 +289,7 @@ class TcpTransport:
         Windows does not), it closes at once and the kernel goes on delivering: `abort` what must not arrive any more.
         """
         for pause in self.closing(timeout):
-            time.sleep(pause)
+            clock.sleep(pause)
 
     def closing(self, timeout: float = _DRAIN) -> Iterator[float]:
         """What `close` does, step by step: seconds to wait before the next one. To be used up, or `abort`."""
@@ -297,11 +298,11 @@ class TcpTransport:
             return
         with contextlib.suppress(OSError, ValueError):  # ended by the peer, or by `abort` in another thread
             connection.shutdown(socket.SHUT_WR)  # another thread that sends gets an error from now on
-            until = time.monotonic() + timeout
+            until = clock.now() + timeout
             # An acknowledgement takes some 50 us on a local network, and up to 40 ms where it is delayed.
             pause = 0.0002
             # Nothing is added meanwhile. The FIN, which need not be waited for, counts as one byte.
-            while (is_under_way := _unacknowledged(connection) > 1) and time.monotonic() < until:
+            while (is_under_way := _unacknowledged(connection) > 1) and clock.now() < until:
                 yield pause
                 pause = min(2 * pause, 0.01)
             if not is_under_way:
@@ -353,18 +354,18 @@ def _connected(host: str, port: int, timeout: float) -> tuple[socket.socket, flo
 
     `timeout` is for all of them together.
     """
-    until = time.monotonic() + timeout
+    until = clock.now() + timeout
     places = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
     failure: OSError | None = None
     for number, (family, kind, protocol, _, address) in enumerate(places):
-        left = (until - time.monotonic()) / (len(places) - number)
+        left = (until - clock.now()) / (len(places) - number)
         connection = None
         try:
             connection = socket.socket(family, kind, protocol)
             connection.settimeout(max(left, 1e-3))
-            began = time.monotonic()
+            began = clock.now()
             connection.connect(address)
-            round_trip = time.monotonic() - began
+            round_trip = clock.now() - began
         except OSError as error:
             failure = unraised(error)
             if connection is not None:
@@ -450,6 +451,11 @@ def _timeval(seconds: float, size: int) -> bytes:
     """A struct timeval of `size` bytes. Never 0, which means for ever."""
     whole = int(seconds)
     return struct.pack("qq" if size == 16 else "ii", whole, max(int((seconds - whole) * 1e6), 1))
+
+
+def is_unknown_host(error: RemoteError) -> bool:
+    """Whether a connection could not be made because the name of its host is unknown."""
+    return isinstance(error.__cause__, (socket.gaierror, ValueError))
 
 
 def mapped(error: OSError | ValueError, doing: str, timeout: float, otherwise: type[RemoteError]) -> RemoteError:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 import math
 import threading
-import time
 from collections.abc import Iterator
 
+from .. import clock
 from ..clock import Stamp
 from ..errors import BadValue, ConnectFailed, ConnectionLost, LinkTimeout
 from ..net.transport import Finished
@@ -35,13 +35,13 @@ class ReplayClock:
         """Start the time line, unless it has started."""
         with self._lock:
             if self._started is None:
-                self._started = time.monotonic()
+                self._started = clock.now()
 
     def delay(self, stamp: Stamp) -> float:
         """Seconds until bytes with this stamp are due; negative if they are late."""
         if self.rate == 0 or self._started is None:
             return 0.0
-        return self._started + (stamp.monotonic - self._first) / self.rate - time.monotonic()
+        return self._started + (stamp.monotonic - self._first) / self.rate - clock.now()
 
 
 class ReplayTransport:
@@ -103,7 +103,7 @@ class ReplayTransport:
             if state == "lost":
                 raise ConnectionLost(f"{self.name}: as recorded: {error}")
             if record.kind is Kind.BYTES:
-                return record.payload, Stamp(time.monotonic(), record.stamp.wall)
+                return record.payload, Stamp(clock.now(), record.stamp.wall)
         raise Finished
 
     def _peek(self) -> Record | None:
@@ -122,7 +122,7 @@ class ReplayTransport:
         """Wait until bytes with this stamp are due, at most `most` seconds; False if they are not due by then."""
         delay = self._clock.delay(stamp)
         if delay > 0:
-            self._closed.wait(min(delay, most, threading.TIMEOUT_MAX))
+            clock.wait(self._closed.wait, min(delay, most))
         return delay <= most
 
     def send(self, data: bytes, timeout: float) -> None:

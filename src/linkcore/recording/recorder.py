@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import functools
 import os
-import time
 from collections.abc import Mapping
 from typing import Any
 
+from .. import clock
 from ..errors import BadRecording, LinkTimeout
 from ..streaming.connection_life import Traffic
 from ..streaming.packet_queue import block
@@ -71,9 +71,9 @@ class Recorder(Closing):
             LinkTimeout: the disk was too slow; the file is as after a crash.
             BadRecording: the file could not be written; it holds the records before that.
         """
-        until = time.monotonic() + timeout
+        until = clock.now() + timeout
         subscriptions, self._subscriptions = self._subscriptions, []
-        done = [subscription.finish(max(until - time.monotonic(), 0.0)) for subscription in subscriptions]
+        done = [subscription.finish(clock.left(until)) for subscription in subscriptions]
         self._writer.close(complete=all(done))
         if subscriptions and self._writer.failure is not None:
             raise BadRecording(self._writer.failure)

@@ -58,6 +58,8 @@ class Computer:
         name, address: how it is called.
         rate: seconds of its clock for one of the simulation; 1.0001 is 100 ppm fast.
         offset: seconds that its clock had when the simulation began.
+        jumped: seconds by which its calendar clock was set; only `time.time` shows them.
+        starts_threads: whether its process can start a thread.
         is_running: its process is not suspended.
         is_on: whether it has power: without, it takes and sends no packet, and has forgotten its connections.
         is_in_c: whether a function in C holds the interpreter's lock of its program.
@@ -71,6 +73,8 @@ class Computer:
     pid: int = field(default_factory=_PIDS.__next__)
     rate: float = 1.0
     offset: float = 1000.0
+    jumped: float = 0.0
+    starts_threads: bool = True
     is_running: bool = True
     is_on: bool = True
     is_in_c: bool = False

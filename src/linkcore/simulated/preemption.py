@@ -34,8 +34,8 @@ _HELD, _HOLD, _ALL_HOLDS = 0.3, (1e-5, 2e-2), 0.3
 #: alone. So is what a module calls that keeps a lock from when it was imported, which is not a simulated one.
 _WHOLE = ("linkcore.simulated", "importlib", "logging", "functools", "weakref", "_pytest")
 _LOCKS = (_thread.LockType, _thread.RLock)
-#: Functions of this package read bytes and versions. Threads share nothing there but what is kept of earlier calls.
-_KEEPING = ("linkcore.wire",)
+#: Functions of these read bytes, versions and the clock. Threads share nothing there but what is kept of earlier calls.
+_KEEPING = ("linkcore.wire", "linkcore.clock")
 #: Locks of the modules that are being imported now, in any thread, by name.
 _MODULE_LOCKS: dict[str, object] = vars(sys.modules["_frozen_importlib"])["_module_locks"]
 #: The first function of each simulated thread, which is of `linkcore.simulated`.

@@ -260,6 +260,8 @@ def start(thread: threading.Thread) -> None:
         return
     if _task(thread) is not None or thread.ident is not None:
         raise RuntimeError("threads can only be started once")
+    if not scheduler.running.computer.starts_threads:
+        raise RuntimeError("can't start new thread")
     task = scheduler.spawn(thread.name, scheduler.running.computer)
     thread._simulated = task  # type: ignore[attr-defined]
     if getattr(thread, "_context", thread) is None:

@@ -33,6 +33,9 @@ from .sockets import Poll, Selector, Socket, Sockets
 #: Seconds since 1970 at which a simulation begins: 2026-01-01.
 _EPOCH = 1767225600.0
 
+#: Names of more clocks that count the seconds since some start.
+_OF_LINUX = ("CLOCK_BOOTTIME", "CLOCK_MONOTONIC_RAW")
+
 #: Modules that keep what they have: those that this is made of, the interpreter's own, and those that never wait.
 _KEPT = (
     "_thread",
@@ -48,7 +51,7 @@ _KEPT = (
 
 #: Modules of C or with locks of their own, imported before the first simulation rather than in it: they keep what they
 #: find as they are imported, so that the first run in a process would differ from the next.
-_BEFORE = ("asyncio", "concurrent.futures.thread", "multiprocessing.process", "numpy.random")
+_BEFORE = ("asyncio", "concurrent.futures.thread", "linkcore.clock", "multiprocessing.process", "numpy.random")
 
 #: What can happen to a computer, and how it is written.
 _OF_COMPUTERS = ("suspend", "resume", "hold", "release", "kill", "power_off", "power_on")
@@ -252,9 +255,21 @@ def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
             scheduler.now += STEP
             computer = scheduler.running.computer
             seconds = epoch + computer.offset + scheduler.now * computer.rate
+            if epoch:
+                seconds += computer.jumped
             return int(seconds * scale) if scale else seconds
 
         return read
+
+    since_start, since_1970 = clock(time.monotonic, 0.0, 0), clock(time.time, _EPOCH, 0)
+    gettime = time.clock_gettime
+    # The others count the time of the processor.
+    clocks = {time.CLOCK_MONOTONIC: since_start, time.CLOCK_REALTIME: since_1970}
+    clocks |= {which: since_start for name in _OF_LINUX if (which := getattr(time, name, None)) is not None}
+
+    def gettime_(which: int) -> float:
+        read = None if current() is None else clocks.get(which)
+        return gettime(which) if read is None else read()
 
     def sleep_(seconds: float) -> None:
         scheduler = current()
@@ -284,6 +299,7 @@ def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
         return ioctl(fd, request, arg, mutate)
 
     return [
+        (gettime, gettime_),  # of `linkcore.clock`
         (time.monotonic, clock(time.monotonic, 0.0, 0)),
         (time.perf_counter, clock(time.perf_counter, 0.0, 0)),
         (time.time, clock(time.time, _EPOCH, 0)),

@@ -10,10 +10,11 @@ from __future__ import annotations
 import abc
 import logging
 import threading
-import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
+from .. import clock
 from ..clock import Stamp
 from ..errors import Cancelled, Closed, ConnectionLost, LinkTimeout, LocalError, RemoteError, unraised
 from ..net.transport import Finished, Transport
@@ -156,14 +157,14 @@ class Connection(abc.ABC):
             if self._life.is_ending or not self._is_settled:
                 self.refuse_to_wait("connecting")
             # A reader that ends closes its subscriptions: one that begins now belongs to the next reader.
-            self._changed.wait_for(lambda: not self._life.is_ending, self._timeout)
+            clock.wait(partial(self._changed.wait_for, lambda: not self._life.is_ending), self._timeout)
             if self._life.is_closed:
                 raise Closed(f"{self.name} was closed")
             if add is not None:
                 add()
             self._begin(is_patient=False)
             attempt = self._life.attempt
-            if not self._changed.wait_for(lambda: attempt.is_settled, self._timeout + 1.0):
+            if not clock.wait(partial(self._changed.wait_for, lambda: attempt.is_settled), self._timeout + 1.0):
                 raise self.error or LinkTimeout(f"{self.name}: no connection within {self._timeout:g} s")
         if attempt.failure is not None:
             raise unraised(attempt.failure)
@@ -192,20 +193,20 @@ class Connection(abc.ABC):
 
     def join(self, timeout: float) -> bool:
         """Wait until no packet will come any more and all are delivered; False when time is up."""
-        until = time.monotonic() + timeout
+        until = clock.now() + timeout
         if not self._join_reader(timeout):
             return False
-        return all(delivery.join(max(until - time.monotonic(), 0.0)) for delivery in self.fan_out.deliveries)
+        return all(delivery.join(clock.left(until)) for delivery in self.fan_out.deliveries)
 
     def close(self, timeout: float) -> None:
         """Disconnect and end every queue and callback; within `timeout` seconds. Idempotent, from any thread."""
-        until = time.monotonic() + timeout
+        until = clock.now() + timeout
         self._stop()
         self.fan_out.close(all=False)
         self._hang_up()
         has_ended = self._join_reader(timeout)
         for delivery in self.fan_out.deliveries:
-            delivery.join(max(until - time.monotonic(), 0.0))
+            delivery.join(clock.left(until))
             if isinstance(delivery, InlineDelivery):  # which holds this connection
                 self.fan_out.remove_delivery(delivery)
         if not has_ended:
@@ -235,7 +236,7 @@ class Connection(abc.ABC):
             RemoteError, LocalError, Closed: as `start` and `send_some`.
         """
         self.start()
-        until = time.monotonic() + timeout
+        until = clock.now() + timeout
         rest = memoryview(data)
         with self._sending:
             while rest:
@@ -246,7 +247,7 @@ class Connection(abc.ABC):
                         self.abort()
                     raise
                 rest = rest[sent:]
-                if not sent and not self.wait_for_room(max(until - time.monotonic(), 0.0)):
+                if not sent and not self.wait_for_room(clock.left(until)):
                     self.abort()
                     raise LinkTimeout(f"{self.name} did not take what was sent within {timeout:g} s")
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import TYPE_CHECKING, Generic, TypeVar
 
+from .. import clock
 from ..arguments import check_callable, check_seconds
 from ..errors import BadValue, Closed, LinkTimeout
 from ..wire.packet import State
@@ -59,7 +59,7 @@ class Feed(Generic[T]):
         """
         timeout = check_seconds(timeout, "timeout")
         self._connection.refuse_to_wait("wait()")
-        with contextlib.closing(self._packets(latest, timeout, None)) as packets:
+        with contextlib.closing(self._packets(latest, timeout, None, is_loop=False)) as packets:
             for packet in packets:
                 return packet
         raise self._why_nothing(timeout)
@@ -81,7 +81,7 @@ class Feed(Generic[T]):
         """
         check_callable(condition, "condition")
         timeout = check_seconds(timeout, "timeout")
-        end = time.monotonic() + timeout
+        end = clock.now() + timeout
         connection, kind = self._connection, self._kind
         connection.refuse_to_wait("wait_until()")
         queue = connection.open_queue(kind, drop_oldest(LAGGARD))
@@ -91,7 +91,7 @@ class Feed(Generic[T]):
             newest = None if self._has_events else connection.fan_out.newest(kind)
             if newest is not None and condition(newest):
                 return newest
-            while (packet := queue.next(max(end - time.monotonic(), 0.0))) is not None:
+            while (packet := queue.next(clock.left(end))) is not None:
                 for each in connection.fan_out.expand(kind, packet):
                     looked_at += 1
                     if condition(each):
@@ -104,6 +104,8 @@ class Feed(Generic[T]):
         self, policy: Policy | None = None, timeout: float | None = None, lifespan: float | None = None
     ) -> Iterator[T]:
         """Iterate with a policy or a timeout of your own; a plain ``for`` keeps the newest state, or 1024 events.
+
+        `Stream.stats` counts the packets that a slow loop does not get, as `dropped`.
 
         Ends when the stream is closed, or a recording is over. Without a timeout it waits for as long as the back-off
         allows for a robot that went away; `ConnectionEvent` tells of that.
@@ -126,11 +128,15 @@ class Feed(Generic[T]):
         self._connection.refuse_to_wait("iterating")
         return self._packets(policy, timeout, lifespan)
 
-    def _packets(self, policy: Policy, timeout: float | None, lifespan: float | None) -> Generator[T, None, None]:
+    def _packets(
+        self, policy: Policy, timeout: float | None, lifespan: float | None, *, is_loop: bool = True
+    ) -> Generator[T, None, None]:
         connection, kind = self._connection, self._kind
         expand = connection.fan_out.expander(kind)
         queue = connection.open_queue(kind, policy, lifespan)
         take = queue.next
+        if is_loop:
+            connection.counters.loop_began(queue)
         try:
             while True:
                 packet = take(timeout)
@@ -145,6 +151,7 @@ class Feed(Generic[T]):
                     raise self._why_nothing(timeout)
         finally:
             connection.close_queue(queue)
+            connection.counters.loop_ended(queue)
         if connection.failure is not None:
             raise connection.failure
 
@@ -220,7 +227,7 @@ class Feed(Generic[T]):
 
         Args:
             fields: names, a panel for each; vectors have a line for each element.
-            seconds: for which it goes on.
+            seconds: Duration in seconds, from the connection on. The last plot shows every state of the window.
             window: seconds that are shown, the newest on the right.
             period: seconds between two pictures.
 
@@ -230,36 +237,41 @@ class Feed(Generic[T]):
             LinkTimeout: nothing came within `seconds`.
             RemoteError, LocalError, Closed: as `subscribe`.
         """
-        from ..plotting import LivePlot  # imported here: importing the library stays cheap
+        from ..plotting import SHORTEST, LivePlot  # imported here: importing the library stays cheap
 
         seconds = check_seconds(seconds, "seconds", positive=True, finite=True)
         period = check_seconds(period, "period", positive=True, finite=True)
         live = LivePlot()
-        end = time.monotonic() + seconds
         try:
             with self.history(window) as history:
+                end = clock.now() + seconds
                 for picture in self._pictures(history, fields, end):
                     if picture is None:
-                        self.wait(max(end - time.monotonic(), 0.0))
+                        self.wait(clock.left(end))
                     else:
-                        live.update(picture, period)
+                        live.update(picture, min(period, max(end - clock.now(), SHORTEST)))
                 if not len(history):
                     raise self._why_nothing(seconds)
         finally:
             live.close()
 
     def _pictures(self, history: History, fields: Sequence[str], end: float) -> Iterator[Plot | None]:
-        """What is to be shown next, until `end`, monotonic s; None where nothing has come yet."""
+        """What to show next, until `end`, monotonic s; None if nothing has arrived yet.
+
+        The last one is made after `end`. It shows every state, even if drawing takes longer than receiving.
+        """
         from ..plotting import Curves, Plot
 
         units = {name: field.unit for name, field in getattr(self._kind, "FIELDS", {}).items()}
-        while time.monotonic() < end:
+        is_over = False
+        while not is_over:
+            is_over = clock.now() >= end
             states = history.array(*fields)
             if len(states):
-                when = states["received"] - time.monotonic()  # after the last state has been received
+                when = states["received"] - clock.now()  # after the last state has been received
                 curves = [Curves(name, units.get(name, ""), when, states[name]) for name in fields]
                 yield Plot(curves, self._connection.name)
-            else:
+            elif not is_over:
                 yield None
 
     def _policy(self, policy: Policy | None, for_states: Policy) -> Policy:

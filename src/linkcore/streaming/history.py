@@ -5,7 +5,6 @@ States are kept as they came, which costs the reader a microsecond each, and are
 
 from __future__ import annotations
 
-import time
 from collections import deque
 from collections.abc import Callable
 from typing import Any
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from .. import clock
 from ..errors import BadValue
 from ..threads import Closing
 from ..wire.packet import State
@@ -47,7 +47,7 @@ class History(Closing):
         if states and states[-1][1]._layout is not state._layout:
             states.clear()
         stamp = state.received
-        now = time.monotonic() if stamp is None else stamp.monotonic
+        now = clock.now() if stamp is None else stamp.monotonic
         states.append((now, state))
         oldest = now - self._seconds
         while states[0][0] < oldest:
@@ -62,7 +62,7 @@ class History(Closing):
         Returns:
             (n,) with one column for each field, in the order asked for, of its shape: ``array["q_actual"]`` is (n, 6).
             Numbers are float64 or int64; modes are their numbers. Before them stand ``received``, when the bytes came
-            by `time.monotonic`, and ``received_wall`` by `time.time`, s. Empty where nothing has come yet.
+            by `linkcore.clock.now`, and ``received_wall`` by `time.time`, s. Empty where nothing has come yet.
 
         Raises:
             BadValue: no such field, or one that is not a number, or that this firmware does not send.

@@ -13,13 +13,13 @@ from __future__ import annotations
 
 import contextlib
 import threading
-import time
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from queue import Empty, SimpleQueue
 from typing import Any
 
+from .. import clock
 from ..arguments import check_seconds
 from ..errors import BadValue
 
@@ -84,7 +84,7 @@ def check_lifespan(value: Any) -> float | None:
 def is_older(packet: Any, lifespan: float) -> bool:
     """Whether a packet arrived more than so many seconds ago, by the monotonic clock; one without a stamp did not."""
     received = packet.received
-    return received is not None and time.monotonic() - received.monotonic > lifespan
+    return received is not None and clock.now() - received.monotonic > lifespan
 
 
 class PacketQueue:
@@ -131,6 +131,11 @@ class PacketQueue:
     def dropped(self) -> int:
         """Packets thrown away: one too many, too old, or waiting when the queue was closed."""
         return self._evicted + self._discarded + self.expired
+
+    @property
+    def overtaken(self) -> int:
+        """Packets among `dropped` that newer ones replaced, or that had expired: the consumer fell behind."""
+        return self._evicted + self.expired
 
     @property
     def waiting(self) -> int:
@@ -223,13 +228,13 @@ class PacketQueue:
                     continue
                 return None
             if timeout is not None:
-                now = time.monotonic()
+                now = clock.now()
                 until = now + timeout if until is None else until
                 if now >= until:
                     return None
             self._consumer_sleeps = True
             if not packets and not self._is_ended:
-                left = None if until is None else min(until - now, threading.TIMEOUT_MAX)
+                left = clock.slice_of(None if until is None else until - now)
                 with contextlib.suppress(Empty):
                     self._to_consumer.get(True, left)
             self._consumer_sleeps = False

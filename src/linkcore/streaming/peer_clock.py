@@ -103,7 +103,7 @@ class ClockEstimator:
     """The clock of a peer, over all connections to it. One thread, the one that reads, writes it.
 
     Attributes:
-        due: when the next packet is to be looked at, by `time.monotonic`.
+        due: when the next packet is to be looked at, by `linkcore.clock.now`.
         restarts: how often the peer's clock has begun again, or was set.
     """
 

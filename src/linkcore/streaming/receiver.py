@@ -54,12 +54,13 @@ class Receiver:
         frames = self._feed(data)
         if not frames:
             return ()
-        counters.received += len(frames)
+        count = len(frames)
+        counters.received += count
         cycles = self._protocol.cycles
         if cycles is not None:
-            # Nearly always the newest packet follows on the last one: seen without a call of Python code.
+            # Nearly always one packet has come, and follows on the last one: seen without a call of Python code.
             newest = frames[-1]
-            moment = cycles.time(newest)[0] if len(newest) == cycles.size else _NO_TIME
+            moment = cycles.time(newest)[0] if count == 1 and len(newest) == cycles.size else _NO_TIME
             if 0.0 < moment - cycles.last <= cycles.at_most:
                 cycles.last = moment
             else:

@@ -38,7 +38,7 @@ class SilenceMonitor:
     Attributes:
         limit: the same.
         wait: seconds that the next wait for bytes may last; None for as long as it takes.
-        last: when the last packet came, by `time.monotonic`; set by the reader for each.
+        last: when the last packet came, by `linkcore.clock.now`; set by the reader for each.
         is_quiet: a wait ran out, or bytes came that completed no packet, since then. The reader then calls `end`.
     """
 

@@ -11,11 +11,12 @@ counters; sums that do not add up after that are an error in counting.
 
 from __future__ import annotations
 
-import time
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
+from .. import clock
 from ..wire.cycles import MissedCycles, Missing
 from ..wire.framing import PacketProtocol
 from .peer_clock import ClockEstimator
@@ -38,6 +39,10 @@ class StreamStatistics:
             connection is not in it, since a controller that was started again has started its clock again; `reconnects`
             counts those. None where the packets have no such clock: RTDE without ``timestamp``, CB2's robot states.
         gaps: places where some were missed; `longest_gap` is the longest of them, s, by the controller's clock.
+        duplicates: Received packets with the same controller time as the packet before. None if `missed` is.
+        dropped: Packets that loops over the stream did not get, because an earlier packet kept the loop busy or because
+            they were older than the lifespan. A ``for`` loop keeps only the newest state, so a slow loop drops states.
+            Each loop counts on its own; subscriptions have counters of their own.
         slow_inline: calls of inline callbacks that lasted longer than 0.5 ms. Meanwhile nothing is read, and no
             other subscriber of this stream gets a packet.
         reconnects: connections after the first.
@@ -66,6 +71,8 @@ class StreamStatistics:
     unknown: int
     tails: int
     age: float | None
+    duplicates: int | None = 0
+    dropped: int = 0
 
 
 @dataclass(frozen=True)
@@ -99,7 +106,7 @@ S = TypeVar("S", StreamStatistics, SubscriptionStatistics)
 
 def snapshot(take: Callable[[], S]) -> S:
     """What `take` returns, as soon as its sum holds; after a moment as it is."""
-    until = time.monotonic() + _MOMENT
+    until = clock.now() + _MOMENT
     while True:
         statistics = take()
         if isinstance(statistics, StreamStatistics):
@@ -107,20 +114,28 @@ def snapshot(take: Callable[[], S]) -> S:
         else:
             taken = statistics.delivered + statistics.dropped + statistics.raised + statistics.waiting
             rest = statistics.offered - taken
-        if not rest or time.monotonic() >= until:
+        if not rest or clock.now() >= until:
             return statistics
-        time.sleep(_MOMENT / 100)
+        clock.sleep(_MOMENT / 100)
+
+
+class Loop(Protocol):
+    """The queue of a loop over a stream."""
+
+    @property
+    def overtaken(self) -> int:
+        """Packets that were dropped because newer ones replaced them, or because they had expired."""
 
 
 class StreamCounters:
-    """What the reader counts. Only the reader writes it, so it needs no lock.
+    """What the reader counts. Only the reader writes it, so it needs no lock; queues of loops have one.
 
     Attributes:
         received, decoded, failed, slow_inline, bytes, connections: see `StreamStatistics`.
-        arrived: when the last packet was read, by `time.monotonic`; None before the first.
+        arrived: when the last packet was read, by `linkcore.clock.now`; None before the first.
         clock: of the peer, by the times of its packets.
         window_ends: when `next_window` is due: the rate is that of the last whole window of about a second.
-        due: when `look` is due, by `time.monotonic`.
+        due: when `look` is due, by `linkcore.clock.now`.
     """
 
     def __init__(self) -> None:
@@ -133,18 +148,24 @@ class StreamCounters:
         # Of the connections that are over; what the present one has counted stands in its protocol.
         self._skipped = self._resyncs = self._unknown = self._tails = 0
         self._missing: Missing | None = None
+        self._duplicates = 0
+        # The queues of loops that run, and what those of the ended loops dropped. Re-entrant: a loop may be collected
+        # in the middle of a change.
+        self._loops: tuple[Loop, ...] = ()
+        self._dropped = 0
+        self._changing_loops = threading.RLock()
         self._protocol: PacketProtocol | None = None
         self.arrived: float | None = None
         self._rate = 0.0
         self.clock = ClockEstimator()
         self.due = 0.0
-        self._begin_window(time.monotonic())
+        self._begin_window(clock.now())
 
     def connected(self, protocol: PacketProtocol, round_trip: float) -> None:
         """A connection was made, by a handshake of so many seconds; what its protocol counts belongs to the stream."""
         self._protocol = protocol
         self.connections += 1
-        self._begin_window(time.monotonic())
+        self._begin_window(clock.now())
         self._rate = 0.0
         self.clock.connected(round_trip)
         self.due = 0.0
@@ -158,6 +179,19 @@ class StreamCounters:
             self._unknown += protocol.unknown
             self._tails += protocol.tails
             self._missing = _sum(self._missing, protocol)
+            self._duplicates += _duplicates(protocol)
+
+    def loop_began(self, queue: Loop) -> None:
+        """A loop takes packets from a queue: what the queue drops is counted for the stream."""
+        with self._changing_loops:
+            self._loops = (*self._loops, queue)
+
+    def loop_ended(self, queue: Loop) -> None:
+        """The loop has ended; what its queue has dropped stays counted. Idempotent."""
+        with self._changing_loops:
+            if queue in self._loops:
+                self._loops = tuple(each for each in self._loops if each is not queue)
+                self._dropped += queue.overtaken
 
     def look(self, now: float, cycles: MissedCycles | None) -> None:
         """Do what is not done for each packet, beside the newest one."""
@@ -186,9 +220,11 @@ class StreamCounters:
     def _look(self) -> StreamStatistics:
         # The reader goes on meanwhile. Times before the present, and what past connections have counted before what the
         # present one has: an age is never negative, and nothing counts twice.
-        arrived, now = self.arrived, time.monotonic()
+        arrived, now = self.arrived, clock.now()
         skipped, resyncs, unknown, tails = self._skipped, self._resyncs, self._unknown, self._tails
-        missing = self._missing
+        missing, duplicates = self._missing, self._duplicates
+        with self._changing_loops:
+            dropped = self._dropped + sum(queue.overtaken for queue in self._loops)
         protocol, rate, elapsed = self._protocol, self._rate, now - self._window_began
         missing = _sum(missing, protocol)
         if elapsed > 2.0 or (not rate and elapsed > 0.5):
@@ -210,7 +246,13 @@ class StreamCounters:
             unknown=unknown + (protocol.unknown if protocol is not None else 0),
             tails=tails + (protocol.tails if protocol is not None else 0),
             age=None if arrived is None else now - arrived,
+            duplicates=None if missing is None else duplicates + _duplicates(protocol),
+            dropped=dropped,
         )
+
+
+def _duplicates(protocol: PacketProtocol | None) -> int:
+    return 0 if protocol is None or protocol.cycles is None else protocol.cycles.duplicates
 
 
 def _sum(missing: Missing | None, protocol: PacketProtocol | None) -> Missing | None:

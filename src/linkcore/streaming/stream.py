@@ -130,7 +130,10 @@ class Stream(Feed[T]):
         from ..text import html_table  # imported here: importing the library stays cheap
 
         stats = self.stats
-        rows = [(name, getattr(stats, name)) for name in ("received", "decoded", "failed", "reconnects", "rate", "age")]
+        rows = [
+            (name, getattr(stats, name))
+            for name in ("received", "decoded", "failed", "dropped", "reconnects", "rate", "age")
+        ]
         return html_table(repr(self), (), [(name, "" if value is None else f"{value:.6g}") for name, value in rows])
 
     def __repr__(self) -> str:

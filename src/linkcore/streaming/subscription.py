@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from collections.abc import Callable, Iterable, Sequence
-from time import monotonic
+from functools import partial
 from typing import Any
 
+from .. import clock
 from ..arguments import check_callable, check_seconds
 from ..errors import BadValue
 from ..threads import Closing, started
@@ -73,7 +73,7 @@ class Delivery:
         self._delivered = 0
         self._raised = 0
         self._is_calling = False
-        self._last = monotonic()  # when a packet came last; kept only where there is a deadline
+        self._last = clock.now()  # when a packet came last; kept only where there is a deadline
         self._reported = -1.0  # the one after which `on_deadline` was called
         self.missed_deadlines = 0
 
@@ -125,7 +125,7 @@ class Delivery:
     def _late(self, deadline: float) -> float:
         """Call `on_deadline` if that is due; seconds until the next look."""
         last = self._last
-        age = monotonic() - last
+        age = clock.now() - last
         if age < deadline:
             return deadline - age
         if self._reported != last:  # called once for each time
@@ -196,7 +196,7 @@ class ThreadedDelivery(Delivery):
 
     def join(self, timeout: float) -> bool:
         if not self.runs_here():
-            self._thread.join(min(timeout, threading.TIMEOUT_MAX))
+            clock.join(self._thread, timeout)
         return not self._thread.is_alive()
 
     def runs_here(self) -> bool:
@@ -217,13 +217,13 @@ class ThreadedDelivery(Delivery):
                 self._is_calling = False
                 del packet  # not kept while waiting for the next
                 if deadline is not None:
-                    self._last = monotonic()
+                    self._last = clock.now()
                     wait = deadline
             elif self._queue.is_over:
                 return
             elif self._gather:
                 # No thread waits on the queue meanwhile, so the reader has none to wake.
-                time.sleep(self._gather)
+                clock.sleep(self._gather)
             elif deadline is not None:
                 wait = self._late(deadline)
 
@@ -270,7 +270,7 @@ class InlineDelivery(Delivery):
             LocalError: the system has no thread left.
         """
         if self._deadline is not None:
-            self._last = monotonic()
+            self._last = clock.now()
             started(threading.Thread(target=self._watch, name=f"{self.name} deadline", daemon=True))
 
     @property
@@ -280,7 +280,7 @@ class InlineDelivery(Delivery):
     def offer(self, packets: Sequence[Any]) -> None:
         """Call back with each packet, here and now."""
         callback = self._callback
-        now = monotonic()
+        now = clock.now()
         self._is_calling = True
         for packet in packets:
             if self._is_closed:
@@ -291,7 +291,7 @@ class InlineDelivery(Delivery):
                 self._delivered += 1
             except BaseException:
                 self._fail()
-            began, now = now, monotonic()
+            began, now = now, clock.now()
             if now - began > SLOW_INLINE:
                 self._counters.slow_inline += 1
         self._is_calling = False
@@ -308,18 +308,18 @@ class InlineDelivery(Delivery):
         self.join(timeout)
 
     def join(self, timeout: float) -> bool:
-        until = monotonic() + timeout
+        until = clock.now() + timeout
         if not self._waits_closed(timeout):
             return False
         while self._is_calling and not self._reads_here():
-            if monotonic() >= until:
+            if clock.now() >= until:
                 return False
-            time.sleep(_LOOK)
+            clock.sleep(_LOOK)
         return True
 
     def _waits_closed(self, timeout: float) -> bool:
         with self._closing:
-            return self._closing.wait_for(lambda: self._is_closed, min(timeout, threading.TIMEOUT_MAX))
+            return clock.wait(partial(self._closing.wait_for, lambda: self._is_closed), timeout)
 
     def runs_here(self) -> bool:
         return self._is_calling and self._reads_here()

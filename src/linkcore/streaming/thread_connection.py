@@ -7,8 +7,9 @@ transport -> receiver -> fan-out -> queues -> callbacks
 from __future__ import annotations
 
 import threading
-import time
+from functools import partial
 
+from .. import clock
 from ..errors import LinkTimeout, LocalError
 from ..realtime import urgent
 from ..threads import started
@@ -59,8 +60,7 @@ class ThreadConnection(Connection):
         reader = self._reader
         if reader is None or self.reads_here():
             return True
-        reader.join(min(timeout, threading.TIMEOUT_MAX))
-        return not reader.is_alive()
+        return clock.join(reader, timeout)
 
     # -- the reader thread -----------------------------------------------------------------------
 
@@ -76,7 +76,7 @@ class ThreadConnection(Connection):
             if wait is None:
                 return
             with self._changed:
-                if self._changed.wait_for(lambda: self._life.is_closed, wait):
+                if clock.wait(partial(self._changed.wait_for, lambda: self._life.is_closed), wait):
                     break
         self._finish(None)
 
@@ -90,7 +90,7 @@ class ThreadConnection(Connection):
     def _receive(self, receiver: Receiver) -> None:
         """Hand out what comes, until the transport raises or the peer has been silent for too long."""
         receive, take, silence = self._transport.receive, self._take, self.silence
-        silence.end(time.monotonic())
+        silence.end(clock.now())
         while True:
             try:
                 data, stamp = receive(silence.wait)

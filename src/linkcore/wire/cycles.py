@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 
 #: Seconds that a clock goes on at most between two packets of one connection; more is the time of something else.
 ANOTHER_CLOCK = 3600.0
+#: No comparison with it holds.
+_NO_TIME = float("nan")
 #: Parts of a period by which two packets in a row may be late: the primary interface has a period of 12.5 cycles, and
 #: sends after 12 or 13 (docs/protocols/primary.md, section Time stamps).
 _SLACK = 0.5
@@ -73,11 +75,11 @@ class MissedCycles:
         moment: the time of a packet by the controller's clock, s, from its bytes; None where it has none.
         periods: seconds from one packet to the next; several where it is not known which, until two packets show it.
         time: what `moment` returns, of a packet of `size` bytes: one call of C code (`struct.Struct.unpack_from`).
-        size: of the packets that have a time, in bytes; 0 where they have several sizes.
-        is_uniform: every packet has a time.
+        size: of the packets that have a time, in bytes; -1 if they have several sizes.
 
     Attributes:
         missing: how much, so far; replaced as a whole, so that other threads can read it.
+        duplicates: Packets so far with the same time as the packet before.
         last: the time of the newest packet that has one, s by the controller's clock; NaN before the first.
         at_most: the longest step between two packets with none missing, s; 0 while the period is not known.
     """
@@ -88,36 +90,37 @@ class MissedCycles:
         periods: Iterable[float],
         *,
         time: Callable[[bytes], Sequence[Any]] = tuple,
-        size: int = 0,
-        is_uniform: bool = False,
+        size: int = -1,
     ) -> None:
         self.missing = Missing()
+        self.duplicates = 0
         self.time = time
         self.size = size
         self._moment = moment
         self._period, *self._shorter = sorted(periods, reverse=True)
-        self._is_uniform = is_uniform
         self._set_at_most()
-        self.last = float("nan")  # no comparison with it holds
+        self.last = _NO_TIME
 
     def take(self, frames: Sequence[bytes]) -> None:
-        """Packets have come, at least one, in order. `Receiver` calls it where the newest did not follow on `last`."""
-        if self._is_uniform and self.at_most:
-            # All of them at once: none is missing if the clock went on by no more than so many periods.
-            moment: Any = self._moment(frames[-1])
-            if moment - self.last <= self.at_most + (len(frames) - 1) * self._period:
-                self.last = moment
-                return
+        """Packets have come, at least one, in order. `Receiver` calls it unless one has come that follows on `last`."""
+        time, size, last, at_most = self.time, self.size, self.last, self.at_most
         for frame in frames:
+            quick = time(frame)[0] if len(frame) == size else _NO_TIME
+            if 0.0 < quick - last <= at_most:
+                last = quick
+                continue
             moment = self._moment(frame)
             if moment is not None:
-                self._step(moment - self.last)
-                self.last = moment
+                self._step(moment - last)
+                last, at_most = moment, self.at_most
+        self.last = last
 
     def _set_at_most(self) -> None:
         self.at_most = 0.0 if self._shorter else (1.0 + _SLACK) * self._period
 
     def _step(self, step: float) -> None:
+        if step == 0.0:
+            self.duplicates += 1
         while self._shorter and 0.0 < step < (1.0 - _SLACK / 2) * self._period:
             self._period = self._shorter.pop(0)
             self._set_at_most()

@@ -6,12 +6,13 @@ import argparse
 import itertools
 import operator
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
+from linkcore.cli.input_bytes import input_bytes, named, text_hint
 from linkcore.cli.options import argument, command, positive_int
+from linkcore.cli.progress import ProgressBar
 from linkcore.errors import BadRecording
-from linkcore.recording.file import RecordingFile
+from linkcore.recording.file import MAGIC, RecordingFile
 from linkcore.text import printable, strict_json
 
 from ..recording import received
@@ -21,16 +22,17 @@ from ..wire.dissection import PackagePart, Piece, dissect, guess_sender, tables_
 @command(
     "dissect",
     "show the bytes of a connection",
-    argument("file", metavar="FILE", help="raw bytes of one direction, or a recording"),
+    argument("file", metavar="FILE", help="raw bytes or hex text of one direction, or a recording; - for stdin"),
     argument("--from", dest="sender", choices=("server", "client"), help="who sent them (guessed)"),
-    argument("--tables", metavar="FILE", help="raw bytes of the server, for those of its client"),
+    argument("--tables", metavar="FILE", help="raw bytes or hex text of the server, for the bytes of its client"),
     argument("--width", type=int, choices=(2, 4), help="32-bit words of a time stamp (as found, or 2)"),
     argument("--count", type=positive_int, metavar="N", help="only the first N packages"),
     argument("--json", action="store_true", help="one JSON object a line, for each package"),
 )
 def run(args: argparse.Namespace) -> int:
     """Show every package in the bytes of one direction of a connection: offset, bytes in hex, meaning. FILE holds
-    raw bytes, such as the payload of a network capture, or is a recording.
+    raw bytes, such as the payload of a network capture, or hex digits, or is a recording; with - the bytes or hex
+    digits are read from stdin.
 
     The bytes of a client do not say how long its variables are: --tables names a file with the bytes of the server
     from the same connection. The number of words of a time stamp, 2 or 4, is found from the server's handshake,
@@ -42,45 +44,41 @@ def run(args: argparse.Namespace) -> int:
       rhdlink dissect drive.urlog --json
     """
     shown = read = 0
-    for piece in _pieces(args):
-        shown += 1
-        read += piece.error is None
-        if args.json:
-            print(strict_json(_as_json(piece)))
-        else:
-            print("\n".join(lines(shown, piece)))
-        if shown == args.count:
-            break
+    # On a terminal this is shown only while no package is printed.
+    with ProgressBar(f"dissecting {args.file}", args.quiet) as progress:
+        for piece in _pieces(args):
+            shown += 1
+            read += piece.error is None
+            progress(text=f"dissecting {args.file}, {shown} packages")
+            if args.json:
+                print(strict_json(_as_json(piece)))
+            else:
+                print("\n".join(lines(shown, piece)))
+            if shown == args.count:
+                break
     if not shown:
-        raise BadRecording(f"{args.file} holds no bytes")
+        raise BadRecording(f"{named(args.file)} holds no bytes")
     return 0 if read else 1
 
 
 def _pieces(args: argparse.Namespace) -> Iterator[Piece]:
-    tables, told = tables_in(_bytes(args.tables)) if args.tables is not None else ({}, None)
+    tables, told = tables_in(input_bytes(args.tables)) if args.tables is not None else ({}, None)
     if args.tables is not None and not tables:
-        raise BadRecording(f"{args.tables} holds no handshake of a server")
-    for data in _connections(Path(args.file)):
+        raise BadRecording(f"{args.tables} holds no handshake of a server{text_hint(input_bytes(args.tables))}")
+    for data in _connections(args.file):
         own, found = tables_in(data)
         sender = args.sender or ("server" if own else guess_sender(data))
         yield from dissect(data, sender, tables, args.width or found or told or 2)
 
 
-def _connections(path: Path) -> Iterator[bytes]:
-    """The bytes in a file; of a recording, connection by connection."""
-    data = _bytes(path)
-    if not data.startswith(b"LINKREC1"):
+def _connections(name: str) -> Iterator[bytes]:
+    """The bytes in a file or on stdin; of a recording, connection by connection."""
+    data = input_bytes(name)
+    if not data.startswith(MAGIC):
         yield data
         return
-    for _, records in itertools.groupby(received(RecordingFile(path)), key=operator.itemgetter(0)):
+    for _, records in itertools.groupby(received(RecordingFile(name)), key=operator.itemgetter(0)):
         yield b"".join(record.payload for _, record in records)
-
-
-def _bytes(path: Path | str) -> bytes:
-    try:
-        return Path(path).read_bytes()
-    except (OSError, ValueError) as error:
-        raise BadRecording(f"cannot read {path}: {getattr(error, 'strerror', None) or error}") from error
 
 
 def _as_json(piece: Piece) -> dict[str, Any]:

@@ -5,17 +5,16 @@ from __future__ import annotations
 import argparse
 import contextlib
 import math
-import sys
-import time
 from pathlib import Path
 
+from linkcore import clock
 from linkcore.cli.options import argument, command, one_of, seconds
+from linkcore.cli.progress import ProgressBar
 from linkcore.cli.terminal import Interruption
 from linkcore.errors import LinkError
 from linkcore.text import printable
 
 from ..address import Address
-from ..client import connect
 from ..plugins.turtle import SmrTurtle, Turtle
 from ..smrcl.mission import Mission, MissionRun
 from ..smrcl.profile import PROFILES
@@ -24,9 +23,9 @@ from ..smrcl.robot_conf import RobotConf, read_robot_conf
 from ..smrcl.robot_link import ClientLink, PluginLink, RobotLink
 from ..smrcl.server import PORT, MissionServer
 from ..world import World, save
-from .options import WORLD, port, tell, world
+from .options import WORLD, connected, port, tell, world
 
-#: Seconds between two drawings of the live view.
+#: Seconds between two updates of the progress.
 _VIEW = 0.2
 
 
@@ -126,21 +125,19 @@ def _execute(args: argparse.Namespace) -> int:
 
 
 def _watch(run: MissionRun, interruption: Interruption, args: argparse.Namespace) -> None:
-    """Wait for the end; if stderr is a terminal, show the progress."""
-    is_seen = sys.stderr.isatty() and not args.quiet and not args.trace and args.profile != "mrc"
-    due = time.monotonic() + _VIEW
-    while not run.done:
-        if interruption.wait(0.02):
-            run.cancel()
-            break
-        if is_seen and time.monotonic() >= due:
-            due = time.monotonic() + _VIEW
-            print(f"\r\x1b[K{_view(run)}", end="", file=sys.stderr, flush=True)
-    # After a signal the robot is stopped, and has time to answer.
-    with contextlib.suppress(LinkError):
-        run.wait(args.timeout + 1.0)
-    if is_seen:
-        print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+    """Wait for the end, and show the progress."""
+    due = clock.now() + _VIEW
+    with ProgressBar(args.file, args.quiet or args.trace) as progress:
+        while not run.done:
+            if interruption.wait(0.02):
+                run.cancel()
+                break
+            if clock.now() >= due:
+                due = clock.now() + _VIEW
+                progress(text=_view(run))
+        # After a signal the robot is stopped, and has time to answer.
+        with contextlib.suppress(LinkError):
+            run.wait(args.timeout + 1.0)
 
 
 def _view(run: MissionRun) -> str:
@@ -232,7 +229,7 @@ def _link(args: argparse.Namespace, *, is_realtime: bool) -> tuple[RobotLink, Wo
     if args.turtle is None:
         if not (args.svg is None and args.floor is None and args.start is None):
             args.usage_error("--svg, --floor and --start are for a --turtle")
-        robot = connect(args.robot or "localhost", access="w", timeout=args.timeout)
+        robot = connected(args, args.robot or "localhost", access="w")
         return ClientLink(robot, is_lockstep=args.lockstep, owns=True), None
     turtle = Turtle(world(args)) if args.turtle == "velocity" else SmrTurtle(world(args))
     if args.svg is not None:

@@ -5,10 +5,13 @@ from __future__ import annotations
 import argparse
 import math
 import sys
+from typing import Any
 
 from linkcore.cli.options import argument, seconds
+from linkcore.cli.progress import ProgressBar
 from linkcore.text import printable
 
+from ..client import Variables, connect
 from ..scene import Scene
 from ..world import World
 
@@ -59,6 +62,23 @@ def port(text: str) -> int:
     if not (text.isascii() and text.isdecimal()) or int(text) > 65535:
         raise argparse.ArgumentTypeError(f"{text!r} is not a port from 0 to 65535")
     return int(text)
+
+
+def connected(args: argparse.Namespace, address: str | None = None, **how: Any) -> Variables:
+    """Connect to a robot, and show the progress.
+
+    Args:
+        args: The arguments of a command that takes `ADDRESS`.
+        address: Address of the robot; None for the one in `args`.
+        how: Further arguments of `connect`.
+
+    Raises:
+        LinkError: See `connect`.
+    """
+    address = args.address if address is None else address
+    with ProgressBar(f"connecting to {address}", args.quiet):
+        robot: Variables = connect(address, timeout=args.timeout, **how)
+        return robot
 
 
 def tell(text: str) -> None:

@@ -8,18 +8,19 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+from linkcore import clock
 from linkcore.cli.options import DURATION, RECORDING, argument, command, export, exporting, positive_int, seconds
-from linkcore.cli.terminal import Interruption, ProgressBar
+from linkcore.cli.progress import ProgressBar
+from linkcore.cli.terminal import Interruption
 from linkcore.errors import BadRecording
 from linkcore.recording.file import RecordingFile
 from linkcore.recording.player import ReplayClock
 from linkcore.text import printable, strict_json
 
-from ..client import connect
 from ..loading import load
 from ..recording import play
 from ..variables.snapshot import Update
-from .options import ADDRESS, tell
+from .options import ADDRESS, connected, tell
 from .view import in_units, update_as_json, with_meaning, words_of
 
 
@@ -85,16 +86,17 @@ def _record(args: argparse.Namespace) -> int:
     """
     with (
         Interruption() as interruption,
-        connect(args.address, timeout=args.timeout, record=args.file) as robot,
+        connected(args, record=args.file) as robot,
         ProgressBar("recording", args.quiet) as progress,
     ):
         tell(f"recording {robot.address} into {args.file}; Ctrl-C ends it")
-        begin = time.monotonic()
+        begin = clock.now()
         interruption.end_after(args.duration)
         sync_thread = robot.background(args.period)
         while not interruption.wait(0.02) and (args.count is None or sync_thread.syncs < args.count):
-            by_time = 0.0 if args.duration is None else (time.monotonic() - begin) / args.duration
-            progress(max(by_time, 0.0 if args.count is None else sync_thread.syncs / args.count))
+            by_time = 0.0 if args.duration is None else (clock.now() - begin) / args.duration
+            by_count = 0.0 if args.count is None else sync_thread.syncs / args.count
+            progress(max(by_time, by_count), f"recording, {sync_thread.syncs} syncs")
             if sync_thread.failure is not None:
                 raise sync_thread.failure
     print(_summary_text(_summary(args)))
@@ -128,9 +130,11 @@ def _replay(args: argparse.Namespace) -> int:
         summary = _summary(args)
         print(strict_json(vars(summary)) if args.json else _summary_text(summary))
         return 0
-    recording = RecordingFile(args.file)
-    with Interruption() as interruption:
-        for update in itertools.islice(_updates(recording, args, interruption), args.count):
+    # On a terminal this is shown only while nothing is printed.
+    with ProgressBar(f"reading {args.file}", args.quiet) as progress, Interruption() as interruption:
+        recording = RecordingFile(args.file, progress)
+        progress.next(f"playing {args.file}")
+        for update in itertools.islice(_updates(recording, args, interruption, progress), args.count):
             print(strict_json(update_as_json(update)) if args.json else _line(update), flush=True)
     return interruption.status
 
@@ -161,11 +165,13 @@ def _summary(args: argparse.Namespace) -> _Summary:
     return summary
 
 
-def _updates(recording: RecordingFile, args: argparse.Namespace, interruption: Interruption) -> Iterator[Update]:
+def _updates(
+    recording: RecordingFile, args: argparse.Namespace, interruption: Interruption, progress: ProgressBar
+) -> Iterator[Update]:
     clock = ReplayClock(recording, args.rate)
     clock.start()
     names = frozenset(args.names) or None
-    for moment in play(recording):
+    for moment in play(recording, progress):
         if moment.is_handshake and names is not None:
             there = {row.name for row in (*moment.database.read, *moment.database.write)}
             missing = [name for name in args.names if name not in there]

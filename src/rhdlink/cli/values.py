@@ -5,19 +5,20 @@ from __future__ import annotations
 import argparse
 import itertools
 import re
-import time
 from collections.abc import Collection, Iterable
 
+from linkcore import clock
 from linkcore.cli.options import DURATION, argument, command, positive_int, seconds
+from linkcore.cli.progress import ProgressBar
 from linkcore.cli.terminal import Interruption, drawing
 from linkcore.streaming.packet_queue import PacketQueue, drop_oldest
 from linkcore.text import printable, strict_json
 
-from ..client import Variables, connect
+from ..client import Variables
 from ..errors import NotThere
 from ..sync_thread import SyncThread
 from ..variables.snapshot import Update
-from .options import ADDRESS, tell
+from .options import ADDRESS, connected, tell
 from .view import TYPES, RateCounter, View, as_columns, as_json, typed, update_as_json, with_meaning, words_of
 
 
@@ -52,7 +53,7 @@ def _list(args: argparse.Namespace) -> int:
       rhdlink vars smr12:24902 --json
       rhdlink vars localhost --json | jq -r .name
     """
-    with connect(args.address, timeout=args.timeout) as robot:
+    with connected(args) as robot:
         # The values of the handshake are the newest.
         found = robot.variables
         if args.json:
@@ -94,7 +95,7 @@ def _get(args: argparse.Namespace) -> int:
       rhdlink get localhost transpos rotpos --json
       rhdlink get localhost bearing --as float64
     """
-    with connect(args.address, timeout=args.timeout) as robot:
+    with connected(args) as robot:
         by_name = {variable.name: variable for variable in reversed(robot.variables)}
         _check_names(args.names, by_name, robot.address)
         for name in args.names:
@@ -132,15 +133,18 @@ def _set(args: argparse.Namespace) -> int:
       rhdlink set smr12 speedl 10 --hold 1
       rhdlink set localhost cmdrotvel -- -20000
     """
-    with connect(args.address, access="w", timeout=args.timeout) as robot, Interruption() as interruption:
+    with connected(args, access="w") as robot, Interruption() as interruption:
         robot[args.name] = args.values if len(args.values) > 1 else args.values[0]
         robot.sync()  # the reply confirms the write
         (value,) = (each.value for each in robot.variables if (each.direction, each.name) == ("w", args.name))
         tell(f"{args.name} is {with_meaning('w', args.name, words_of(value))}")
         if args.hold is not None:
             interruption.end_after(args.hold)
-            while not interruption.is_over:
-                robot.sync()
+            begun = clock.now()
+            with ProgressBar(f"holding {args.name}", args.quiet) as progress:
+                while not interruption.is_over:
+                    robot.sync()
+                    progress((clock.now() - begun) / args.hold)
     return interruption.status
 
 
@@ -168,7 +172,7 @@ def _watch(args: argparse.Namespace) -> int:
       rhdlink watch smr12 encl encr linesensor --plain
       rhdlink watch localhost transpos rotpos --json --count 100
     """
-    with connect(args.address, timeout=args.timeout) as robot:
+    with connected(args) as robot:
         _check_names(args.names, robot, robot.address)
         with Interruption(args.duration) as interruption:
             (_lines if args.json else _views)(robot, args, interruption)
@@ -186,21 +190,24 @@ def _lines(robot: Variables, args: argparse.Namespace, interruption: Interruptio
     robot.subscribe(lambda update: queue.offer([update]), *args.names, policy=drop_oldest(16384))
     sync_thread = robot.background(args.period)
     shown = 0
-    while not interruption.is_over:
-        update: Update | None = queue.next(0.05)
-        if update is None:
-            _check(sync_thread)
-            continue
-        print(strict_json(update_as_json(update)), flush=True)
-        shown += 1
-        if shown == args.count:
-            break
+    # On a terminal this is shown only while nothing is printed.
+    with ProgressBar("waiting for updates", args.quiet) as progress:
+        while not interruption.is_over:
+            update: Update | None = queue.next(0.05)
+            if update is None:
+                _check(sync_thread)
+                continue
+            print(strict_json(update_as_json(update)), flush=True)
+            shown += 1
+            progress(0.0 if args.count is None else shown / args.count, f"{shown} updates printed")
+            if shown == args.count:
+                break
     if queue.dropped:
         tell(f"{queue.dropped} updates were dropped: the output was too slow for them")
 
 
 def _views(robot: Variables, args: argparse.Namespace, interruption: Interruption) -> None:
-    counter = RateCounter(time.monotonic())
+    counter = RateCounter(clock.now())
     robot.subscribe(counter.on_update, *args.names)
     robot.subscribe_connection(counter.on_connection)
     sync_thread = robot.background(args.period)
@@ -217,7 +224,7 @@ def _views(robot: Variables, args: argparse.Namespace, interruption: Interruptio
 
 
 def _view(robot: Variables, counter: RateCounter, names: frozenset[str]) -> View:
-    rate, rates = counter.rates(time.monotonic())
+    rate, rates = counter.rates(clock.now())
     return View(
         robot=robot.address,
         connection=robot.connection,

@@ -12,11 +12,11 @@ from __future__ import annotations
 import functools
 import logging
 import os
-import time
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
+from linkcore import clock
 from linkcore.arguments import check_choice, check_seconds, check_whole
 from linkcore.errors import BadValue, Closed, LocalError
 from linkcore.threads import Runnable
@@ -27,7 +27,7 @@ from ..variables.declarations import bind, create_variables
 from ..variables.value_types import wrapped
 from ..wire.decoder import Limits
 from .config import Configuration, Element, read_config
-from .plugin import Plugin
+from .plugin import Plugin, check_methods
 from .server import Server, TickSchedule
 from .service import Resend, Service
 
@@ -133,9 +133,9 @@ class Host(Runnable):
         failure: why it ended by itself, or None.
 
     Raises:
-        BadValue: an argument that cannot be. When it is run: PluginFailed, a critical plugin raised; BadAddress, the
-            port cannot be listened on; LocalError, plugins declare what cannot be together; HostFailed, it ended
-            because of an unexpected exception.
+        BadValue: an argument that cannot be, such as a plugin without `periodic`. When it is run: PluginFailed, a
+            critical plugin raised; BadAddress, the port cannot be listened on; LocalError, plugins declare what cannot
+            be together; HostFailed, it ended because of an unexpected exception.
     """
 
     def __init__(
@@ -182,7 +182,7 @@ class Host(Runnable):
         self._begun: list[Plugin] = []
         self._failed: list[str] = []
         self._server: Server | None = None
-        self._schedule = TickSchedule(period, time.monotonic())
+        self._schedule = TickSchedule(period, clock.now())
 
     @classmethod
     def from_config(cls, config: Configuration | str | os.PathLike[str], **options: object) -> Self:
@@ -204,6 +204,10 @@ class Host(Runnable):
             plugin = entry.load()
             if not isinstance(plugin, Plugin):
                 entry.config.reject(f"{entry.lib} is no rhdlink.Plugin")
+            try:
+                check_methods(plugin)
+            except BadValue as error:
+                entry.config.reject(str(error))
             plugin.name, plugin.is_critical, plugin.safety = entry.name, entry.is_critical, entry.safety
             plugins.append(plugin)
             elements[id(plugin)] = entry.config
@@ -315,7 +319,7 @@ class Host(Runnable):
             client_timeout=self._client_timeout,
             inactivity_timeout=self._inactivity_timeout,
         )
-        self._schedule = TickSchedule(self.period, time.monotonic())
+        self._schedule = TickSchedule(self.period, clock.now())
 
     def _init(self, plugin: Plugin) -> None:
         plugin.name = plugin.name or type(plugin).__name__.lower()
@@ -403,18 +407,18 @@ class Host(Runnable):
             server.serve(None, lambda: self._is_stopping or service.is_asked)
             return
         if self._pacing == "free":
-            server.serve(time.monotonic(), self._stops)
+            server.serve(clock.now(), self._stops)
             return
         schedule = self._schedule
         due = schedule.advance()
         server.serve(due, self._stops)
         if self._synchronized and not self._stops():
-            began = time.monotonic()
+            began = clock.now()
             # The one writer is waited for one period at most; the original waits a thousand (docs/protocols/rhd.md,
             # Defects, 9).
             server.serve(due + self.period, lambda: self._is_stopping or service.writers != 1 or service.is_asked)
-            schedule.postpone(time.monotonic() - began)
-        schedule.came(time.monotonic())
+            schedule.postpone(clock.now() - began)
+        schedule.came(clock.now())
 
     def _stops(self) -> bool:
         return self._is_stopping
@@ -435,6 +439,7 @@ def _checked(plugins: Iterable[Plugin]) -> list[Plugin]:
     for plugin in checked:
         if not isinstance(plugin, Plugin):
             raise BadValue(f"{plugin!r} is no plugin; expected instances of classes that derive from rhdlink.Plugin")
+        check_methods(plugin)
     if len(set(map(id, checked))) != len(checked):
         raise BadValue("a plugin is given twice")
     return checked

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import difflib
+import inspect
 from typing import TYPE_CHECKING, Any
+
+from linkcore.errors import BadValue
 
 from ..variables.declarations import Declaration, Declarations, refuse_hiding
 from .config import Element
 
 if TYPE_CHECKING:
     from .host import Host
+
+#: Methods that a host calls.
+_CALLED = ("init", "periodic", "terminate")
+#: Similarity, 0 to 1, from which on the name of a method is taken for a misspelt one of `Plugin`.
+_MISSPELT = 0.75
 
 
 class Plugin(Declarations):
@@ -26,7 +35,7 @@ class Plugin(Declarations):
     The variables are declared as a program declares them, seen from there: `Read` ones are set here and `Write` ones
     read. Those that another plugin has made already are shared with it. They are for the three methods below, which the
     host calls in its own thread, one plugin after another; each call holds up the tick, so what takes long belongs in a
-    thread of the plugin's own.
+    thread of the plugin's own. A plugin must have `periodic`, even if that does nothing; the other two are optional.
 
     Attributes:
         name: for messages; by default that of the class in small letters, and in a file that of the element.
@@ -73,3 +82,25 @@ class Plugin(Declarations):
         """
         table, identity = self._place(declaration)
         return bool(table.updated[identity])
+
+
+def check_methods(plugin: Plugin) -> None:
+    """Check that a host will call the methods of a plugin.
+
+    Raises:
+        BadValue: If the plugin has no `periodic`, or a method whose name is a misspelling of one that a host calls.
+    """
+    kind = type(plugin)
+    own = [
+        name for name, _ in inspect.getmembers(kind, inspect.isfunction) if name[0] != "_" and not hasattr(Plugin, name)
+    ]
+    for name in own:
+        close = difflib.get_close_matches(name, _CALLED, 1, _MISSPELT)
+        if close:
+            raise BadValue(f"{kind.__name__} has a method {name!r}, which no host calls; did you mean {close[0]!r}?")
+    if kind.periodic is Plugin.periodic:
+        instead = f"; no host calls its {' and '.join(map(repr, own))}" if own else ""
+        raise BadValue(
+            f"{kind.__name__} has no method 'periodic', which the host calls at each tick{instead}; "
+            "define periodic(self, tick)"
+        )

@@ -21,8 +21,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from linkcore import clock
 from linkcore.arguments import check_seconds, check_whole
-from linkcore.clock import monotonic
 from linkcore.errors import BadValue, ConnectFailed, LocalError
 
 from ..host.config import Element
@@ -278,7 +278,7 @@ class MqttRobot(VelocityBridge):
         *,
         topics: Topics = ROBOBOT,
         timeout: float = 1.0,
-        clock: Callable[[], float] = monotonic,
+        clock: Callable[[], float] = clock.now,
     ) -> None:
         super().__init__(self._command, own_thread=False)
         check_whole(port, "port", 1, 65535)
@@ -382,7 +382,7 @@ class MqttTurtle(Plugin):
         *,
         world: World | None = None,
         topics: Topics = ROBOBOT,
-        clock: Callable[[], float] = monotonic,
+        clock: Callable[[], float] = clock.now,
     ) -> None:
         check_whole(port, "port", 1, 65535)
         self.world = World() if world is None else world

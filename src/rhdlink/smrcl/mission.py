@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 import os
 import threading
-import time
 from collections.abc import Callable, Collection, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from linkcore import clock
 from linkcore.arguments import check_callable, check_seconds
 from linkcore.errors import BadValue, LinkTimeout, LocalError
 from linkcore.handle import Event, Handle, Lifecycle
@@ -154,7 +154,7 @@ class Mission(WithCallbacks):
         """
         seconds = math.inf if timeout is None else check_seconds(timeout, "timeout")
         run = self._prepare()
-        run._run(time.monotonic() + seconds)
+        run._run(clock.now() + seconds)
         if run.error is not None:
             raise run.error
         return run
@@ -326,7 +326,7 @@ class MissionRun(Handle):
             while not (self.done or self._life.happened(Event.BRAKE)):
                 if not self._execution.cycle():
                     break
-                if until < math.inf and time.monotonic() > until:
+                if until < math.inf and clock.now() > until:
                     raise LinkTimeout(f"{self.name} was not over in time")
         except BaseException as error:
             self._execution.stand()

@@ -6,19 +6,19 @@ A link exchanges values once per tick. What a mission does with them is the same
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
 
+from linkcore import clock
 from linkcore.errors import BadValue
 
 from ..client import Variables, connect
 from ..errors import AccessDenied, WrongVariables
 from ..host.config import Element
-from ..host.plugin import Plugin
+from ..host.plugin import Plugin, check_methods
 from ..variables.database import Database, TimeStamp
 from ..variables.declarations import bind, create_variables
 from ..variables.value_types import wrapped
@@ -137,6 +137,8 @@ class PluginLink:
 
     def __init__(self, plugins: Iterable[Plugin], *, period: float = 0.01, is_realtime: bool = False) -> None:
         self._plugins = list(plugins)
+        for plugin in self._plugins:
+            check_methods(plugin)
         self.period = period
         self.writers = 1
         self.tick = 0
@@ -161,7 +163,7 @@ class PluginLink:
         self.write: dict[str, Sequence[int]] = {
             row.name: self.database.write.value(place).tolist() for place, row in enumerate(self.database.write)
         }
-        self._due = time.monotonic()
+        self._due = clock.now()
         self._is_closed = False
         self._call_plugins()
 
@@ -170,8 +172,8 @@ class PluginLink:
         if self._is_closed:
             raise BadValue(f"{self.name}: the link was closed")
         if not self.is_lockstep:
-            self._due = max(self._due + self.period, time.monotonic() - self.period)
-            time.sleep(max(self._due - time.monotonic(), 0.0))
+            self._due = max(self._due + self.period, clock.now() - self.period)
+            clock.sleep(self._due - clock.now())
         self.tick += 1
         micros = round(self.tick * self.period * 1e6)
         self._now = TimeStamp(micros // 1_000_000, micros % 1_000_000)

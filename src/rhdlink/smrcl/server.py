@@ -11,6 +11,7 @@ import math
 import os
 from collections.abc import Callable
 
+from linkcore import clock
 from linkcore.errors import BadValue, Closed
 from linkcore.net.loop import Connection, Handler, SelectorLoop
 from linkcore.threads import Runnable
@@ -173,7 +174,7 @@ class MissionServer(Runnable, WithCallbacks):
 
     def _leave(self) -> None:
         self.stop()
-        self._ended.wait(_CLOSE_TIMEOUT)
+        clock.wait(self._ended.wait, _CLOSE_TIMEOUT)
 
     def _serve(self) -> None:
         loop = self._loop

@@ -6,9 +6,9 @@ The answers are the names of RTDE, and the words of the dashboard or the Robot A
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Mapping
 
+from linkcore import clock
 from linkcore.errors import LinkError, PacketError
 from linkcore.net.dialogue import Dialogue
 from linkcore.net.http_client import HttpClient
@@ -59,11 +59,11 @@ def listen(robot: Robot, place: RobotAddress, book: Logbook, seconds: float) -> 
 
 def _wait(seconds: float) -> float:
     """Wait in short steps; the most by which this thread was woken late, s."""
-    until, worst = time.monotonic() + seconds, 0.0
-    while (left := until - time.monotonic()) > 0.0:
-        due = time.monotonic() + min(left, _STEP)
-        time.sleep(min(left, _STEP))
-        worst = max(worst, time.monotonic() - due)
+    until, worst = clock.now() + seconds, 0.0
+    while (left := until - clock.now()) > 0.0:
+        due = clock.now() + min(left, _STEP)
+        clock.sleep(min(left, _STEP))
+        worst = max(worst, clock.now() - due)
     return worst
 
 

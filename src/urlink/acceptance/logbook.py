@@ -11,7 +11,7 @@ import contextlib
 import itertools
 import json
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -31,12 +31,16 @@ class Logbook:
     Args:
         path: a file that does not exist yet.
         ports: name of each port of the controller -> its number.
+        noted: Called with the step of each note, unless the step has ended.
 
     Raises:
         BadRecording: the file exists, or cannot be made.
     """
 
-    def __init__(self, path: Path, ports: Mapping[str, int]) -> None:
+    def __init__(
+        self, path: Path, ports: Mapping[str, int], noted: Callable[[str], object] = lambda step: None
+    ) -> None:
+        self._noted = noted
         self._writer = RecordingWriter(path)
         self._names = {number: name for name, number in ports.items()}
         self._channels: dict[str, int] = {}
@@ -48,6 +52,8 @@ class Logbook:
     def note(self, step: str, **said: Any) -> None:
         """Write down that something was done, or answered. JSON can hold what is noted; NaN becomes null."""
         self._writer.write(Kind.BYTES, self._notes, Stamp.now(), strict_json({"step": step, **said}).encode())
+        if said.get("event") != "end":
+            self._noted(step)
 
     def __enter__(self) -> Logbook:
         self._witness.enter_context(witnessed(self._seen))

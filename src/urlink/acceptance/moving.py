@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 import os
 import subprocess
-import time
 from collections.abc import Callable
 from functools import partial
 
+from linkcore import clock
 from linkcore.errors import Cancelled, LinkError, LocalError
 from linkcore.handle import Motion
 
@@ -104,14 +104,14 @@ class _Wrist:
 
     def move(self) -> Told:
         self._robot.motion.move_joints(self._goal(), SPEED, _ACCELERATION).wait(_LONG)
-        time.sleep(0.3)
+        clock.sleep(0.3)
         return {"goal": self._goal()}
 
     def cancel(self) -> Told:
         motion = self._moving()
         self._book.note("cancel", event="told")
         motion.cancel()
-        time.sleep(1.0)
+        clock.sleep(1.0)
         return {}
 
     def follow(self, slider: float) -> Told:
@@ -119,7 +119,7 @@ class _Wrist:
         goals = [self._goal(0.0), self._goal(0.5), self._goal()]
         there = Trajectory.from_arrays([0.0, 0.5 * FOLLOWED, FOLLOWED], goals)
         self._robot.motion.follow(there, goal_tolerance=0.005).wait(FOLLOWED / slider + _LONG)
-        time.sleep(0.3)
+        clock.sleep(0.3)
         return {"goal": self._goal(), "slider": slider}
 
     def lag(self) -> Told:
@@ -135,7 +135,7 @@ class _Wrist:
         except LocalError as error:  # nothing of this firmware can be asked for it
             motion.cancel()
             return {"skipped": str(error)}
-        time.sleep(1.5)
+        clock.sleep(1.5)
         self._book.note("pause", event="undone")
         self._robot.dashboard.play()
         motion.wait(_LONG)
@@ -145,7 +145,7 @@ class _Wrist:
         motion = self._moving()
         self._book.note("slider-zero", event="told")
         self._robot.set_speed_slider(0.0, confirm=_SOON)
-        time.sleep(1.0)
+        clock.sleep(1.0)
         self._book.note("slider-zero", event="undone")
         self._robot.set_speed_slider(_SLOW, confirm=_SOON)
         motion.wait(_LONG)
@@ -155,11 +155,11 @@ class _Wrist:
         self._moving()
         self._book.note("stop", event="told")
         self._robot.motion.stop().wait(_SOON)
-        time.sleep(0.5)
+        clock.sleep(0.5)
         return {}
 
     def starved(self) -> Told:
-        return self._streamed("starved", lambda: time.sleep(1.0))
+        return self._streamed("starved", lambda: clock.sleep(1.0))
 
     def frozen(self, is_simulated_here: bool) -> Told:
         if is_simulated_here:
@@ -171,7 +171,7 @@ class _Wrist:
 
         def freeze() -> None:
             subprocess.run(["sh", "-c", script], check=True)
-            time.sleep(0.5)
+            clock.sleep(0.5)
 
         return self._streamed("frozen", freeze)
 
@@ -206,7 +206,7 @@ class _Wrist:
             ended = ""
         except SafetyStop as error:
             ended = str(error)
-        time.sleep(0.5)
+        clock.sleep(0.5)
         if not person.does("unlock"):
             raise Cancelled("nobody has unlocked the protective stop")
         self._robot.safety.wait_until_clear(_LONG)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from linkcore.errors import BadValue
+from linkcore.recording.file import Progress, unseen
 from linkcore.text import printable
 
 from .agreement import AGREEMENT
@@ -49,10 +50,14 @@ class Verdict:
     contradicts: tuple[str, ...] = ()
 
 
-def judge(evidence: Evidence, requirements: Mapping[str, Requirement]) -> list[Verdict]:
-    """The verdict of each requirement, in their order."""
+def judge(evidence: Evidence, requirements: Mapping[str, Requirement], progress: Progress = unseen) -> list[Verdict]:
+    """The verdict of each requirement, in their order; `progress` is called with the fraction that is done."""
     stages = {note.said["number"]: note.said for note in evidence.said("stage")}
-    return [_verdict(each, evidence, CHECKS[each.name], stages) for each in requirements.values()]
+    verdicts = []
+    for number, each in enumerate(requirements.values()):
+        progress(number / len(requirements))
+        verdicts.append(_verdict(each, evidence, CHECKS[each.name], stages))
+    return verdicts
 
 
 def _verdict(

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from linkcore import clock
 from linkcore.errors import BadValue, LinkError
 from linkcore.net.listener import local_address
 
@@ -32,6 +33,9 @@ STAGES: Mapping[int, str] = {
     "the dead man's input is on, somebody stands at the emergency stop",
 }
 
+#: Seconds that each stage usually takes; stage 0 also listens.
+_USUAL: Mapping[int, float] = {0: 1.0, 1: 10.0, 2: 56.0, 3: 62.0}
+
 
 def run(
     address: str,
@@ -43,6 +47,7 @@ def run(
     dead_man: int | None = None,
     seconds: float = 10.0,
     timeout: float = 5.0,
+    progress: Callable[[float, str], object] = lambda part, doing: None,
 ) -> tuple[str, ...]:
     """Run stages against a controller.
 
@@ -56,6 +61,7 @@ def run(
         dead_man: number of the digital input that is on while the arm may move in stages 2 and 3.
         seconds: for which stage 0 listens.
         timeout: s, for a connection to be made.
+        progress: Called at each step with the estimated fraction that is done, 0 to 1, and a description of the step.
 
     Returns:
         what in the logbook shows where this was: the addresses of both sides.
@@ -73,7 +79,7 @@ def run(
         controller, place = simulated(place)
         person = person or OfTheSimulator(controller)
     try:
-        with Logbook(path, place.ports) as book:
+        with Logbook(path, place.ports, _Pace(stages, seconds, progress).noted) as book:
             _about(book)
             with connect(str(place), timeout=timeout) as robot:
                 book.note("identity", said_so=robot.identity.said_so, **robot.identity.description())
@@ -92,6 +98,28 @@ def run(
     finally:
         if controller is not None:
             controller.close()
+
+
+class _Pace:
+    """Reports the progress of stages, according to how long each of them usually takes."""
+
+    def __init__(self, stages: Sequence[int], seconds: float, progress: Callable[[float, str], object]) -> None:
+        self._left = list(stages)
+        self._usual = {**_USUAL, 0: _USUAL[0] + seconds}
+        self._all = sum(self._usual[number] for number in stages)
+        self._progress = progress
+        self._stage: int | None = None
+        self._begun = 0.0
+
+    def noted(self, step: str) -> None:
+        """A step has begun; "stage" begins the next stage."""
+        if step == "stage" and self._left:
+            self._stage, self._begun = self._left.pop(0), clock.now()
+        if self._stage is None:
+            return
+        usual = self._usual[self._stage]
+        left = sum(self._usual[number] for number in self._left) + max(usual - clock.now() + self._begun, 0.0)
+        self._progress(1.0 - left / self._all, f"stage {self._stage}" + ("" if step == "stage" else f": {step}"))
 
 
 def _run_stage(number: int, begin: Callable[[], None], refused: str, book: Logbook) -> str:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from linkcore import clock
 from linkcore.errors import LinkError
 from linkcore.net.transport import TcpTransport
 
@@ -85,10 +85,10 @@ def _slider(robot: Robot) -> Told:
         return {"skipped": "this firmware does not show its slider"}
     before = slider_of(robot)
     wanted = before - _SLIDER if before > 2 * _SLIDER else before + _SLIDER
-    began = time.monotonic()
+    began = clock.now()
     try:
         robot.set_speed_slider(wanted, confirm=_SOON)
-        took = time.monotonic() - began
+        took = clock.now() - began
         shown = slider_of(robot)
     finally:
         robot.set_speed_slider(before, confirm=_SOON)
@@ -145,14 +145,14 @@ def _registers(robot: Robot) -> Told:
         stream.start()
         for number in range(1, _ECHOES + 1):
             value = 1000 + number
-            began = time.monotonic()
+            began = clock.now()
             inputs.send(**{name: value})
             try:
                 stream.wait_until(lambda state, value=value: getattr(state, name) == value, 1.0)  # type: ignore[misc]
             except LinkError as error:
                 wrong.append(f"{value}: {error}")
             else:
-                delays.append(time.monotonic() - began)
+                delays.append(clock.now() - began)
     return {"register": name, "delays": delays, "wrong": wrong}
 
 
@@ -166,14 +166,14 @@ def _claims(robot: Robot) -> Told:
             refused = ""
         except InputInUse as error:
             refused = str(error)
-    began = time.monotonic()
+    began = clock.now()
     freed = None
-    while freed is None and time.monotonic() < began + _SOON:
+    while freed is None and clock.now() < began + _SOON:
         try:
             robot.rtde.inputs(name).close()
-            freed = time.monotonic() - began
+            freed = clock.now() - began
         except InputInUse:
-            time.sleep(0.02)
+            clock.sleep(0.02)
     held = sorted(each for each, why in robot.rtde.who_holds().items() if why == "in use")
     return {"register": name, "refused": refused, "freed": freed, "held": held}
 
@@ -182,37 +182,37 @@ def _claims(robot: Robot) -> Told:
 
 
 def _compile_error(robot: Robot) -> Told:
-    began, told = time.monotonic(), ""
+    began, told = clock.now(), ""
     try:
         robot.script.run("def broken():\n  x = = 1\nend").wait(_LONG)
     except CompileError as error:
         told = str(error)
-    return {"told": told, "took": time.monotonic() - began}
+    return {"told": told, "took": clock.now() - began}
 
 
 def _sleep(robot: Robot) -> Told:
     source = f'def sleeps():\n  textmsg("{BEGIN} sleep")\n  sleep({SLEEP})\n  textmsg("{END} sleep")\nend'
-    began = time.monotonic()
+    began = clock.now()
     program = robot.script.run(source)
     program.wait(SLEEP + _LONG)
-    return {"took": time.monotonic() - began, "texts": program.texts}
+    return {"took": clock.now() - began, "texts": program.texts}
 
 
 def _stop(robot: Robot) -> Told:
     program = robot.script.run(f'def sleeps_long():\n  textmsg("{BEGIN} stop")\n  sleep(60)\nend')
     _until(lambda: f"{BEGIN} stop" in program.texts, _SOON)
-    began = time.monotonic()
+    began = clock.now()
     program.cancel()
     ended = _until(lambda: not robot.primary.of(RobotModeData).wait(_SOON).is_program_running, _SOON)
-    return {"took": time.monotonic() - began if ended else None}
+    return {"took": clock.now() - began if ended else None}
 
 
 def _until(condition: Callable[[], bool], seconds: float) -> bool:
-    until = time.monotonic() + seconds
+    until = clock.now() + seconds
     while not condition():
-        if time.monotonic() > until:
+        if clock.now() > until:
             return False
-        time.sleep(0.005)
+        clock.sleep(0.005)
     return True
 
 
@@ -230,10 +230,10 @@ def _reset(robot: Robot, place: RobotAddress) -> Told:
         began = _until(lambda: any(text == f"{BEGIN} reset" for text in texts), _SOON)
         transport.abort()
         ended = _until(lambda: any(text == f"{END} reset" for text in texts), _SOON)
-        at = time.monotonic()
+        at = clock.now()
         transport.open(_SOON)
         transport.receive(_SOON)
-        again = time.monotonic() - at
+        again = clock.now() - at
         transport.abort()
     return {"began": began, "ended": ended, "again": again}
 
@@ -243,7 +243,7 @@ def _silent(place: RobotAddress) -> Told:
     transport = TcpTransport(place.host, place.ports["realtime"], silence=_SOON)
     transport.open(_SOON)
     try:
-        time.sleep(_SILENT)
+        clock.sleep(_SILENT)
         data, _ = transport.receive(_SOON)
         return {"received": len(data), "closed": None}
     except LinkError as error:
@@ -257,11 +257,11 @@ def _local(robot: Robot, person: Person) -> Told:
         return {"skipped": "this generation has no local control that refuses programs"}
     if not person.does("local"):
         return {"skipped": "nobody has switched to local control"}
-    began = time.monotonic()
+    began = clock.now()
     try:
         robot.script.run(f'def in_local():\n  textmsg("{BEGIN} local")\nend').wait(_LONG)
         return {"refused": ""}
     except LinkError as error:
-        return {"refused": str(error), "took": time.monotonic() - began}
+        return {"refused": str(error), "took": clock.now() - began}
     finally:
         person.does("remote")

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import asyncio
 import functools
-import time
 from collections.abc import Callable, Coroutine, Generator
 from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any, Concatenate, Generic, ParamSpec, TypeVar, overload
 
+from linkcore import clock
 from linkcore.clock import Stamp
 from linkcore.errors import BadValue, LinkTimeout
 from linkcore.event_loop import Workers, ended, running_loop
@@ -228,7 +228,7 @@ class AwaitedRtde(RtdeTransport):
 
     async def connect(self, timeout: float) -> None:
         """Connect, request what the plan says, and wait for the first data package; see `RtdeTransport.open`."""
-        until = time.monotonic() + timeout
+        until = clock.now() + timeout
         await self._tcp.connect(timeout)
         dialogue = RtdeDialogue(self._plan)
         try:
@@ -236,10 +236,10 @@ class AwaitedRtde(RtdeTransport):
                 # The first bytes on a connection: the buffer of the kernel has room for them.
                 self._tcp.send(dialogue.protocol.requests(), 0.0)
                 try:
-                    dialogue.receive(*await self._tcp.receive_awaited(max(until - time.monotonic(), 0.001)))
+                    dialogue.receive(*await self._tcp.receive_awaited(max(until - clock.now(), 0.001)))
                 except LinkTimeout:
                     raise dialogue.unanswered(self.name, timeout) from None
-                if time.monotonic() > until and not dialogue.protocol.is_ready:
+                if clock.now() > until and not dialogue.protocol.is_ready:
                     raise dialogue.unanswered(self.name, timeout)
         except BaseException:
             self._tcp.abort()

@@ -5,9 +5,11 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
+from contextlib import ExitStack
 from pathlib import Path
 
 from linkcore.cli.options import argument, command, seconds
+from linkcore.cli.progress import ProgressBar
 from linkcore.errors import BadValue
 
 from ..acceptance import report, stages
@@ -48,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
     if (args.address is None) == (args.replay is None):
         args.usage_error("expected an address, or --replay and a bundle")
     if args.replay is not None:
-        return _page(Path(args.replay), args.html)
+        return _page(Path(args.replay), args)
     if args.yes and not args.stage:
         args.usage_error("--yes needs --stage: each stage is consented to by itself")
     if args.bundle is not None and Path(args.bundle).exists():
@@ -56,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
     with tempfile.TemporaryDirectory(prefix="urlink-accept-") as folder:
         bundle = Path(folder, "bundle.zip") if args.bundle is None else Path(args.bundle)
         _test(args, Path(folder, "logbook.urlog"), bundle)
-        return _page(bundle, args.html)
+        return _page(bundle, args)
 
 
 def _test(args: argparse.Namespace, logbook: Path, bundle: Path) -> None:
@@ -73,22 +75,29 @@ def _test(args: argparse.Namespace, logbook: Path, bundle: Path) -> None:
     numbers = args.stage or list(stages.STAGES)
     tell(f"testing {args.address}: stage {', '.join(map(str, numbers))}; Ctrl-C ends it")
     person = AtTheTerminal() if sys.stdin.isatty() and not is_simulated else None
-    secrets = stages.run(
-        args.address,
-        logbook,
-        numbers,
-        consent,
-        person=person,
-        dead_man=args.dead_man,
-        seconds=args.duration,
-        timeout=args.connect_timeout,
-    )
-    pack(logbook, bundle, wanted, site, secrets)
+    with ProgressBar(f"connecting to {args.address}", args.quiet) as progress:
+        secrets = stages.run(
+            args.address,
+            logbook,
+            numbers,
+            consent,
+            person=person,
+            dead_man=args.dead_man,
+            seconds=args.duration,
+            timeout=args.connect_timeout,
+            progress=progress,
+        )
+        progress.next("packing the evidence")
+        pack(logbook, bundle, wanted, site, secrets)
 
 
-def _page(path: Path, to: str | None) -> int:
-    with opened(path) as bundle:
-        verdicts = judge(bundle.evidence, bundle.requirements)
+def _page(path: Path, args: argparse.Namespace) -> int:
+    to = args.html
+    with ExitStack() as stack:
+        with ProgressBar("reading the evidence", args.quiet) as progress:
+            bundle = stack.enter_context(opened(path))
+            progress.next("judging the evidence")
+            verdicts = judge(bundle.evidence, bundle.requirements, progress)
         print(report.as_text(bundle.evidence, verdicts, bundle.site, bundle.digest))
         if to is not None:
             page = report.as_html(bundle.evidence, verdicts, bundle.site, bundle.digest)

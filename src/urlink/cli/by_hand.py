@@ -11,13 +11,14 @@ from collections.abc import Iterable, Iterator
 from typing import get_args
 
 from linkcore.cli.options import argument, command, seconds
+from linkcore.cli.progress import ProgressBar
 from linkcore.cli.terminal import Interruption
 from linkcore.errors import BadValue, LocalError
 
 from ..motion.jog import FULL_SPEED, FrameName, Jog
 from ..motion.teaching import Taught
-from ..robot import Robot, connect
-from .options import ADDRESS
+from ..robot import Robot
+from .options import ADDRESS, connected
 
 #: Keys that move each of the six one way, and the other way.
 _FORWARD, _BACKWARD = b"123456", b"qwerty"
@@ -74,7 +75,7 @@ def _jog(args: argparse.Namespace) -> int:
     with (
         _keys() as terminal,
         Interruption() as interruption,
-        connect(args.address, timeout=args.connect_timeout) as robot,
+        connected(args) as robot,
     ):
         hand = _Hand(robot, args.frame, args.speed, args.hold)
         while hand.goes_on and interruption.number is None:
@@ -185,18 +186,22 @@ def _teach(args: argparse.Namespace) -> int:
       urlink teach 192.168.56.101 pick.json --play --speed 0.3 --blend 0.02
     """
     known = Taught.load(args.file) if args.play else None
-    with Interruption() as interruption, connect(args.address, timeout=args.connect_timeout) as robot:
+    with Interruption() as interruption, connected(args) as robot:
         if known is not None:
-            _play(robot, known, args, interruption)
+            with ProgressBar(f"playing {args.file}", args.quiet) as progress:
+                _play(robot, known, args, interruption, progress)
         else:
             _keep(robot, args, interruption)
     return interruption.status
 
 
-def _play(robot: Robot, taught: Taught, args: argparse.Namespace, interruption: Interruption) -> None:
+def _play(
+    robot: Robot, taught: Taught, args: argparse.Namespace, interruption: Interruption, progress: ProgressBar
+) -> None:
     with taught.play(robot, speed=args.speed, blend=args.blend) as motion:
         segment = -1
         while not motion.done and not interruption.wait(0.05):
+            progress(motion.progress)
             if motion.segment != segment:
                 segment = motion.segment
                 print(f"to waypoint {segment + 1} of {len(taught)}", flush=True)

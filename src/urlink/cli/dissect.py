@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,8 +11,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from linkcore.cli.input_bytes import input_bytes, named, text_hint
 from linkcore.cli.options import argument, command, positive_int
-from linkcore.cli.terminal import ProgressBar
+from linkcore.cli.progress import ProgressBar
 from linkcore.errors import BadRecording, PacketError, WrongPeer
 from linkcore.recording.file import MAGIC, Kind, Progress, RecordingFile
 from linkcore.text import printable, strict_json
@@ -106,7 +106,7 @@ def _firmware(text: str) -> Firmware:
 @command(
     "dissect",
     "show the bytes of packets, field by field",
-    argument("file", metavar="FILE", help="raw bytes, or a recording"),
+    argument("file", metavar="FILE", help="raw bytes, hex text or a recording; - for stdin"),
     argument("--interface", choices=INTERFACES, help="interface that the bytes come from (guessed)"),
     argument("--firmware", type=_firmware, metavar="X.Y", help="firmware that sent them (guessed)"),
     argument("--count", type=positive_int, metavar="N", help="only the first N packets or stretches"),
@@ -115,9 +115,10 @@ def _firmware(text: str) -> Firmware:
 def run(args: argparse.Namespace) -> int:
     """Show every packet in a file, field by field: offset, bytes in hex, name, value, unit, meaning.
 
-    FILE holds raw bytes, as cut from a network capture, or is a recording. Robot states are shown sub-package
-    by sub-package. Bytes that no known layout explains are shown as `tail`, packets that cannot be decoded with
-    the reason. Bytes outside packets, and packets that are cut off, are shown too: nothing is hidden.
+    FILE holds raw bytes, as cut from a network capture, or hex digits, or is a recording; with - the bytes or hex
+    digits are read from stdin. Robot states are shown sub-package by sub-package. Bytes that no known layout explains
+    are shown as `tail`, packets that cannot be decoded with the reason. Bytes outside packets, and packets that are
+    cut off, are shown too: nothing is hidden.
 
     Offsets count from the beginning of the file's bytes; in a recording from the first byte of the connection.
     The layout of a packet is found from its size, unless --firmware is given.
@@ -126,10 +127,11 @@ def run(args: argparse.Namespace) -> int:
       urlink dissect packet.bin
       urlink dissect run.urlog --interface primary --count 1
       urlink dissect packet.bin --interface realtime --firmware 3.4 --json
+      echo '00 00 00 05 10' | urlink dissect - --interface primary
     """
     shown = read = 0
-    # On a terminal the printed packets show the progress.
-    with ProgressBar(f"dissecting {args.file}", args.quiet or sys.stdout.isatty()) as progress:
+    # On a terminal this is shown only while no packet is printed.
+    with ProgressBar(f"dissecting {args.file}", args.quiet) as progress:
         for number, piece in enumerate(_pieces(args, progress), 1):
             shown += 1
             read += bool(piece.rows)
@@ -140,12 +142,12 @@ def run(args: argparse.Namespace) -> int:
             if shown == args.count:
                 break
     if not shown:
-        raise BadRecording(f"{args.file} holds no bytes" + (f" of {args.interface}" if args.interface else ""))
+        raise BadRecording(f"{named(args.file)} holds no bytes" + (f" of {args.interface}" if args.interface else ""))
     return 0 if read else 1
 
 
 def _pieces(args: argparse.Namespace, progress: Progress) -> Iterator[PacketPiece]:
-    sources = list(_sources(Path(args.file), args.interface))
+    sources = list(_sources(args.file, args.interface))
     size = sum(len(data) for _, data in sources)
     done = 0
     for interface, data in sources:
@@ -155,18 +157,18 @@ def _pieces(args: argparse.Namespace, progress: Progress) -> Iterator[PacketPiec
         done += len(data)
 
 
-def _sources(path: Path, wanted: Interface | None) -> Iterator[tuple[Interface, bytes]]:
-    """The bytes in a file, connection by connection, and the interface that each came over."""
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise BadRecording(f"cannot read {path}: {error.strerror}") from error
+def _sources(name: str, wanted: Interface | None) -> Iterator[tuple[Interface, bytes]]:
+    """The bytes in a file or on stdin, connection by connection, and the interface that each came over."""
+    data = input_bytes(name)
     if data.startswith(MAGIC):
-        yield from _recorded(RecordingFile(path), wanted)
+        yield from _recorded(RecordingFile(Path(name)), wanted)
         return
     interface = wanted or guess_interface(data)
     if interface is None and data:
-        raise BadRecording(f"no packet of any interface is in {path}; with --interface its bytes are shown anyway")
+        raise BadRecording(
+            f"no packet of any interface is in {named(name)}; with --interface its bytes are shown anyway"
+            + text_hint(data)
+        )
     if interface is not None and data:
         yield interface, data
 

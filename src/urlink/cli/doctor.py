@@ -6,13 +6,14 @@ import argparse
 import itertools
 import math
 import statistics
-import time
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NamedTuple
 
+from linkcore import clock
 from linkcore.cli.options import argument, command, seconds
+from linkcore.cli.progress import ProgressBar
 from linkcore.errors import BadValue, ConnectFailed, LinkError, LinkTimeout, RemoteError
-from linkcore.net.transport import TcpTransport
+from linkcore.net.transport import TcpTransport, is_unknown_host
 from linkcore.streaming.stream import Stream
 from linkcore.text import printable, strict_json
 from linkcore.wire.cycles import Missing
@@ -71,28 +72,37 @@ def run(args: argparse.Namespace) -> int:
       urlink doctor 192.168.56.101 --json
     """
     is_bad = False
-    for finding in _findings(args.address, args.connect_timeout, args.duration):
-        if args.json:
-            print(strict_json(finding._asdict()), flush=True)
-        else:
-            remedy = f"; {finding.remedy}" if finding.remedy else ""
-            print(f"{finding.state:4}  {finding.topic:13}  {printable(finding.seen + remedy)}", flush=True)
-        is_bad |= finding.state == "BAD"
+    with ProgressBar(f"checking {args.address}", args.quiet) as progress:
+        for finding in _findings(args.address, args.connect_timeout, args.duration, progress):
+            if args.json:
+                print(strict_json(finding._asdict()), flush=True)
+            else:
+                remedy = f"; {finding.remedy}" if finding.remedy else ""
+                print(f"{finding.state:4}  {finding.topic:13}  {printable(finding.seen + remedy)}", flush=True)
+            is_bad |= finding.state == "BAD"
     return int(is_bad)
 
 
-def _findings(address: str, timeout: float, duration: float) -> Iterator[Finding]:
+def _findings(address: str, timeout: float, duration: float, progress: ProgressBar) -> Iterator[Finding]:
     place = parse_address(address)
     if isinstance(place, RecordingAddress):
         raise BadValue(f"{address} is a recording; doctor checks a controller that is running")
     yield _scheduling()
+    progress(text=f"connecting to {address}")
     if isinstance(place, SimulatorAddress):
         with connect(address, timeout=timeout) as robot:
             ports = dict(robot.controller.ports)
-            yield from _expected(_ports(RobotAddress(robot.controller.host, ports), timeout), robot)
-            yield from _of_robot(robot, duration)
+            yield from _expected(_ports(RobotAddress(robot.controller.host, ports), timeout, progress), robot)
+            yield from _of_robot(robot, duration, progress)
         return
-    open_ports = list(_ports(place, timeout))
+    try:
+        open_ports = list(_ports(place, timeout, progress))
+    except ConnectFailed as error:
+        remedy = "check the spelling and the network's name server, or use the IP address that the pendant shows"
+        reason = getattr(error.__cause__, "strerror", None) or error.__cause__
+        yield Finding("BAD", "host", f"{place.host} is unknown ({reason})", remedy)
+        return
+    progress(text=f"connecting to {address}")
     try:
         robot = connect(address, timeout=timeout)
     except RemoteError as error:
@@ -104,7 +114,7 @@ def _findings(address: str, timeout: float, duration: float) -> Iterator[Finding
         return
     with robot:
         yield from _expected(open_ports, robot)
-        yield from _of_robot(robot, duration)
+        yield from _of_robot(robot, duration, progress)
 
 
 def _expected(ports: Iterable[Finding], robot: Robot) -> Iterator[Finding]:
@@ -120,14 +130,19 @@ def _has_rtde(robot: Robot) -> bool:
     return OUTPUTS["timestamp"].is_in(robot.firmware)
 
 
-def _of_robot(robot: Robot, duration: float) -> Iterator[Finding]:
+def _of_robot(robot: Robot, duration: float, progress: ProgressBar) -> Iterator[Finding]:
     looks: list[Callable[[Robot], Iterator[Finding]]] = [_identity, _modes, _remote_control, _inputs]
     for look in looks:
+        progress(text=f"checking the {_topic(look)}")
         try:
             yield from look(robot)
         except LinkError as error:
-            yield Finding("look", look.__name__.strip("_").replace("_", " "), f"could not be checked: {error}")
-    yield from _packets(robot, duration)
+            yield Finding("look", _topic(look), f"could not be checked: {error}")
+    yield from _packets(robot, duration, progress)
+
+
+def _topic(look: Callable[[Robot], Iterator[Finding]]) -> str:
+    return look.__name__.strip("_").replace("_", " ")
 
 
 # -- this computer ---------------------------------------------------------------------------------
@@ -137,12 +152,12 @@ def _scheduling() -> Finding:
     """How late this computer wakes a thread that sleeps for 1 ms, which a loop at 500 Hz depends on."""
     late = []
     for _ in range(200):
-        due = time.monotonic() + 0.001
-        time.sleep(0.001)
-        late.append(time.monotonic() - due)
+        due = clock.now() + 0.001
+        clock.sleep(0.001)
+        late.append(clock.now() - due)
     worst, median = max(late), statistics.median(late)
     seen = f"woken {median * 1e3:.2f} ms late as a rule, {worst * 1e3:.2f} ms at worst (200 sleeps)"
-    if time.get_clock_info("monotonic").resolution > _LATE_OK:
+    if clock.RESOLUTION > _LATE_OK:
         return Finding("BAD", "computer", "its clock is coarser than 1 ms", "timing cannot be trusted here")
     if worst > _LATE_BAD:
         return Finding(
@@ -154,20 +169,28 @@ def _scheduling() -> Finding:
 # -- the network -----------------------------------------------------------------------------------
 
 
-def _ports(place: RobotAddress, timeout: float) -> Iterator[Finding]:
+def _ports(place: RobotAddress, timeout: float, progress: ProgressBar) -> Iterator[Finding]:
+    """Whether each port is open.
+
+    Raises:
+        ConnectFailed: If the host is unknown.
+    """
     for name, purpose in _PORTS.items():
         port = place.ports[name]
+        progress(text=f"connecting to port {port} ({name})")
         transport = TcpTransport(place.host, port, silence=timeout)
-        began = time.monotonic()
+        began = clock.now()
         try:
             transport.open(timeout)
         except LinkTimeout:
             yield Finding("BAD", f"port {port}", f"{name}: no answer", "a firewall, a wrong address, or no route")
         except ConnectFailed as error:
+            if is_unknown_host(error):
+                raise  # every port would report the same
             remedy = f"needed for {purpose}: is the service switched off (Settings, Security, Services)?"
             yield Finding("BAD", f"port {port}", f"{name}: {error}", remedy)
         else:
-            took = time.monotonic() - began
+            took = clock.now() - began
             yield Finding("ok", f"port {port}", f"{name}: open, {took * 1e3:.1f} ms to connect")
         finally:
             transport.abort()
@@ -238,13 +261,14 @@ def _inputs(robot: Robot) -> Iterator[Finding]:
         yield Finding("ok", "inputs", "no RTDE input is in use")
 
 
-def _packets(robot: Robot, duration: float) -> Iterator[Finding]:
+def _packets(robot: Robot, duration: float, progress: ProgressBar) -> Iterator[Finding]:
     looks: tuple[tuple[str, int, Stream[Any], type], ...] = (
         ("realtime", robot.firmware.rate, robot.realtime, RealtimeState),
         ("primary", 10, robot.primary, RobotState),
     )
     for name, rate, stream, kind in looks:
         before = stream.stats
+        progress(text=f"listening to {name} for {duration:g} s")
         try:
             with Tap(stream, kind) as tap:
                 arrivals = [packet.received.monotonic for packet in tap.packets(duration=duration)]

@@ -5,12 +5,13 @@ from __future__ import annotations
 import argparse
 import itertools
 import math
-import time
 from collections import deque
 from collections.abc import Callable
 from typing import Any, TypeGuard
 
+from linkcore import clock
 from linkcore.cli.options import DURATION, argument, command, positive_int, seconds
+from linkcore.cli.progress import ProgressBar
 from linkcore.errors import LinkTimeout
 from linkcore.streaming.statistics import StreamStatistics
 from linkcore.streaming.stream import Stream
@@ -21,9 +22,9 @@ from .. import packets
 from ..interfaces.primary.robot_state import RobotState
 from ..interfaces.realtime.packets import RealtimeState
 from ..ports import INTERFACES
-from ..robot import Robot, connect
+from ..robot import Robot
 from .glance import counted
-from .options import ADDRESS, Tap, interface_of
+from .options import ADDRESS, Tap, connected, interface_of
 from .values import NoSuchField, as_json, as_line, as_text, getter
 
 
@@ -79,7 +80,7 @@ def _echo(args: argparse.Namespace) -> int:
     """
     interface, kind = kind_of(args)
     show = shower(args, kind)
-    with connect(args.address, timeout=args.connect_timeout) as robot:
+    with connected(args) as robot:
         echo(robot, interface, kind, show, args)
     return 0
 
@@ -119,9 +120,14 @@ def echo(
     Raises:
         RemoteError: the stream could not be opened, gave up, or was silent for longer than `--timeout`.
     """
-    with Tap(getattr(robot, interface), kind) as tap:
-        for packet in itertools.islice(tap.packets(args.timeout), args.count):
+    # On a terminal this is shown only while no packet is printed.
+    with (
+        ProgressBar(f"waiting for {kind.__name__}", args.quiet) as progress,
+        Tap(getattr(robot, interface), kind) as tap,
+    ):
+        for number, packet in enumerate(itertools.islice(tap.packets(args.timeout), args.count), 1):
             print(show(packet), flush=True)  # line by line: the reader of a pipe gets each line at once
+            progress(number / (args.count or math.inf), f"{number} packets printed")
 
 
 @command(
@@ -136,10 +142,10 @@ def _hz(args: argparse.Namespace) -> int:
     """Measure how regularly states come, by the times at which their bytes arrived here.
 
     One line a second: the rate, the shortest, mean and longest period and its standard deviation over the
-    last --window periods, and what the stream has counted since the start; missed is what never came, by the
-    controller's own clock. States that arrive in one segment have a period of zero between them. On e-Series
-    the real-time interface sends 500 states a second, on CB2 and CB3 125, the primary and secondary interface
-    10.
+    last --window periods, and what the stream has counted since the start; missed is what never came, and
+    duplicates what came twice, by the controller's own clock. States that arrive in one segment have a period
+    of zero between them. On e-Series the real-time interface sends 500 states a second, on CB2 and CB3 125,
+    the primary and secondary interface 10.
 
     examples:
       urlink hz 192.168.56.101
@@ -147,13 +153,19 @@ def _hz(args: argparse.Namespace) -> int:
       urlink hz 192.168.56.101 --interface primary
     """
     kind = RealtimeState if args.interface == "realtime" else RobotState
-    with connect(args.address, timeout=args.connect_timeout) as robot:
-        measure(getattr(robot, args.interface), kind, args.window, args.duration)
+    with connected(args) as robot:
+        measure(getattr(robot, args.interface), kind, args.window, args.duration, quiet=args.quiet)
     return 0
 
 
 def measure(
-    stream: Stream[Any], kind: type[State], window: int, duration: float | None, count: int | None = None
+    stream: Stream[Any],
+    kind: type[State],
+    window: int,
+    duration: float | None,
+    count: int | None = None,
+    *,
+    quiet: bool = False,
 ) -> None:
     """Print a line each second, for `duration` seconds, `count` lines, or until the stream ends.
 
@@ -163,24 +175,26 @@ def measure(
     periods: deque[float] = deque(maxlen=window)
     last: float | None = None
     fresh = lines = 0
-    with Tap(stream, kind) as tap:
-        until = math.inf if duration is None else time.monotonic() + duration
-        due = min(time.monotonic() + 1.0, until)
+    with ProgressBar(f"measuring {stream.name}", quiet) as progress, Tap(stream, kind) as tap:
+        begun = clock.now()
+        until = math.inf if duration is None else clock.now() + duration
+        due = min(clock.now() + 1.0, until)
         is_over = False
         while not is_over:
-            packets = tap.take(max(due - time.monotonic(), 0.0))
+            packets = tap.take(clock.left(due))
             for packet in packets or ():
                 arrived = packet.received.monotonic
                 if last is not None:
                     periods.append(arrived - last)
                 last = arrived
                 fresh += 1
-            now = time.monotonic()
+            now = clock.now()
             is_over = packets is None or now >= until
             if now >= due or is_over:
                 print(line(periods, fresh, stream.stats), flush=True)
                 due, fresh, lines = min(due + 1.0, until), 0, lines + 1
                 is_over = is_over or lines == count
+                progress(max((now - begun) / (duration or math.inf), lines / (count or math.inf)))
     if last is None:
         raise LinkTimeout(f"{stream.name}: no state came")
 

@@ -279,8 +279,11 @@ def line(glance: Glance, clock: str) -> str:
 
 def counted(stats: StreamStatistics) -> str:
     """What a stream has counted, short; "-" where packets have no clock by which one can be missed."""
-    missed = "-" if stats.missed is None else stats.missed
-    return f"received {stats.received} missed {missed} failed {stats.failed} reconnects {stats.reconnects}"
+    missed, duplicates = ("-" if each is None else each for each in (stats.missed, stats.duplicates))
+    return (
+        f"received {stats.received} missed {missed} duplicates {duplicates} failed {stats.failed} "
+        f"reconnects {stats.reconnects}"
+    )
 
 
 def age_text(seconds: float) -> str:

@@ -12,14 +12,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from linkcore.cli.options import argument, command, seconds
+from linkcore.cli.progress import ProgressBar
 
-from ..robot import connect
-from .options import ADDRESS, agrees, tell
+from .options import ADDRESS, agrees, connected, tell
 
 if TYPE_CHECKING:
     from ..arm_file import ArmFile, Estimate
-    from ..identification.exercise import Exercise
+    from ..identification.exercise import Exercise, Guard
     from ..identification.samples import Samples
+    from ..robot import Robot
 
 
 def _degrees(text: str) -> float:
@@ -51,9 +52,9 @@ def _exercise(args: argparse.Namespace) -> int:
       urlink exercise 192.168.56.101 --out run.urlog --dead-man 0
       urlink exercise 'sim://ur5e?like=arm.json' --out run.urlog --swing 20
     """
-    from ..identification.exercise import BESIDE, Guard, exercise, input_is_on, plan_from_here, slider_of
+    from ..identification.exercise import BESIDE, Guard, input_is_on, plan_from_here, slider_of
 
-    with connect(args.address, timeout=args.connect_timeout) as robot:
+    with connected(args) as robot:
         planned = plan_from_here(robot, math.radians(args.swing))
         slider = slider_of(robot)
         print(_box_text(str(robot.model), planned, slider), flush=True)
@@ -65,10 +66,23 @@ def _exercise(args: argparse.Namespace) -> int:
                 return 1
         guard = Guard(robot, planned.swing + BESIDE, *(() if args.dead_man is None else (input_is_on(args.dead_man),)))
         with contextlib.nullcontext() if args.out is None else robot.record(args.out, ["realtime"]):
-            exercise(robot, planned, guard, lambda number: tell(f"movement {number + 1} of {len(planned.legs)}"))
+            _move(robot, planned, guard, args.quiet)
     if args.out is not None:
         tell(f"urlink identify {args.out} --out arm.json says what it tells")
     return 0
+
+
+def _move(robot: Robot, planned: Exercise, guard: Guard, quiet: bool) -> None:
+    """Move, and show the progress."""
+    from ..identification.exercise import exercise
+
+    with ProgressBar("exercise", quiet) as progress:
+
+        def began(number: int) -> None:
+            done = sum(leg.seconds + leg.rest for leg in planned.legs[:number])
+            progress(done / planned.seconds, f"movement {number + 1} of {len(planned.legs)}")
+
+        exercise(robot, planned, guard, began)
 
 
 def _box_text(model: str, planned: Exercise, slider: float) -> str:
@@ -110,14 +124,17 @@ def _compare(args: argparse.Namespace) -> int:
     from ..identification import identify
     from ..identification.comparison import QUANTITIES, compare
 
-    samples = _samples(args.recording)
-    if args.like is not None:
-        like = read_arm_file(args.like)
-    else:
-        # The geometry alone: the rest is that of the model.
-        found = identify(samples, args.model)
-        like = ArmFile(found.model, {}, found.calibration, found.tcp)
-    difference = compare(samples, like)
+    with ProgressBar(f"reading {args.recording}", args.quiet) as progress:
+        samples = _samples(args.recording, progress)
+        if args.like is not None:
+            like = read_arm_file(args.like)
+        else:
+            # The geometry alone: the rest is that of the model.
+            progress.next("identifying the geometry of the arm")
+            found = identify(samples, args.model)
+            like = ArmFile(found.model, {}, found.calibration, found.tcp)
+        progress.next("running the movements on the simulator")
+        difference = compare(samples, like, progress)
     begin, worst = float(samples["timestamp"][0]), 0.0
     for each in difference.movements:
         at = f"{float(samples['timestamp'][each.begin]) - begin:8.2f} s"
@@ -155,7 +172,10 @@ def _identify(args: argparse.Namespace) -> int:
     """
     from ..identification import identify
 
-    found = identify(_samples(args.recording), args.model)
+    with ProgressBar(f"reading {args.recording}", args.quiet) as progress:
+        samples = _samples(args.recording, progress)
+        progress.next("identifying the arm")
+        found = identify(samples, args.model)
     if args.out is not None:
         found.write(args.out)
         tell(f"sim://{found.model.lower().replace(' ', '')}?like={args.out} is this arm")
@@ -164,13 +184,13 @@ def _identify(args: argparse.Namespace) -> int:
     return 0
 
 
-def _samples(path: Path) -> Samples:
+def _samples(path: Path, progress: ProgressBar) -> Samples:
     """Of a recording, a table, or the recording in a bundle."""
     from ..acceptance.bundle import recording_in
     from ..identification.samples import read_samples
 
     with recording_in(path) as recording:
-        return read_samples(recording)
+        return read_samples(recording, progress)
 
 
 def _objects(found: ArmFile) -> Sequence[str]:

@@ -7,14 +7,15 @@ import textwrap
 from typing import Any
 
 from linkcore.cli.options import argument, command
+from linkcore.cli.progress import ProgressBar
 from linkcore.text import printable, strict_json
 
 from ..address import RecordingAddress, RobotAddress, SimulatorAddress, parse_address
 from ..data.recording import load
 from ..firmware import release_of
 from ..interfaces.primary.robot_state import SUB_PACKAGES
-from ..robot import Robot, connect
-from .options import ADDRESS
+from ..robot import Robot
+from .options import ADDRESS, connected
 
 
 @command(
@@ -32,8 +33,8 @@ def run(args: argparse.Namespace) -> int:
       urlink info 'sim://ur10?firmware=3.4'
       urlink info replay:///tmp/run.urlog --json
     """
-    with connect(args.address, timeout=args.connect_timeout) as robot:
-        answer = _facts(robot)
+    with connected(args) as robot:
+        answer = _facts(robot, args.quiet)
     if args.json:
         print(strict_json(answer))
         return 0
@@ -56,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _facts(robot: Robot) -> dict[str, Any]:
+def _facts(robot: Robot, quiet: bool) -> dict[str, Any]:
     identity = robot.identity
     release = release_of(identity.firmware)
     return {
@@ -74,14 +75,17 @@ def _facts(robot: Robot) -> dict[str, Any]:
             "sub_packages": {_name(kind, size): size for kind, size in release.state.items()},
         },
         "ports": _ports(robot),
-        "missing": _missing(robot),
+        "missing": _missing(robot, quiet),
     }
 
 
-def _missing(robot: Robot) -> tuple[str, ...]:
+def _missing(robot: Robot, quiet: bool) -> tuple[str, ...]:
     """What a recording lacks; nothing of a controller, which has not been listened to."""
     place = parse_address(robot.address)
-    return load(place.path).missing if isinstance(place, RecordingAddress) else ()
+    if not isinstance(place, RecordingAddress):
+        return ()
+    with ProgressBar(f"reading {place.path}", quiet) as progress:
+        return load(place.path, progress=progress).missing
 
 
 def _name(kind: int, size: int) -> str:

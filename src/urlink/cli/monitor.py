@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import shlex
 import threading
 import time
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
+from linkcore import clock
 from linkcore.cli.options import DURATION, argument, command
+from linkcore.cli.progress import ProgressBar
 from linkcore.cli.terminal import Interruption, drawing
 from linkcore.errors import LinkError, LinkTimeout
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
@@ -17,9 +20,9 @@ from linkcore.streaming.stream import Stream
 
 from ..address import RecordingAddress, SimulatorAddress, parse_address
 from ..interfaces.primary.robot_message import RobotMessage, UnnamedMessage12, VersionMessage
-from ..robot import Robot, connect
-from .glance import Glance, Reading, StreamStatus, line, read, status_of
-from .options import ADDRESS, interface_of, tell
+from ..robot import Robot
+from .glance import Glance, Reading, StreamStatus, counted, line, read, status_of
+from .options import ADDRESS, connected, interface_of, tell
 from .values import as_text
 
 if TYPE_CHECKING:
@@ -32,26 +35,29 @@ if TYPE_CHECKING:
     *ADDRESS,
     interface_of(("realtime", "primary")),
     DURATION,
-    argument("--plain", action="store_true", help="plain lines, one a second, also on a terminal"),
+    argument("--plain", action="store_true", help="print one line per second, even on a terminal"),
 )
 def run(args: argparse.Namespace) -> int:
     """Watch a robot: joints, tool, modes, inputs and outputs, and how regularly its data arrives.
 
     On a terminal the view is drawn ten times a second; elsewhere it is one line a second, as with --plain. It
-    says SLOW where less than 95 % of the states that the controller sends arrive, and counts as missed what
-    never came by the controller's own clock. When the connection is lost the view says LOST, shows the last
-    values as old, and goes on as soon as the controller is back. The real-time interface shows tool speed and
-    force 125 or 500 times a second; the primary interface ten times a second, with the analogue signals and
-    the messages of the controller.
+    shows SLOW if less than 95 % of the controller's states arrive. `missed` counts states that never arrived,
+    and `duplicates` those that arrived twice, based on the controller's clock. When the connection is lost, the
+    view shows LOST and the last values as old, and continues when the controller is back. The real-time
+    interface shows tool speed and force 125 or 500 times a second; the primary interface ten times a second,
+    with the analogue signals and the messages of the controller. At the end a summary and a next step are
+    printed on stderr.
 
     examples:
       urlink monitor 192.168.56.101
       urlink monitor 'sim://ur10?firmware=3.4' --interface primary
       urlink monitor 'replay:///tmp/run.urlog?rate=2' --plain
     """
-    with connect(with_motion(args.address), timeout=args.connect_timeout) as robot:
+    with connected(args, with_motion(args.address)) as robot:
         glances = watch(robot, args.interface)
-        next(glances)  # connects: an error is printed before anything is drawn
+        with ProgressBar(f"connecting to {args.address}", args.quiet):
+            next(glances)  # connects: an error is printed before anything is drawn
+        begun = clock.now()
         with Interruption(args.duration) as interruption, drawing(args.plain, tell, _line, _picture) as (draw, pause):
             _await_first(glances, interruption)
             while True:
@@ -68,7 +74,28 @@ def run(args: argparse.Namespace) -> int:
                 + ("" if args.duration is None else f" within {args.duration:g} s")
                 + ("" if glance.trouble is None else f" ({glance.trouble})")
             )
+        tell(summary(glance, clock.now() - begun))
+        tell(next_step(glance, args.address))
     return interruption.status
+
+
+def summary(glance: Glance, seconds: float) -> str:
+    """What the monitor has received within so many seconds, as a line."""
+    stats = glance.stats
+    rate = f", {stats.received / seconds:.1f} Hz on average" if seconds >= 1.0 else ""
+    longest = f", longest gap {stats.longest_gap:.3f} s" if stats.gaps else ""
+    return f"watched for {seconds:.1f} s{rate}; {counted(stats)}{longest}"
+
+
+def next_step(glance: Glance, address: str) -> str:
+    """A command that continues from what the monitor has shown, and what the command does."""
+    place, quoted = parse_address(address), shlex.quote(address)
+    if isinstance(place, RecordingAddress):
+        return f"next: urlink replay {shlex.quote(str(place.path))} summarises the recording"
+    is_regular = glance.status is StreamStatus.CONNECTED and not glance.stats.missed and not glance.stats.reconnects
+    if not is_regular:
+        return f"next: urlink doctor {quoted} looks for the cause of missing states"
+    return f"next: urlink record {quoted} run.urlog records what the robot sends"
 
 
 def with_motion(address: str) -> str:
@@ -81,8 +108,8 @@ def with_motion(address: str) -> str:
 
 def _await_first(glances: Iterator[Glance], interruption: Interruption) -> None:
     """Wait briefly for the first state, so that the first picture has values."""
-    deadline = time.monotonic() + 0.5
-    while time.monotonic() < deadline:
+    deadline = clock.now() + 0.5
+    while clock.now() < deadline:
         glance = next(glances)
         if glance.reading is not None or glance.status is StreamStatus.ENDED or interruption.wait(0.01):
             break
@@ -115,7 +142,7 @@ def watch(robot: Robot, interface: str) -> Iterator[Glance]:
         stream.subscribe(on_message, RobotMessage)
     stream.subscribe(on_connection, ConnectionEvent)
     reading: Reading | None = None
-    since, counted = time.monotonic(), 0
+    since, counted = clock.now(), 0
     while True:
         if stream.failure is not None:
             raise stream.failure
@@ -124,9 +151,9 @@ def watch(robot: Robot, interface: str) -> Iterator[Glance]:
             reading = read(state)
         stats = stream.stats
         if connection is not ConnectionState.CONNECTED or stats.reconnects != counted:
-            since, counted = time.monotonic(), stats.reconnects
+            since, counted = clock.now(), stats.reconnects
         # Less than a second is too short to measure a rate.
-        rate = stats.rate if time.monotonic() - since > 1.1 else None
+        rate = stats.rate if clock.now() - since > 1.1 else None
         yield Glance(
             robot=identity.after(stats.reconnects),
             address=f"{robot.address} {interface}",

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import argparse
 import math
 import sys
-import time
 from collections.abc import Iterator, Sequence
 from typing import Any, Literal
 
+from linkcore import clock
 from linkcore.cli.options import Row, argument, seconds
+from linkcore.cli.progress import ProgressBar
 from linkcore.errors import LinkTimeout
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from linkcore.streaming.packet_queue import drop_oldest
 from linkcore.streaming.stream import Stream
 from linkcore.text import printable
 from linkcore.wire.cycles import Missing
+
+from ..robot import Robot, connect
 
 _ADDRESS = "a host (192.168.56.101, ur://host?primary=40001), sim://, sim://ur10?firmware=3.4, or replay:///file"
 
@@ -40,6 +44,22 @@ def interface_of(choices: Sequence[str]) -> Row:
 
 #: Packets that are queued at most: half a minute of the fastest interface.
 _ROOM = 16384
+
+
+def connected(args: argparse.Namespace, address: str | None = None, **how: Any) -> Robot:
+    """Connect to a robot, and show the progress.
+
+    Args:
+        args: The arguments of a command that takes `ADDRESS`.
+        address: Address of the robot; None for the one in `args`.
+        how: Further arguments of `connect`.
+
+    Raises:
+        LinkError: See `connect`.
+    """
+    address = args.address if address is None else address
+    with ProgressBar(f"connecting to {address}", args.quiet):
+        return connect(address, timeout=args.connect_timeout, **how)
 
 
 def tell(text: str) -> None:
@@ -89,8 +109,8 @@ class Tap:
             LinkTimeout: none came for `silence` seconds.
             RemoteError: the stream gave up.
         """
-        until = math.inf if duration is None else time.monotonic() + duration
-        while (left := until - time.monotonic()) > 0.0:
+        until = math.inf if duration is None else clock.now() + duration
+        while (left := until - clock.now()) > 0.0:
             is_last = left < (math.inf if silence is None else silence)
             packets = self.take(left if is_last else silence)
             if packets is None:
@@ -115,6 +135,8 @@ class Tap:
         if stats.missed:
             missing = Missing(stats.missed, stats.gaps, stats.longest_gap)
             tell(f"{missing.text(stats.received)} by the clock of the controller, which did not send them")
+        if stats.duplicates:
+            tell(f"{stats.duplicates} packets arrived twice, by the clock of the controller")
         if stats.skipped:
             tell(f"{stats.skipped} bytes belonged to no packet")
 

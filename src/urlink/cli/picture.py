@@ -90,6 +90,7 @@ class Picture:
         text.append("received ", _LABEL).append(f"{stats.received}")
         losses = (
             ("missed", stats.missed or 0),
+            ("duplicates", stats.duplicates or 0),
             ("failed", stats.failed),
             ("reconnects", stats.reconnects),
             ("skipped", stats.skipped),

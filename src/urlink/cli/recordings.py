@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from linkcore import clock
 from linkcore.cli.options import (
     DURATION,
     RECORDING,
@@ -21,7 +20,8 @@ from linkcore.cli.options import (
     positive_int,
     positive_number,
 )
-from linkcore.cli.terminal import Interruption, ProgressBar
+from linkcore.cli.progress import ProgressBar
+from linkcore.cli.terminal import Interruption
 from linkcore.recording.file import Kind, RecordingFile
 from linkcore.streaming.connection_life import ConnectionState
 from linkcore.streaming.stream import Stream
@@ -31,7 +31,7 @@ from linkcore.wire.packet import State
 from ..ports import INTERFACES
 from ..robot import connect
 from .echo import PRINTED, echo, kind_of, shower
-from .options import ADDRESS, tell
+from .options import ADDRESS, connected, tell
 from .summary import RecordingSummary, summarise
 
 
@@ -65,15 +65,15 @@ def _record(args: argparse.Namespace) -> int:
     """
     interfaces = list(dict.fromkeys(args.interface or ("realtime", "primary")))
     longest, most = args.duration or math.inf, args.count or math.inf
-    with connect(args.address, timeout=args.connect_timeout) as robot, Interruption() as interruption:
+    with connected(args) as robot, Interruption() as interruption:
         streams = [getattr(robot, name) for name in interfaces]
         with robot.record(args.file, interfaces), ProgressBar("recording", args.quiet) as progress:
             tell(f"recording {' and '.join(interfaces)} of {args.address} into {args.file}; Ctrl-C ends it")
-            begin = time.monotonic()
+            begin = clock.now()
             interruption.end_after(args.duration)
             while not interruption.wait(0.05):
                 fewest = min(stream.stats.received for stream in streams)
-                progress(max((time.monotonic() - begin) / longest, fewest / most))
+                progress(max((clock.now() - begin) / longest, fewest / most), f"recording, {fewest} packets")
                 if fewest >= most:
                     break
                 for stream in streams:
@@ -137,9 +137,8 @@ def _replay(args: argparse.Namespace) -> int:
         recording = RecordingFile(args.file, progress)
     number = recording.channel(interface)  # raises at once, and names the interfaces that there are
     address = f"replay://{quote(str(Path(args.file).absolute()))}?rate={args.rate}"
-    # On a terminal the printed packets show the progress.
-    with connect(address) as robot, ProgressBar("playing", args.quiet or sys.stdout.isatty()) as progress:
-        if progress.is_shown:
+    with connect(address) as robot, ProgressBar(f"playing {args.file}", args.quiet) as progress:
+        if not args.quiet:
             show = _drawing(show, progress, getattr(robot, interface), _size(recording, number))
         echo(robot, interface, kind, show, args)
     return 0
@@ -208,10 +207,13 @@ def _plot(args: argparse.Namespace) -> int:
         recording = load(args.file, progress=progress)
         plot = recording.plot(*args.fields, start=args.start, end=args.end)
         missing = recording.missing
+        if args.output is not None:
+            progress.next(f"drawing {args.output}")
+            plot.save(args.output)
     for each in missing:
         tell(f"missing: {each}")
     if args.output is None:
         plot.show()
     else:
-        print(plot.save(args.output))
+        print(args.output)
     return 0

@@ -6,20 +6,23 @@ import argparse
 import csv
 import io
 import itertools
+import math
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from typing import Any
 
+from linkcore import clock
 from linkcore.cli.options import DURATION, argument, command, one_of, positive_int, seconds
+from linkcore.cli.progress import ProgressBar
 from linkcore.errors import BadValue
 from linkcore.text import strict_json
 from linkcore.wire.packet import State, plain
 
 from ..interfaces.rtde.recipes import Outputs
-from ..robot import Robot, connect
+from ..robot import Robot
 from ..rtde import INPUTS, OUTPUTS, OutputStream, Variable
 from .echo import measure
-from .options import ADDRESS, Tap, tell
+from .options import ADDRESS, Tap, connected, tell
 from .values import as_json, as_text
 
 
@@ -37,7 +40,7 @@ from .values import as_json, as_text
     ),
     argument("--list", action="store_true", help="print what this controller has, and end"),
     argument("--frequency", type=float, metavar="HZ", help="packages a second (as many as it sends)"),
-    argument("--leave-out", action="store_true", help="leave out variables that it does not have"),
+    argument("--leave-out", action="store_true", help="skip variables that the controller does not have"),
     one_of(
         argument("--json", action="store_true", help="one JSON object a line; NaN and infinities are null"),
         argument("--csv", action="store_true", help="a header line, then one line each; a column for each number"),
@@ -67,15 +70,16 @@ def run(args: argparse.Namespace) -> int:
     """
     if args.list and args.duration is not None:
         args.usage_error("--list ends by itself; it takes no --duration")
-    with connect(args.address, timeout=args.connect_timeout) as robot:
+    with connected(args) as robot:
         if args.list:
-            _list(robot)
+            with ProgressBar("checking every variable", args.quiet):
+                _list(robot)
             return 0
         missing: Any = "leave_out" if args.leave_out else "error"
         stream: OutputStream[Any] = robot.rtde.outputs(*args.names, frequency=args.frequency, missing=missing)
         with nullcontext() if args.record is None else robot.record(args.record, [stream]):
             if args.hz:
-                measure(stream, Outputs, 1000, args.duration, args.count)
+                measure(stream, Outputs, 1000, args.duration, args.count, quiet=args.quiet)
             else:
                 _print(stream, args)
     return 0
@@ -83,12 +87,18 @@ def run(args: argparse.Namespace) -> int:
 
 def _print(stream: OutputStream[Any], args: argparse.Namespace) -> None:
     names = args.names or list(stream.names)
-    with Tap(stream, Outputs) as tap:  # connects; a recording starts when there is a subscriber
+    # On a terminal this is shown only while no package is printed. `Tap` connects; a recording starts when there is a
+    # subscriber.
+    with ProgressBar("waiting for RTDE", args.quiet) as progress, Tap(stream, Outputs) as tap:
         if stream.left_out:
             tell(f"this controller does not have {', '.join(stream.left_out)}")
         show = _as_json if args.json else _csv_of(stream, names) if args.csv else _as_line(names)
-        for packet in itertools.islice(tap.packets(args.timeout, args.duration), args.count):
+        begun = clock.now()
+        packets = itertools.islice(tap.packets(args.timeout, args.duration), args.count)
+        for number, packet in enumerate(packets, 1):
             print(show(packet), flush=True)
+            by_time = (clock.now() - begun) / (args.duration or math.inf)
+            progress(max(by_time, number / (args.count or math.inf)), f"{number} packages printed")
 
 
 def _as_json(packet: State) -> str:

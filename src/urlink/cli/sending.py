@@ -7,14 +7,15 @@ import sys
 from pathlib import Path
 
 from linkcore.cli.options import argument, command, seconds
+from linkcore.cli.progress import ProgressBar
 from linkcore.cli.terminal import Interruption
 from linkcore.errors import BadValue, LinkError, LinkTimeout, LocalError
 from linkcore.text import printable
 
 from ..errors import ScriptError
 from ..interfaces.dashboard.commands import COMMANDS, COULD_NOT_UNDERSTAND
-from ..robot import Robot, connect
-from .options import ADDRESS, tell
+from ..robot import Robot
+from .options import ADDRESS, connected, tell
 
 #: Seconds to wait for a program that is being stopped.
 _STOPPING = 5.0
@@ -40,7 +41,11 @@ def _run(args: argparse.Namespace) -> int:
       urlink run sim:// pick.script --timeout 30
     """
     source = _read(args.file)
-    with Interruption() as interruption, connect(args.address, timeout=args.connect_timeout) as robot:
+    with (
+        Interruption() as interruption,
+        connected(args) as robot,
+        ProgressBar(f"running {args.file}", args.quiet),
+    ):
         try:
             program = robot.script.run(source, on_text=_show)
         except BadValue as error:
@@ -115,7 +120,7 @@ def _dashboard(args: argparse.Namespace) -> int:
     command = " ".join(args.command)
     if not command.strip():
         raise LocalError("an empty command")
-    with connect(args.address, timeout=args.connect_timeout) as robot:
+    with connected(args) as robot, ProgressBar(f"waiting for {command!r}", args.quiet):
         if command == "start":
             robot.dashboard.start(*([] if args.timeout is None else [args.timeout]))
             print("the arm runs")

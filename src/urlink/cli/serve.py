@@ -10,13 +10,14 @@ from collections.abc import Iterable, Mapping
 from typing import Protocol, get_args
 
 from linkcore.cli.options import DURATION, argument, command, seconds
+from linkcore.cli.progress import ProgressBar
 from linkcore.cli.terminal import Interruption
 from linkcore.errors import BadAddress, LocalError
 
 from ..address import RobotAddress, SimulatorAddress, parse_address
 from ..commanding.interlock import Policy
-from ..robot import Robot, connect
-from .options import CONNECT_TIMEOUT, tell
+from ..robot import Robot
+from .options import CONNECT_TIMEOUT, connected, tell
 
 #: The group of entry points in which a distribution names its adapter.
 GROUP = "urlink.serve"
@@ -104,7 +105,7 @@ def run(args: argparse.Namespace) -> int:
     for row in _OPTIONS:
         row(parser)
     adapter.add_arguments(parser)
-    options = parser.parse_args(args.rest)
+    options = parser.parse_args(args.rest, argparse.Namespace(quiet=args.quiet))
     try:
         addresses = named(options.addresses)
     except BadAddress as error:
@@ -112,16 +113,17 @@ def run(args: argparse.Namespace) -> int:
     with Interruption() as interruption, contextlib.ExitStack() as stack:
         robots = {
             name: stack.enter_context(
-                connect(
+                connected(
+                    options,
                     address,
-                    timeout=options.connect_timeout,
                     read_only=options.read_only,
                     require_enable=options.require_enable,
                 )
             )
             for name, address in addresses.items()
         }
-        stack.enter_context(adapter.serve(robots, options))
+        with ProgressBar(f"starting {args.kind}", args.quiet):
+            stack.enter_context(adapter.serve(robots, options))
         interruption.end_after(options.duration)
         for name, robot in robots.items():
             tell(f"{name}: {robot.model or 'an arm'}, firmware {robot.firmware}, at {robot.address}")

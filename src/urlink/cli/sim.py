@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import get_args
 
 from linkcore.cli.options import DURATION, argument, command
+from linkcore.cli.progress import ProgressBar
 from linkcore.cli.terminal import Interruption
 
 from ..address import Motion
@@ -15,6 +16,13 @@ from .options import tell
 #: rad. The joints of URSim when it starts, as the vendor's integration tests find them.
 _URSIM_POSTURE = (-1.6, -1.72, -2.2, -0.8, 1.6, 0.03)
 _URSIM_PROGRAM = "Default program"
+#: The programs of URSim as the vendor's tests start it. The second one has no ending on PolyScope X.
+_URSIM_FILES = {
+    _URSIM_PROGRAM: "def Default_program():\nend\n",
+    **dict.fromkeys(
+        ("wait_program.urp", "wait_program"), "def wait_program():\n  while True:\n    sleep(1)\n  end\nend\n"
+    ),
+}
 
 
 def _faults() -> str:
@@ -84,7 +92,8 @@ def run(args: argparse.Namespace) -> int:
     hundred clients, in the wire format of the firmware. The arm stands still, or with --motion demo moves slowly
     about a home posture, until a program is sent, which it then runs. With --ports standard it has the ports of a
     real controller, where other programs expect them. --like ursim makes it begin as URSim, the vendor's simulator,
-    does: in URSim's posture, in local control, and with "Default program" loaded.
+    does: in URSim's posture, with "Default program" loaded and wait_program.urp in /ursim/programs. It is not in remote
+    control, but accepts commands all the same, unless --local-control is given.
 
     Faults happen at their time, in seconds from the start, as NAME[=ARGUMENT]@SECONDS:
 
@@ -101,19 +110,22 @@ def run(args: argparse.Namespace) -> int:
     faults = [parse_fault(text) for text in args.fault]
     posture, files = HOME, dict(args.program)
     if args.like == "ursim":
-        posture, files = _URSIM_POSTURE, {_URSIM_PROGRAM: f"def {_URSIM_PROGRAM.replace(' ', '_')}():\nend\n", **files}
-    controller = Controller(
-        args.model,
-        args.firmware,
-        host=args.host,
-        ports=args.ports,
-        files=files,
-        motion=Demonstration(posture) if args.motion == "demo" else Still(posture),
-        noise=args.noise == "on",
-        scene=args.scene,
-    )
+        posture, files = _URSIM_POSTURE, {**_URSIM_FILES, **files}
+    with ProgressBar("starting the simulator", args.quiet):
+        controller = Controller(
+            args.model,
+            args.firmware,
+            host=args.host,
+            ports=args.ports,
+            files=files,
+            motion=Demonstration(posture) if args.motion == "demo" else Still(posture),
+            noise=args.noise == "on",
+            scene=args.scene,
+        )
     if args.like == "ursim":
         controller.pendant.load(_URSIM_PROGRAM)
+        controller.pendant.directory = "/ursim/programs"
+        controller.has_local_control = args.local_control
     controller.remote_control = not args.local_control and args.like is None
     controller.schedule(*faults)
     with Interruption() as interruption, controller:

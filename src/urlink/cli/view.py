@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from linkcore import clock
 from linkcore.cli.options import DURATION, argument, command, positive_number
+from linkcore.cli.progress import ProgressBar
 from linkcore.cli.terminal import Interruption
 from linkcore.errors import LocalError, WrongPeer
 from linkcore.streaming.connection_life import ConnectionState
@@ -18,12 +19,12 @@ from linkcore.streaming.stream import Stream
 from ..address import RecordingAddress, parse_address
 from ..data.live import FoxgloveServer, RobotView
 from ..kinematics import Arm
-from ..robot import Robot, connect
+from ..robot import Robot
 from ..view.arm_view import ArmView
 from ..view.page import LOOPBACK, Page
 from ..view.windows import LiveWindow, RecordedWindow, Window
 from .monitor import with_motion
-from .options import ADDRESS, tell
+from .options import ADDRESS, connected, tell
 
 
 def arm_of(robot: Robot) -> Arm | None:
@@ -56,7 +57,7 @@ def _foxglove(args: argparse.Namespace) -> int:
     """
     with (
         contextlib.closing(FoxgloveServer(args.address, args.host, args.port)) as server,
-        connect(args.address, timeout=args.connect_timeout) as robot,
+        connected(args) as robot,
         contextlib.closing(RobotView(robot.realtime, robot.primary, arm_of(robot), server)) as view,
     ):
         tell(f"{args.address} is at {server.address}; Ctrl-C ends it")
@@ -74,7 +75,7 @@ def keep_showing(
         RemoteError: a stream gave up.
     """
     with Interruption(duration) as interruption:
-        due = time.monotonic()
+        due = clock.now()
         while not interruption.is_over and not (
             streams and all(each.connection is ConnectionState.CLOSED for each in streams)
         ):
@@ -83,8 +84,8 @@ def keep_showing(
                 if stream.failure is not None:
                     raise stream.failure
             # At absolute times: the rate does not depend on how long a round takes.
-            due = max(due + 1 / rate, time.monotonic())
-            interruption.wait(due - time.monotonic())
+            due = max(due + 1 / rate, clock.now())
+            interruption.wait(due - clock.now())
     return interruption.status
 
 
@@ -121,23 +122,25 @@ def _view(args: argparse.Namespace) -> int:
     if args.jog and args.host not in LOOPBACK:
         raise LocalError("--jog is for a browser of this computer; from another one, forward the port: ssh -L 8080:...")
     with contextlib.ExitStack() as stack:
-        page = stack.enter_context(Page(f"urlink view {args.address}", args.host, args.port))
-        streams: list[Stream[Any]] = []
-        window: Window
-        if isinstance(place, RecordingAddress):
-            if args.jog:
-                raise LocalError(f"{args.address} is a recording, so it cannot be moved")
-            from ..data.recording import load
+        with ProgressBar("starting the view", args.quiet) as progress:
+            page = stack.enter_context(Page(f"urlink view {args.address}", args.host, args.port))
+            streams: list[Stream[Any]] = []
+            window: Window
+            if isinstance(place, RecordingAddress):
+                if args.jog:
+                    raise LocalError(f"{args.address} is a recording, so it cannot be moved")
+                from ..data.recording import load
 
-            recording = load(place.path)
-            table = recording.realtime if "realtime" in recording.channels else recording.rtde
-            arm, window, jog = recording.kinematics, RecordedWindow(table), None
-        else:
-            address = args.address if args.jog else with_motion(args.address)
-            robot = stack.enter_context(connect(address, timeout=args.connect_timeout))
-            arm, window, jog = robot.kinematics, LiveWindow(robot.realtime), robot.motion.jog if args.jog else None
-            streams.append(robot.realtime)
-        fields = {} if args.plot is None else {"plots": args.plot}
-        view = stack.enter_context(ArmView(page, arm, window, urdf=args.urdf, jog=jog, **fields))
+                recording = load(place.path, progress=progress)
+                table = recording.realtime if "realtime" in recording.channels else recording.rtde
+                arm, window, jog = recording.kinematics, RecordedWindow(table), None
+            else:
+                address = args.address if args.jog else with_motion(args.address)
+                robot = stack.enter_context(connected(args, address))
+                arm, window, jog = robot.kinematics, LiveWindow(robot.realtime), robot.motion.jog if args.jog else None
+                streams.append(robot.realtime)
+            progress.next("starting the view")
+            fields = {} if args.plot is None else {"plots": args.plot}
+            view = stack.enter_context(ArmView(page, arm, window, urdf=args.urdf, jog=jog, **fields))
         tell(f"{args.address} is at {view.address}; Ctrl-C ends it")
         return keep_showing(view.show, streams, args.rate, args.duration)

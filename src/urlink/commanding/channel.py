@@ -11,10 +11,9 @@ from __future__ import annotations
 
 import math
 import threading
-import time
 from collections.abc import Callable
 
-from linkcore.clock import monotonic
+from linkcore import clock
 from linkcore.errors import ConnectionLost, LinkTimeout
 from linkcore.net.recall import Recall
 from linkcore.pending_call import check_wanted, regardless
@@ -47,7 +46,7 @@ class CommandChannel:
         connection: Connection,
         monitor: SafetyMonitor,
         section: Section,
-        clock: Callable[[], float] = monotonic,
+        clock: Callable[[], float] = clock.now,
         recall: Recall | None = None,
     ) -> None:
         self._recall = Recall(connection.name) if recall is None else recall
@@ -114,6 +113,10 @@ class CommandChannel:
         if replaces:
             self._recall.drop()
 
+    def overtake(self, why: str) -> None:
+        """Send no motion whose call was entered before this moment; `why` names the stop, for messages."""
+        self._monitor.overtake(why)
+
     def command(self, text: str) -> None:
         """Send URScript that moves nothing: outputs, payload, popups. It needs no more than a running robot.
 
@@ -140,7 +143,7 @@ class CommandChannel:
             NotRunning: the robot does not run; `send` was not called.
             Exception: whatever `send` raises.
         """
-        with self._section:
+        with self._section.lock:
             self._monitor.require_running()
             send()
 
@@ -151,14 +154,14 @@ class CommandChannel:
             SafetyStop, NotRunning: as `motion`; `send` was not called.
             Exception: whatever `send` raises.
         """
-        with self._section:
+        with self._section.lock:
             refusal = self._monitor.refusal(is_stop)
             if refusal is None:
                 send()
                 return
         # This process may have been held up, and has states to read that arrived meanwhile.
         self._monitor.await_news(moves=True)
-        with self._section:
+        with self._section.lock:
             self._monitor.require(is_stop)
             send()
 
@@ -176,7 +179,7 @@ class CommandChannel:
         until = self._clock() + timeout
         try:
             while True:
-                with self._section:
+                with self._section.lock:
                     if self._has_turn(outgoing):
                         self._send_some(outgoing, decide)
                 if not outgoing.rest:
@@ -187,11 +190,11 @@ class CommandChannel:
                 if self._unfinished in (None, outgoing):
                     self._connection.wait_for_room(left)
                 else:
-                    time.sleep(_PAUSE)
+                    clock.sleep(_PAUSE)
         finally:
             # Part of it has left, and time is up, the rest is refused, or the waiting for room was interrupted.
             if self._unfinished is outgoing:
-                with self._section:
+                with self._section.lock:
                     self._give_up()
         raise LinkTimeout(
             f"the controller has not taken a text of {outgoing.size} bytes within {timeout:g} s; it was not sent"

@@ -9,17 +9,18 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import time
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
+from linkcore import clock
 from linkcore.arguments import check_callable, check_seconds, check_wait
 from linkcore.errors import Cancelled, Closed, ConnectionLost, LinkError, LinkTimeout, LocalError, RemoteError
 from linkcore.handle import Lifecycle
 from linkcore.net.dialogue import Dialogue
 from linkcore.net.recall import Recall, TakeBack
 from linkcore.net.transport import TcpTransport
+from linkcore.pending_call import starts_motion
 from linkcore.threads import CallbackThread
 from linkcore.wire.fields import Since
 
@@ -87,6 +88,7 @@ class Interpreter(Program):
         self._finish_timeout = finish_timeout
         self._since_clear = 0
 
+    @starts_motion
     def execute(self, statement: str, *, wait: bool | float = False) -> int:
         """Hand a statement over; it begins once those before it are over.
 
@@ -129,15 +131,15 @@ class Interpreter(Program):
             LinkError: what has ended the program.
         """
         seconds = check_seconds(timeout, "timeout", finite=True)
-        until = time.monotonic() + seconds
+        until = clock.now() + seconds
         # `last_executed` is the statement that has begun, not one that has ended; a later one begins when it has ended.
         try:
             barrier = self._hand_over("sync()")
             while self._ask("statelastexecuted") < barrier:
-                left = until - time.monotonic()
+                left = until - clock.now()
                 if left <= 0:
                     raise LinkTimeout(f"statements were not executed within {seconds:g} s: {self.state}; they go on")
-                time.sleep(min(_POLL, left))
+                clock.sleep(min(_POLL, left))
         except BaseException as error:
             self._give_up(error)
             raise
@@ -188,9 +190,10 @@ class Interpreter(Program):
             self._close()
 
     def __exit__(self, *exc: object) -> None:
-        if exc[0] is None:
-            self.end()
-        else:
+        try:
+            if exc[0] is None:
+                self.end()
+        finally:
             self._close()
 
     def _close(self) -> None:
@@ -286,11 +289,12 @@ class Interpreters:
         for dialogue in self._open:
             dialogue.close()
 
+    @starts_motion
     def begin(
         self, start_timeout: float, finish_timeout: float, on_text: Callable[[str], object] | None
     ) -> Interpreter:
         """See `Robot.interpreter`."""
-        until = time.monotonic() + check_seconds(start_timeout, "start_timeout", positive=True, finite=True)
+        until = clock.now() + check_seconds(start_timeout, "start_timeout", positive=True, finite=True)
         check_seconds(finish_timeout, "finish_timeout", finite=True)
         if on_text is not None:
             check_callable(on_text, "on_text")
@@ -330,10 +334,10 @@ class Interpreters:
                 interpreter._hand_over("sync()", reason_within=0.0)
                 return
             except StatementDiscarded:
-                left = until - time.monotonic()
+                left = until - clock.now()
             if left <= 0:
                 raise LinkTimeout(f"{interpreter.name} has not begun within {timeout:g} s")
-            time.sleep(min(_POLL, left))
+            clock.sleep(min(_POLL, left))
 
 
 def _connection(host: str, port: int, firmware: Callable[[], Firmware], timeout: float) -> Dialogue:

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 from typing import Literal, NamedTuple, TypeVar
 
+from linkcore.arguments import check_number
 from linkcore.errors import LinkError, LinkTimeout, LocalError
+from linkcore.streaming.feed import Feed
 from linkcore.streaming.stream import Stream
 
 from ..foreign_names import AnswersForeignNames
@@ -50,9 +52,11 @@ class IO(AnswersForeignNames):
     does not matter, as long as the robot runs. ``confirm=None`` sends and does not wait. In a callback that was
     subscribed with ``inline=True`` it has to be None, or a `LocalError` says so.
 
-    Reading raises `LinkTimeout` where no state came for two seconds. It is as old as the primary interface's last
-    state, 0.1 s at most. Waiting for an input looks at each state of the real-time interface, 125 or 500 a second, and
-    raises what `Feed.wait_until` does.
+    Digital inputs are read from the newest state of the real-time interface, which sends 125 or 500 states a second.
+    Waiting for one checks each of these states, so an input that is read after a wait is at least as new as the state
+    that ended the wait. Only the primary interface reports outputs and analogue inputs, ten times a second, so these
+    values can be 0.1 s old. Reading raises `LinkTimeout` if no state arrives within two seconds. Waiting raises what
+    `Feed.wait_until` does.
     """
 
     def __init__(self, settings: Settings, primary: Stream[RobotState], realtime: Stream[RealtimeState]) -> None:
@@ -80,6 +84,7 @@ class IO(AnswersForeignNames):
         That it takes a fraction is a guess, see `urlink.urscript.commands`; a real robot confirms it, or refutes it
         with `NotConfirmed`.
         """
+        fraction = check_number(fraction, "fraction", 0.0, 1.0)
         text = commands.secondary(commands.analog_out(self._settings.firmware, number, fraction))
 
         def shown(board: MasterboardData) -> float:
@@ -134,6 +139,8 @@ class IO(AnswersForeignNames):
             NotRunning, NotConfirmed: as of the other settings.
         """
         firmware = self._settings.firmware
+        rx_idle_chars = check_number(rx_idle_chars, "rx_idle_chars", 1.0, 40.0)
+        tx_idle_chars = check_number(tx_idle_chars, "tx_idle_chars", 0.0, 40.0)
         if not firmware.is_e_series:
             raise LocalError(f"firmware {firmware} has no serial line in the tool connector; 5.0 is the first that has")
         wanted = (enabled, baud_rate, commands.PARITIES.get(parity), stop_bits, rx_idle_chars, tx_idle_chars)
@@ -208,7 +215,7 @@ class IO(AnswersForeignNames):
     def tool_analog_in(self, number: int) -> Analog:
         """Analogue input 0 or 1 of the tool, which the packets call 2 and 3."""
         first = integer(number, 0, 1, "tool analogue input") == "0"
-        tool = self._newest(ToolData)
+        tool = _newest(self._primary.of(ToolData))
         if first:
             return Analog(tool.analog_input_2, tool.analog_input_range_2)
         return Analog(tool.analog_input_3, tool.analog_input_range_3)
@@ -216,7 +223,7 @@ class IO(AnswersForeignNames):
     @property
     def tool_voltage(self) -> int:
         """What the tool is supplied with: 0, 12 or 24 V."""
-        return self._newest(ToolData).tool_output_voltage
+        return _newest(self._primary.of(ToolData)).tool_output_voltage
 
     # -- how -----------------------------------------------------------------------------------------
 
@@ -233,7 +240,7 @@ class IO(AnswersForeignNames):
 
     def _digital_in(self, bank: DigitalBank, number: int) -> bool:
         bit = bank.bit(self._settings.firmware, number, "input")
-        return _bit(self._masterboard().digital_input_bits, bit)
+        return _bit(self._digital_input_bits(), bit)
 
     def _wait_digital_in(self, bank: DigitalBank, number: int, on: bool, timeout: float) -> None:
         bit = bank.bit(self._settings.firmware, number, "input")
@@ -248,19 +255,18 @@ class IO(AnswersForeignNames):
         bit = bank.bit(self._settings.firmware, number, "output")
         return _bit(self._masterboard().digital_output_bits, bit)
 
-    def _masterboard(self) -> MasterboardData:
-        return self._newest(MasterboardData)
+    def _digital_input_bits(self) -> int:
+        """The digital inputs, from the interface whose states `_wait_digital_in` checks."""
+        return _newest(self._realtime).digital_input_bits
 
-    def _newest(self, kind: type[T]) -> T:
-        feed = self._primary.of(kind)
-        newest = feed.latest
-        return feed.wait(_FIRST_STATE) if newest is None else newest
+    def _masterboard(self) -> MasterboardData:
+        return _newest(self._primary.of(MasterboardData))
 
     def _repr_html_(self) -> str:
         from linkcore.text import html_table  # imported here: importing the library stays cheap
 
         try:
-            board = self._masterboard()
+            board, inputs = self._masterboard(), self._digital_input_bits()
         except LinkError as error:
             return html_table("IO", (), (), [f"not known: {error}"])
 
@@ -268,7 +274,7 @@ class IO(AnswersForeignNames):
             return ", ".join(str(bit) for bit in range(bits.bit_length()) if bits >> bit & 1) or "none"
 
         rows = [
-            ("digital inputs that are on, by their bits", on(board.digital_input_bits)),
+            ("digital inputs that are on, by their bits", on(inputs)),
             ("digital outputs that are on, by their bits", on(board.digital_output_bits)),
             *((f"analogue input {n}", _shown(self.analog_in(n))) for n in (0, 1)),
             *((f"analogue output {n}", _shown(self.analog_out(n))) for n in (0, 1)),
@@ -277,6 +283,12 @@ class IO(AnswersForeignNames):
 
     def __repr__(self) -> str:
         return "<IO: inputs and outputs by number>"
+
+
+def _newest(feed: Feed[T]) -> T:
+    """The newest state of an interface, or the next one if there is none."""
+    newest = feed.latest
+    return feed.wait(_FIRST_STATE) if newest is None else newest
 
 
 def _shown(signal: Analog) -> str:

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import contextlib
 import math
-import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from operator import methodcaller
 from queue import Empty, SimpleQueue
 from typing import Any
 
-from linkcore.clock import monotonic
-from linkcore.errors import LinkError
+from linkcore import clock
+from linkcore.errors import Cancelled, LinkError
+from linkcore.pending_call import current_call, stopped_here
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from linkcore.threads import CallbackThread
 from linkcore.wire.packet import State
 
+from ..errors import SafetyStop
 from ..interfaces.primary.robot_message import SafetyModeMessage
 from ..interfaces.primary.robot_state import RobotState
 from ..interfaces.realtime.packets import RealtimeState
@@ -75,7 +76,7 @@ class SafetyMonitor:
         interlock: Interlock,
         section: Section,
         callbacks: CallbackThread,
-        clock: Callable[[], float] = monotonic,
+        clock: Callable[[], float] = clock.now,
     ) -> None:
         self._connections = {"primary": primary, "realtime": realtime}
         self._interlock = interlock
@@ -88,6 +89,8 @@ class SafetyMonitor:
         self._hooks: list[_Stop] = []
         self._silence_hooks: list[Callable[[float], object]] = []
         self._stop_callbacks: dict[object, _Stop] = {}
+        #: number of the last stop, and what it was; see `linkcore.pending_call`
+        self._last_stop: tuple[int, str] = (0, "")
         self.is_closed = False
 
     # -- questions -----------------------------------------------------------------------------------
@@ -95,15 +98,22 @@ class SafetyMonitor:
     @contextlib.contextmanager
     def decision(self) -> Iterator[Interlock]:
         """The interlock, to be asked or changed; whoever waits for news is notified afterwards."""
-        with self._section:
+        with self._section.lock:
             yield self._interlock
         self._wake()
 
     def refusal(self, is_stop: bool = False) -> LinkError | None:
-        """Why what moves the arm may not be sent now; what can only bring it to rest needs nobody to enable it."""
-        with self._section:
+        """Why the call of this thread may not send anything that moves the arm now, or None.
+
+        A stop needs nobody to enable the arm, and no later stop overtakes it.
+        """
+        with self._section.lock:
             now = self.clock()
-            return self._interlock.blocked(now) if is_stop else self._interlock.refusal(now)
+            if is_stop:
+                return self._interlock.blocked(now)
+            call = current_call()
+            order = None if call is None else call.order
+            return self._interlock.refusal(now) or (None if order is None else self.overtaken(order))
 
     def require(self, is_stop: bool = False) -> None:
         """Raise what `refusal` says."""
@@ -115,8 +125,20 @@ class SafetyMonitor:
         Raises:
             NotRunning: it does not, or nothing is known of it.
         """
-        with self._section:
+        with self._section.lock:
             raise_if(self._interlock.absence(self.clock()))
+
+    # -- the order of calls and stops ------------------------------------------------------------------
+
+    def overtake(self, why: str) -> None:
+        """Refuse every motion whose call was entered before this moment; `why` names the stop, for messages."""
+        with self._section.lock:
+            self._last_stop = (stopped_here(), why)
+
+    def overtaken(self, order: int) -> Cancelled | None:
+        """The error of a call of this number if a stop came after it was entered, else None."""
+        stop, why = self._last_stop
+        return Cancelled(f"{why} after this call was entered, so it sends nothing") if order < stop else None
 
     # -- waiting for news ----------------------------------------------------------------------------
 
@@ -169,22 +191,22 @@ class SafetyMonitor:
         Raises:
             LocalError: in a thread that would have to receive the news itself.
         """
-        until = time.monotonic() + timeout
+        until = clock.now() + timeout
         news: SimpleQueue[None] = SimpleQueue()
         self._waiting.append(news)
         try:
             while not self._is(condition):
-                left = until - time.monotonic()
+                left = until - clock.now()
                 if left <= 0.0 or self.is_closed:
                     return False
                 with self._section.waiting(), contextlib.suppress(Empty):
-                    news.get(timeout=left)
+                    clock.get(news, left)
             return True
         finally:
             self._waiting.remove(news)
 
     def _is(self, condition: Callable[[Interlock], object]) -> bool:
-        with self._section:
+        with self._section.lock:
             return bool(condition(self._interlock))
 
     @property
@@ -229,7 +251,7 @@ class SafetyMonitor:
             listening.add(connection.subscribe_inline(kind, on_state).close)
         except BaseException:
             listening.end()
-            with self._section:
+            with self._section.lock:
                 self._interlock.forget(name)
             raise
         if self._listening.setdefault(name, listening) is not listening:
@@ -280,9 +302,11 @@ class SafetyMonitor:
         return packet.received.monotonic if packet.received is not None else self.clock()
 
     def _observe(self, change: Callable[[], LinkError | None]) -> None:
-        with self._section:
+        with self._section.lock:
             closed = change()
         if closed is not None:
+            if isinstance(closed, SafetyStop):
+                self.overtake(str(closed))
             for hook in tuple(self._hooks):
                 hook(closed)
             for callback in tuple(self._stop_callbacks.values()):
@@ -298,6 +322,7 @@ class SafetyMonitor:
     def close(self) -> None:
         """Listen no more, and let nothing through. Users are not notified: it is not a stop of the robot."""
         self.is_closed = True
+        self.overtake("the robot was closed")
         self._stop_callbacks.clear()
         for name, listening in tuple(self._listening.items()):
             listening.end()

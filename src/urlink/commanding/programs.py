@@ -20,9 +20,10 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from linkcore.clock import monotonic
+from linkcore import clock
 from linkcore.errors import Cancelled, Closed, ConnectionLost, LinkError, LinkTimeout
 from linkcore.handle import Event, Lifecycle
+from linkcore.process_end import abandon_at_end, forget
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from linkcore.streaming.subscription import Subscription
@@ -37,6 +38,7 @@ from ..interfaces.primary.robot_state import RobotModeData, RobotState
 from ..urscript import commands, wrapping
 from ..urscript.wrapping import Permission, StartPlace, Wrapped
 from .channel import CommandChannel
+from .interlock import raise_if
 from .monitor import SafetyMonitor
 from .section import Section
 
@@ -79,6 +81,7 @@ class _Run:
         left_alone: what it does when the connection is lost, for messages.
         on_text: called with each line of its `textmsg`, in the reader thread.
         on_finish: called when it has come to its own end.
+        is_detached: whether it keeps running when the robot object is closed, or this process ends.
         sent: when it was.
         was_seen: of the flag in the robot mode data, which lags behind the program: it has shown it running.
     """
@@ -90,6 +93,7 @@ class _Run:
     left_alone: str
     on_text: Callable[[str], object]
     on_finish: Callable[[], object]
+    is_detached: bool
     sent: float
     was_seen: bool = False
 
@@ -127,7 +131,7 @@ class Programs:
         start_timeout: float,
         start_place: StartPlace,
         who: KnownIdentity,
-        clock: Callable[[], float] = monotonic,
+        clock: Callable[[], float] = clock.now,
     ) -> None:
         self._primary = primary
         self._channel = channel
@@ -200,6 +204,7 @@ class Programs:
         is_motion: bool = True,
         is_stop: bool = False,
         is_linked: bool = False,
+        is_detached: bool = False,
         left_alone: str = "it may still move the arm",
         on_text: Callable[[str], object] = lambda text: None,
         on_finish: Callable[[], object] | None = None,
@@ -216,13 +221,16 @@ class Programs:
             RemoteError: it could not be sent.
         """
         moves_late = not (wrapped.permission or is_linked or is_stop)
-        run = _Run(wrapped, life, is_motion, moves_late, left_alone, on_text, on_finish or life.finish, self._clock())
+        finish = on_finish or life.finish
+        run = _Run(wrapped, life, is_motion, moves_late, left_alone, on_text, finish, is_detached, self._clock())
 
         def claim() -> None:
             if self._is_closed:
                 raise Closed("the robot was closed")
             if life.error is not None:
                 raise life.error
+            if not is_stop:
+                raise_if(self._monitor.overtaken(life.order))
             run.sent = self._clock()
             self._runs[run.name] = run
             newest = self._newest()
@@ -241,8 +249,12 @@ class Programs:
             self._listen()
             replaces = not (is_stop or wrapped.is_secondary)
             self._channel.motion(wrapped.text, is_stop=is_stop, replaces=replaces, claim=claim)
-        except BaseException as error:
-            life.fail(error if isinstance(error, Exception) else Cancelled(f"{life.name} was interrupted"))
+        except Exception as error:
+            life.fail(error)
+            raise
+        except BaseException:
+            # The text may have left, or a part of it.
+            life.fail(Cancelled(f"{life.name} was interrupted"), brake=True)
             raise
 
     def stop(self, life: Lifecycle) -> None:
@@ -294,7 +306,7 @@ class Programs:
         return next((run for run in reversed(self._pending()) if not run.wrapped.is_secondary), None)
 
     def close(self, timeout: float) -> None:
-        """Cancel the motion that runs, begin nothing more, and follow programs no longer. Idempotent.
+        """Cancel the program that runs unless it is detached, begin nothing more, and follow no program. Idempotent.
 
         One that was given up during a stop goes on where the stop is over, or was none: a safety mode that is in no
         list stops nothing. It is given `timeout` or 0.3 s, whichever is less, to be stopped.
@@ -302,22 +314,36 @@ class Programs:
         if self._is_closed:
             return
         self._is_closed = True
+        self._cancel_all("the robot was closed")
+        forget(self)
         if self._section.may_wait:
             self._monitor.wait_for(lambda interlock: self._kept is None, min(timeout, _CLOSING))
         if self._kept is not None and self._mode is not None and self._mode.is_program_paused:
             _log.warning("closed during a stop: the controller has %s paused, and may go on with it later", self._kept)
-        for run in self._pending():
-            if run.is_motion and not run.wrapped.is_secondary:
-                run.life.cancel("cancelled, since the robot was closed", brake=True)
         _close(self._subscriptions.take() or [])
         for run in self._pending():
             run.life.fail(ConnectionLost(f"the robot was closed here while {run.life.name} ran; {self._what_if(run)}"))
+
+    def abandon(self, why: str) -> None:
+        """See `linkcore.process_end`."""
+        self._monitor.overtake(why)
+        for run in self._cancel_all(why):
+            _log.warning("%s was cancelled: %s and its robot was not closed", run.life.name, why)
+
+    def _cancel_all(self, why: str) -> list[_Run]:
+        """Cancel each program that would keep running; returns those that ran.
+
+        A `sec` cannot be stopped: it runs beside the program, and is short.
+        """
+        runs = [run for run in self._pending() if not (run.is_detached or run.wrapped.is_secondary)]
+        return [run for run in runs if run.life.cancel(f"cancelled, since {why}", brake=True)]
 
     # -- what the controller says --------------------------------------------------------------------
 
     def _listen(self) -> None:
         if self._subscriptions.made is not None:
             return
+        abandon_at_end(self)
         subscriptions: list[Subscription] = []
 
         def only_once(on_packet: Callable[[Any], None], packet: Any) -> None:
@@ -399,6 +425,7 @@ class Programs:
         def claim() -> None:
             if not run.life.is_wanted:
                 raise Cancelled(f"{run.life.name} is over, or was given up")
+            raise_if(self._monitor.overtaken(run.life.order))
 
         try:
             # Without waiting: this is the reader thread.

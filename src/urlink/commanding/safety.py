@@ -65,7 +65,10 @@ class Safety(AnswersForeignNames):
     @policy.setter
     def policy(self, policy: Policy) -> None:
         with self._monitor.decision() as interlock:
+            was_enabled = interlock.is_enabled
             interlock.policy = policy
+            if was_enabled and not interlock.is_enabled:
+                self._monitor.overtake(f"the policy was set to {policy!r}")
 
     def enable(self) -> None:
         """Let motions through, as the policy asks for. Without effect if they already are.

@@ -9,7 +9,8 @@ from pathlib import Path
 
 from linkcore.arguments import check_callable, check_wait
 from linkcore.errors import BadValue
-from linkcore.handle import Handle, Lifecycle
+from linkcore.handle import Handle, Lifecycle, waited
+from linkcore.pending_call import starts_motion
 from linkcore.threads import CallbackThread
 
 from .channel import CommandChannel
@@ -54,11 +55,13 @@ class Scripts:
         self._channel = channel
         self._callbacks = callbacks
 
+    @starts_motion
     def run(
         self,
         source: str | os.PathLike[str],
         *,
         wait: bool | float = False,
+        detached: bool = False,
         on_text: Callable[[str], object] | None = None,
     ) -> Program:
         """Send a program; it preempts the one that runs, unless it is a `sec`, which runs beside it.
@@ -66,8 +69,11 @@ class Scripts:
         Args:
             source: URScript, or the path (`pathlib.Path`) of a file with it: a whole ``def``, a ``sec``, or bare
                 statements. Where the last thing at the top is a ``def``, which may take no arguments, it is called
-                after what stands above it.
+                after what stands above it. Functions above it are for it to call: if none of them is called, the text
+                is rejected, since only the last would run.
             wait: until it is over: False not at all, True for up to 60 s, a number for so many seconds.
+            detached: Whether the program keeps running when the robot object is closed or this process ends. By default
+                it is stopped then, and the arm brakes, as a motion does.
             on_text: called with each line of its `textmsg`, in the robot's thread for callbacks, so for the last lines
                 perhaps after `wait` has returned; `texts` has them by then. Not for a `sec`: a message does not say
                 which program it is of, and the program beside which it runs may say something too.
@@ -87,11 +93,12 @@ class Scripts:
         life = self._programs.life(wrapped.name)
         program = Program(life)
         receive = program._receiver(self._callbacks, on_text)
-        self._programs.start(wrapped, life, is_motion=False, left_alone="it may still run", on_text=receive)
-        if seconds:
-            program.wait(seconds)
-        return program
+        self._programs.start(
+            wrapped, life, is_motion=False, is_detached=detached, left_alone="it may still run", on_text=receive
+        )
+        return waited(program, seconds)
 
+    @starts_motion
     def send_line(self, line: str) -> None:
         """Send one line as it is, such as ``set speed 0.5``; what the controller makes of it is not reported.
 

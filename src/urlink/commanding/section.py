@@ -21,21 +21,19 @@ from linkcore.errors import LocalError
 
 
 class Section:
-    """A lock around decisions, as a context manager.
+    """A lock around decisions: ``with section.lock: ...``.
 
     Args:
         reads_here: each returns whether the current thread is the reader of a stream, which must not wait.
+
+    Attributes:
+        lock: re-entrant. It is entered directly, and not through a method of this class: Ctrl-C between the acquisition
+            in a method and the block of the ``with`` would leave it locked for ever.
     """
 
     def __init__(self, *reads_here: Callable[[], bool]) -> None:
-        self._lock = threading.RLock()
+        self.lock = threading.RLock()
         self._reads_here = reads_here
-
-    def __enter__(self) -> None:
-        self._lock.acquire()
-
-    def __exit__(self, *exc: object) -> None:
-        self._lock.release()
 
     @property
     def may_wait(self) -> bool:
@@ -66,7 +64,7 @@ class Section:
         depth = 0
         try:
             while True:
-                self._lock.release()
+                self.lock.release()
                 depth += 1
         except RuntimeError:  # not held by this thread, or not any more
             pass
@@ -74,4 +72,4 @@ class Section:
             yield
         finally:
             for _ in range(depth):
-                self._lock.acquire()
+                self.lock.acquire()

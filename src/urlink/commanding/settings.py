@@ -27,8 +27,8 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from linkcore import clock
 from linkcore.arguments import check_number, other_unit
-from linkcore.clock import monotonic
 from linkcore.errors import BadValue, Closed, ConnectionLost, LinkError, LocalError
 from linkcore.streaming.connection import Connection
 from linkcore.text import printable
@@ -42,6 +42,7 @@ from ..interfaces.realtime.packets import RealtimeState
 from ..models import indistinguishable
 from ..poses import to_matrix
 from ..urscript import commands
+from ..urscript.text import floats
 from ..urscript.wrapping import StartPlace
 from .channel import CommandChannel
 from .section import Section
@@ -96,7 +97,7 @@ class SettingChannel:
         connection: Connection,
         section: Section,
         inputs: Callable[[], BriefInputs] | None,
-        clock: Callable[[], float] = monotonic,
+        clock: Callable[[], float] = clock.now,
     ) -> None:
         self._channel = channel
         self._connection = connection
@@ -223,10 +224,15 @@ class Settings:
     ) -> None:
         """See `Robot.set_payload`."""
         identity = self._who.identity
-        statement = commands.payload(identity.firmware, mass, cog, inertia, transition_time)
+        # Converted first: the packets that report them are compared with plain numbers.
+        centre = None if cog is None else floats(cog, 3, "payload cog")
+        moments = None if inertia is None else floats(inertia, 6, "payload inertia")
+        mass = check_number(mass, "payload mass", unit="kg")
+        transition_time = check_number(transition_time, "transition_time", unit="s")
+        statement = commands.payload(identity.firmware, mass, centre, moments, transition_time)
         if confirm is not None:
             confirm = check_number(confirm, "confirm", 1e-3) + transition_time
-        for axis, metres in zip("xyz", () if cog is None else cog, strict=False):
+        for axis, metres in zip("xyz", centre or (), strict=False):
             check_number(metres, f"{axis} of the payload's cog", -COG.most, COG.most, COG.unit)
         arm = identity.arm
         if arm is not None:
@@ -236,7 +242,7 @@ class Settings:
                 names = " or ".join(each.name for each in arms)
                 asked = other_unit(mass, "kg", 0.1, most)
                 raise BadValue(f"payload mass is {mass:g} kg; a {names} carries {most:g} kg at most{asked}")
-        wanted = [mass, *(() if cog is None else cog)]
+        wanted = [mass, *(centre or ())]
 
         def shown(state: RealtimeState) -> list[Any] | None:
             cog = state.payload_cog  # which comes with the mass
@@ -249,8 +255,9 @@ class Settings:
 
     def tcp(self, pose: Sequence[float], confirm: float | None) -> None:
         """See `Robot.set_tcp`."""
-        text = commands.secondary(commands.tcp(check_pose(pose, "tcp", TOOL_LENGTH).tolist()))
-        wanted = to_matrix(pose)
+        offset = check_pose(pose, "tcp", TOOL_LENGTH)
+        text = commands.secondary(commands.tcp(offset.tolist()))
+        wanted = to_matrix(offset)
         # As matrices: of two rotation vectors of one rotation, one may turn by more than 180 degrees.
         echo = Echo(CartesianInfo, tool_offset, lambda values: _close(to_matrix(values), wanted))
         self.apply(text, "the tool centre point", echo if self.firmware >= _SHOWS_TCP else None, confirm)
@@ -261,6 +268,7 @@ class Settings:
 
     def speed_slider(self, fraction: float, confirm: float | None) -> None:
         """See `Robot.set_speed_slider`."""
+        fraction = check_number(fraction, "speed slider", 0.0, 1.0)
         echo = Echo(
             RobotModeData, lambda mode: mode.target_speed_fraction, lambda value: abs(value - fraction) <= _SLIDER
         )
@@ -324,7 +332,7 @@ class Settings:
             self._channel.send(text, values)
             try:
                 with self._section.waiting():
-                    is_shown.get(timeout=timeout)
+                    clock.get(is_shown, timeout)
             except Empty:
                 self._channel.doubt()
                 raise self._not_confirmed(what, shown[0], timeout) from None

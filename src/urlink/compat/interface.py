@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import time
 from collections.abc import Callable, Sequence
 from datetime import timedelta
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import urlink
+from linkcore import clock
 from linkcore.errors import Cancelled, LocalError, RemoteError
 from linkcore.text import printable
 from urlink.interfaces.rtde.protocol import InputInUse
@@ -85,13 +85,13 @@ class RtdeInterface:
 
     def initPeriod(self) -> timedelta:
         """The present time, at which a round of a loop begins; for `waitPeriod`."""
-        return timedelta(seconds=time.monotonic())
+        return timedelta(seconds=clock.now())
 
     def waitPeriod(self, t_cycle_start: timedelta) -> None:
         """Sleep until one period after the time that `initPeriod` has returned."""
-        left = t_cycle_start.total_seconds() + 1.0 / self._frequency - time.monotonic()
+        left = t_cycle_start.total_seconds() + 1.0 / self._frequency - clock.now()
         if left > 0.0:
-            time.sleep(left)
+            clock.sleep(left)
 
     def __enter__(self) -> Self:
         return self

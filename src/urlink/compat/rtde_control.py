@@ -13,6 +13,7 @@ from pathlib import Path as FilePath
 from queue import Empty, SimpleQueue
 from typing import Any, NoReturn
 
+from linkcore import clock
 from linkcore.errors import BadValue, LinkTimeout
 from urlink.packets import RobotModeData, TextMessage
 from urlink.poses import compose
@@ -166,7 +167,7 @@ class RTDEControlInterface(ControlBlocks):
         with self._robot.primary.subscribe(on_message, TextMessage, inline=True):
             self._robot.script.run(f'sec urlink_question():\n  textmsg("{mark}", {expression})\nend')
             try:
-                return answers.get(timeout=_ANSWER_TIMEOUT)
+                return clock.get(answers, _ANSWER_TIMEOUT)
             except Empty:
                 raise LinkTimeout(f"no answer to {expression} within {_ANSWER_TIMEOUT:g} s") from None
 

@@ -295,7 +295,7 @@ class Robot(Closing):
 
     def send_program(self, prog: str) -> None:
         """Send a program; does not wait for its end."""
-        self._robot.script.run(prog)
+        self._robot.script.run(prog, detached=True)
 
     def send_message(self, msg: str) -> None:
         """Show a text on the pendant."""

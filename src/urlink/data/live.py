@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from linkcore import clock
 from linkcore.errors import ConnectFailed, LocalError, WrongPeer
 from linkcore.lazy import needs
 from linkcore.recording.columns import PacketColumns
@@ -91,7 +92,7 @@ class _McapWriter:
         self.failure: str | None = None
         self._lock = threading.Lock()
         self._waiting: dict[str, list[State]] = {}
-        self._since = time.monotonic()
+        self._since = clock.now()
         self._owners: dict[str, str] = {}
         self._arm: Arm | None = None
         self._is_said = False
@@ -128,12 +129,12 @@ class _McapWriter:
         """Add a state of the stream called `name`; may be called from several threads."""
         with self._lock:
             self._waiting.setdefault(name, []).append(state)
-            if time.monotonic() - self._since >= _GATHER:
+            if clock.now() - self._since >= _GATHER:
                 self._flush()
 
     def _flush(self) -> None:
         waiting, self._waiting = self._waiting, {}
-        self._since = time.monotonic()
+        self._since = clock.now()
         topics = []
         for name, states in waiting.items():
             for topic in topics_of_states(name, states, self._arm):
@@ -256,7 +257,7 @@ class RobotView:
 
     def show(self) -> None:
         """Send the newest states, and the messages since the last call."""
-        now = time.monotonic()
+        now = clock.now()
         if self._arm is not None and now - self._described >= _AGAIN:
             self._described = now
             self._server.write([description_topic(self._arm, np.datetime64(time.time_ns(), "ns"))])

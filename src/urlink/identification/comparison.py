@@ -14,6 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from linkcore.recording.file import Progress, unseen
+
 from ..arm_file import ArmFile
 from ..simulator import Controller, Still
 from ..vectors import FloatArray
@@ -53,15 +55,17 @@ class Disagreement:
     rms: dict[str, tuple[float, ...]]
 
 
-def compare(samples: Samples, like: ArmFile) -> Disagreement:
+def compare(samples: Samples, like: ArmFile, progress: Progress = unseen) -> Disagreement:
     """Run each movement of a recording on a simulated arm.
 
     Args:
         like: which arm it is; of `identify`, or read from its file. An `ArmFile(model, {})` is that of the model.
+        progress: Called with the fraction of the recording that was run, 0 to 1.
     """
     movements = []
     left: dict[str, list[FloatArray]] = defaultdict(list)
     for begin, end in _movements(samples):
+        progress(begin / len(samples["timestamp"]))
         movement, differences = _run(samples, like, begin, end)
         movements.append(movement)
         for name, difference in differences.items():

@@ -9,12 +9,12 @@ for a single joint, too.
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
+from linkcore import clock
 from linkcore.errors import Cancelled, LinkTimeout
 from linkcore.handle import Motion
 
@@ -212,7 +212,7 @@ def exercise(
         raise Cancelled("the dead man's input is not held")
     slider = max(slider_of(robot), 0.01)
     with robot.realtime.subscribe(guard):
-        time.sleep(_ENDS)
+        clock.sleep(_ENDS)
         for number, leg in enumerate(planned.legs):
             guard.check()
             began(number)
@@ -222,7 +222,7 @@ def exercise(
             except LinkTimeout:
                 motion.cancel()
                 raise
-            time.sleep(leg.rest)
+            clock.sleep(leg.rest)
         guard.check()
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linkcore.errors import BadRecording
+from linkcore.recording.file import Progress
 
 from ..data.recording import load
 from ..vectors import FloatArray
@@ -65,10 +66,14 @@ class Samples(dict[str, FloatArray]):
         return np.asarray(~self["target_qd"].any(axis=1))
 
 
-def read_samples(path: str | os.PathLike[str]) -> Samples:
+def read_samples(path: str | os.PathLike[str], progress: Progress | None = None) -> Samples:
     """Read a recording (`.urlog`), or a table of RTDE variables (`.csv`, as `urlink rtde --csv` prints).
 
     In a table, vectors have a column for each number, with `_0` and so on at the end of their name.
+
+    Args:
+        path: The file.
+        progress: Called with the fraction that is done, 0 to 1, while a recording is read.
 
     Raises:
         BadRecording: no such file, not one of these, or without the targets of the joints.
@@ -76,7 +81,7 @@ def read_samples(path: str | os.PathLike[str]) -> Samples:
     path = Path(path)
     if path.suffix.lower() == ".csv":
         return _table(path)
-    recording = load(path)
+    recording = load(path, progress=progress)
     if "rtde" in recording.channels and {"target_q", "target_qdd"} <= set(recording.rtde.fields):
         table = recording.rtde
         names = {name: name for name in (*COLUMNS, "runtime_state") if name in table.fields}

@@ -7,9 +7,9 @@ A URCap of the vendor ("RS485 daemon", on PolyScope X "Tool Comm Forwarder") cop
 from __future__ import annotations
 
 import threading
-import time
 from contextlib import AbstractContextManager
 
+from linkcore import clock
 from linkcore.arguments import check_seconds
 from linkcore.errors import BadValue, Closed, ConnectionLost, LinkTimeout
 from linkcore.net.recall import MAY_STILL
@@ -93,7 +93,7 @@ class ToolSerial(Closing):
     def discard(self) -> bytes:
         """The bytes that have come so far, and were not read."""
         with self._turn(self._timeout):
-            return self._discard(time.monotonic() + self._timeout)
+            return self._discard(clock.now() + self._timeout)
 
     def close(self) -> None:
         """Disconnect for good. Idempotent; `robot.close()` does it too."""
@@ -111,13 +111,13 @@ class ToolSerial(Closing):
             raise BadValue(f"{request!r} was to be written; expected at least one byte, as bytes")
         if not isinstance(size, int) or isinstance(size, bool) or size < 1:
             raise BadValue(f"size={size!r}; expected a whole number of bytes from 1 on")
-        return time.monotonic() + check_seconds(timeout, "timeout", positive=True, finite=True)
+        return clock.now() + check_seconds(timeout, "timeout", positive=True, finite=True)
 
     def _connect(self, until: float) -> None:
         if self._is_closed:
             raise Closed("the tool's serial line was closed")
         if not self._is_open:
-            self._transport.open(max(min(until - time.monotonic(), self._timeout), 0.0))
+            self._transport.open(max(min(until - clock.now(), self._timeout), 0.0))
             self._is_open, self._rest = True, b""
 
     def _disconnect(self) -> None:
@@ -127,7 +127,7 @@ class ToolSerial(Closing):
     def _send(self, data: bytes, until: float) -> None:
         self._connect(until)
         try:
-            self._transport.send(bytes(data), max(until - time.monotonic(), 0.0))
+            self._transport.send(bytes(data), clock.left(until))
         except (LinkTimeout, ConnectionLost) as error:
             self._disconnect()
             error.args = (f"{error}; {MAY_STILL}",)
@@ -136,7 +136,7 @@ class ToolSerial(Closing):
     def _take(self, size: int, until: float, timeout: float) -> bytes:
         while len(self._rest) < size:
             try:
-                data, _ = self._transport.receive(max(until - time.monotonic(), 0.0))
+                data, _ = self._transport.receive(clock.left(until))
             except LinkTimeout:
                 came = f"{len(self._rest)} of {size} bytes came within {timeout:g} s"
                 raise LinkTimeout(f"the tool's serial line at {self._transport.name}: {came}") from None

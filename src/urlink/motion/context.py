@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from linkcore.clock import monotonic
+from linkcore import clock
 from linkcore.streaming.stream import Stream
 
 from ..commanding.channel import CommandChannel
@@ -41,7 +41,7 @@ class MotionContext:
     registers: RegisterPort[RegisterLink]
     point_registers: RegisterPort[PointRegisterLink]
     section: Section
-    clock: Callable[[], float] = monotonic
+    clock: Callable[[], float] = clock.now
 
     def state(self) -> RealtimeState:
         """The newest state that has come since the last program ended; if there is none, the next one.

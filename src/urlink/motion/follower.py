@@ -109,6 +109,7 @@ class Follower(Following):
         self._stream = SetpointStream(servoing)
         self._cycle = self._stream.cycle
         super().__init__(servoing.body, trajectory, tolerances, clock or ProgramClock(self._cycle))
+        self.watchdog = servoing.watchdog
         self._lag = 0.0 if delay is None else delay - AHEAD * self._cycle
         #: s that have passed on the trajectory; None before it began
         self._t: float | None = None

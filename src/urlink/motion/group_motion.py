@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import threading
-import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
+from linkcore import clock
 from linkcore.arguments import check_number, check_seconds, check_wait
-from linkcore.errors import BadValue, Cancelled, LinkError
+from linkcore.errors import BadValue, Cancelled, LinkError, RemoteError, unraised
 from linkcore.handle import Lifecycle, Motion
+from linkcore.pending_call import starts_motion
 from linkcore.threads import CallbackThread
 
 from .point_stream import PointStream
@@ -21,6 +22,8 @@ from .stream_steps import Aim, Handed
 
 if TYPE_CHECKING:
     from typing_extensions import Self
+
+E = TypeVar("E", bound=Exception)
 
 #: s by which the points of two arms may end at different times.
 _SAME_TIME = 1e-6
@@ -44,6 +47,7 @@ class GroupMotion(Motion):
         super().__init__(life)
         self.motions = tuple(motions)
         self._names = tuple(names)
+        self._stopping = stopping
         lives = [motion._life for motion in motions]
         life.brake = partial(end_all, lives, f"cancelled with its group of {len(lives)}")
         for number, each in enumerate(lives):
@@ -64,7 +68,7 @@ class GroupMotion(Motion):
             if isinstance(error, Cancelled):
                 self._life.cancel(f"cancelled with that of {self._names[number]}: {error}")
             else:
-                self._life.fail(error)
+                self._life.fail(of_arm(error, self._names[number]))
         elif all(each.done and each.error is None for each in self.motions):
             self._life.finish()
 
@@ -90,16 +94,19 @@ class GroupStream(GroupMotion):
         #: points are handed to all arms, or taken from all; re-entrant, for signal handlers
         self._handing = threading.RLock()
 
+    @starts_motion
     def __enter__(self) -> Self:
         """Upload the programs and wait until all have connected.
 
         Raises:
             LocalError, LinkError: as `PointStream`; none has moved.
         """
+        self._stopping.start()
         try:
             with contextlib.ExitStack() as begun:
-                for stream in self.motions:
-                    begun.enter_context(stream)
+                for stream, name in zip(self.motions, self._names, strict=True):
+                    with naming(name):
+                        begun.enter_context(stream)
                 self._block = begun.pop_all()
         except BaseException as error:
             self._life.fail(error if isinstance(error, Exception) else Cancelled(f"{self.name} was interrupted"))
@@ -109,12 +116,16 @@ class GroupStream(GroupMotion):
 
     def __exit__(self, *exc: object) -> None:
         """Stop all arms, and wait until they stand still. Raises no earlier error."""
-        with self._block:
-            for stream in self.motions:
-                with contextlib.suppress(LinkError):
-                    stream._program.finish()
-        with contextlib.suppress(LinkError):
-            self.wait(_REASON)
+        try:
+            with self._block:
+                for stream in self.motions:
+                    with contextlib.suppress(LinkError):
+                        stream._program.finish()
+            with contextlib.suppress(LinkError):
+                self.wait(_REASON)
+        except BaseException as error:
+            self._give_up(error)
+            raise
 
     def append(self, points: Sequence[Points], *, wait: bool | float = True) -> float:
         """Append points for each arm; see `PointStream.append`.
@@ -142,10 +153,10 @@ class GroupStream(GroupMotion):
                 _check_ends([aims for _, aims in checked])
                 with self._handing:
                     handed = [stream._add(*each) for stream, each in zip(self.motions, checked, strict=True)]
-            until = time.monotonic() + seconds
+            until = clock.now() + seconds
             for stream, each in zip(self.motions, handed, strict=True):
                 if seconds and each is not None:
-                    stream._await_room(each, max(until - time.monotonic(), 0.0))
+                    stream._await_room(each, clock.left(until))
         return self.room
 
     def replace(self, from_time: float, points: Sequence[Points]) -> float:
@@ -221,10 +232,10 @@ class GroupStream(GroupMotion):
             LinkTimeout: they have not, in `timeout` seconds; they go on.
             LocalError, LinkError: as for `append`.
         """
-        until = time.monotonic() + check_seconds(timeout, "timeout", finite=True)
+        until = clock.now() + check_seconds(timeout, "timeout", finite=True)
         with self._reasons():
             for stream in self.motions:
-                stream.wait_until_dry(max(until - time.monotonic(), 0.0))
+                stream.wait_until_dry(clock.left(until))
 
     @property
     def time(self) -> float:
@@ -283,6 +294,23 @@ def _check_ends(aims: Sequence[Sequence[Aim]]) -> None:
     ends = [each[-1].time for each in aims]
     if max(ends) - min(ends) > _SAME_TIME:
         raise BadValue(f"the points end at {', '.join(f'{end:g}' for end in ends)} s; expected the same time for all")
+
+
+def of_arm(error: E, name: str) -> E:
+    """A copy of the error of one arm, whose message begins with the name of the arm."""
+    named = unraised(error)
+    if error.args and isinstance(error.args[0], str):
+        named.args = (f"{name}: {error.args[0]}", *error.args[1:])
+    return named
+
+
+@contextlib.contextmanager
+def naming(name: str) -> Iterator[None]:
+    """Raise a `RemoteError` of one arm with the name of the arm."""
+    try:
+        yield
+    except RemoteError as error:
+        raise of_arm(error, name) from error.__cause__
 
 
 def end_all(lives: Sequence[Lifecycle], why: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from functools import partial
 from typing import Literal
 
@@ -11,7 +12,6 @@ import numpy as np
 from linkcore.handle import Motion
 
 from ..bounds import check_speeds
-from ..commanding.section import Section
 from ..interfaces.realtime.packets import RealtimeState
 from ..urscript.links import Writer
 from ..urscript.streaming import jogging
@@ -126,13 +126,15 @@ class _Holding(LinkDialogue):
     """Answers each state with one speed, until it has been held for its time.
 
     Args:
-        section: of the robot.
+        section: lock of the robot.
         write: makes the lines of the program.
         speeds: (6,) of the joints, or of the tool in the base frame.
         duration: s from the first message on.
     """
 
-    def __init__(self, section: Section, write: Writer, speeds: FloatArray, duration: float) -> None:
+    def __init__(
+        self, section: AbstractContextManager[object], write: Writer, speeds: FloatArray, duration: float
+    ) -> None:
         super().__init__(write)
         self._section = section
         self._speeds = speeds
@@ -183,7 +185,7 @@ class HeldSpeed(Motion):
         firmware = context.who.identity.firmware
         write = partial(jogging, firmware, is_tool=is_tool, acceleration=acceleration, watchdog=UNLED)
         self._acceleration = acceleration
-        self._dialogue = _Holding(context.section, write, speeds, duration)
+        self._dialogue = _Holding(context.section.lock, write, speeds, duration)
         life = context.programs.life(name)
         super().__init__(life, lambda: self._dialogue.part(context.clock()))
         LinkedProgram(life, context, self._dialogue, open_link).begin()

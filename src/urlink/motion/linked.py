@@ -132,7 +132,10 @@ class LinkedProgram:
                 on_finish=self._on_finish,
             )
         except BaseException as error:
-            life.fail(error if isinstance(error, Exception) else LocalError(f"{life.name} was interrupted"))
+            if isinstance(error, Exception):
+                life.fail(error)
+            else:
+                life.fail(LocalError(f"{life.name} was interrupted"), brake=True)
             self._release()
             raise
 
@@ -160,7 +163,8 @@ class LinkedProgram:
         silence = self._clock() - self._seen
         if silence > 2.0 * watchdog:
             error = ConnectionLost(
-                f"the robot has sent no state for {silence:.2f} s, so its program takes no message; it brakes by itself"
+                f"the robot has sent no state for {silence:.2f} s, more than twice watchdog={watchdog:g} s, so its "
+                "program takes no message; it brakes by itself. A larger watchdog= tolerates longer delays"
             )
             self._life.fail(error, brake=True)
             raise error
@@ -278,7 +282,12 @@ class LinkedProgram:
         elif text.startswith(links.LINK_ENDED):
             error = ConnectionLost("the program on the robot says that its connection ended; it brakes by itself")
         elif text.startswith(links.STARVED):
-            error = ConnectionLost("nothing came to the program on the robot in time; it brakes by itself")
+            watchdog = self._dialogue.watchdog
+            within = "" if watchdog is None else f" (watchdog={watchdog:g} s)"
+            error = ConnectionLost(
+                f"nothing came to the program on the robot in time{within}; it brakes by itself. Send more often, or "
+                "pass a larger watchdog="
+            )
         elif text.startswith(links.TOO_FAR):
             error = ToleranceExceeded("the program on the robot says that the first point is too far away")
         else:

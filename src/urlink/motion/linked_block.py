@@ -9,11 +9,12 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, InvalidStateError
-from concurrent.futures import TimeoutError as FutureTimeout
 from typing import TYPE_CHECKING
 
+from linkcore import clock
 from linkcore.errors import Closed, LinkError, LinkTimeout, LocalError
 from linkcore.handle import Event, Motion
+from linkcore.pending_call import starts_motion
 from linkcore.realtime import urgent
 
 from ..interfaces.realtime.packets import RealtimeState
@@ -55,6 +56,7 @@ class LinkedBlock(Motion):
         self._linked: Future[None] = Future()
         self._program = LinkedProgram(life, context, dialogue, open_link, on_linked=self._link_up)
 
+    @starts_motion
     def __enter__(self) -> Self:
         """Upload the program and wait until it has connected.
 
@@ -66,13 +68,13 @@ class LinkedBlock(Motion):
         """
         if not self._life.fire(Event.SEND):
             raise LocalError(f"the {self.name} has been used before; each is good for one block")
+        self._life.enter()
         self._program.begin()
         try:
             with self._context.section.waiting():
-                self._linked.result(_LONGEST)
-        except (FutureTimeout, TimeoutError):
-            self.cancel()
-            raise LinkTimeout(f"{self.name}: no connection within {_LONGEST:g} s") from None
+                if not clock.is_done(self._linked, _LONGEST):
+                    raise LinkTimeout(f"{self.name}: no connection within {_LONGEST:g} s")
+            self._linked.result()
         except BaseException:
             self.cancel()
             raise
@@ -83,15 +85,16 @@ class LinkedBlock(Motion):
 
     def __exit__(self, *exc: object) -> None:
         """Stop the arm, and wait until it stands still, ten seconds at most. Raises no earlier error."""
-        with self._block:
-            try:
-                self._program.finish()
-                self.wait(_END_TIMEOUT)
-            except LinkError:
-                self.cancel()
-            except BaseException as error:
-                self._give_up(error)
-                raise
+        try:
+            with self._block:
+                try:
+                    self._program.finish()
+                    self.wait(_END_TIMEOUT)
+                except LinkError:
+                    self.cancel()
+        except BaseException as error:
+            self._give_up(error)
+            raise
 
     def _check_open(self) -> None:
         """Raise unless the block is open.

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, Literal, TypeVar, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from linkcore.arguments import check_choice, check_number, check_wait
+from linkcore.arguments import Default, check_choice, check_number, check_overridden, check_wait
 from linkcore.errors import BadValue, LocalError
-from linkcore.handle import Motion
+from linkcore.handle import Motion, waited
+from linkcore.pending_call import starts_motion
 
 from ..bounds import JOINT_ACCELERATION, JOINT_SPEED, TOOL_ACCELERATION, TOOL_SPEED, check_pose, check_speeds
 from ..firmware import Firmware
@@ -42,6 +43,8 @@ from .yielding import ContactMotion, ForceMode, Freedrive, Torque, axes_of, fram
 
 #: The smallest value of what must be positive; and an hour: a longer duration is a mistake.
 _LEAST, _HOUR = 1e-3, 3600.0
+#: Hz; the largest rate of targets for a filter.
+_MOST_TARGETS = 10_000.0
 #: The first release in which speedl takes a time; the first that detects contacts; N that are a contact before that.
 _TIMED_SPEED, _TOOL_CONTACT, _CONTACT_FORCE = Firmware(3, 3), Firmware(5, 4), 20.0
 #: The state of a motion after its connection was lost, for messages.
@@ -51,8 +54,6 @@ _MAY_GO_ON = "the arm may still move, to the end of the motion"
 TargetFilterName = Literal["jerk_limited"]
 #: The link by which set-points get to the robot.
 LinkName = Literal["reverse", "rtde"]
-
-M = TypeVar("M", bound=Motion)
 
 
 class Motions(AnswersForeignNames):
@@ -79,11 +80,12 @@ class Motions(AnswersForeignNames):
 
     # -- one command -----------------------------------------------------------------------------------
 
+    @starts_motion
     def move_joints(
         self,
         q: Numbers,
-        speed: float = 1.05,
-        acceleration: float = 1.4,
+        speed: float = Default(1.05),
+        acceleration: float = Default(1.4),
         *,
         time: float | None = None,
         wait: bool | float = False,
@@ -94,24 +96,26 @@ class Motions(AnswersForeignNames):
             q: (6,) rad.
             speed: rad/s of the joint that moves furthest.
             acceleration: rad/s².
-            time: duration in seconds; speed and acceleration have no effect then.
+            time: duration in seconds, instead of a speed and an acceleration; these cannot be given with it.
             wait: see `Motions`.
         """
         seconds = check_wait(wait)
+        duration = _time(time, speed, acceleration)
         goal = six(q, "q")
         model = self._context.who.identity.arm
         if model is not None:
             model.check_joints(goal)
-        body = commands.move_joints(goal.tolist(), *_joint_rates(model, speed, acceleration), _time(time))
-        return _waited(
+        body = commands.move_joints(goal.tolist(), *_joint_rates(model, speed, acceleration), duration)
+        return waited(
             self._upload("move_joints", body, _arriving(goal, lambda state: state.q_actual), has_goal=True), seconds
         )
 
+    @starts_motion
     def move_linear(
         self,
         pose: Numbers,
-        speed: float = 0.25,
-        acceleration: float = 1.2,
+        speed: float = Default(0.25),
+        acceleration: float = Default(1.2),
         *,
         time: float | None = None,
         wait: bool | float = False,
@@ -122,18 +126,20 @@ class Motions(AnswersForeignNames):
             pose: (6,) position in m, and rotation vector in rad.
             speed: m/s.
             acceleration: m/s².
-            time: duration in seconds; speed and acceleration have no effect then.
+            time: duration in seconds, instead of a speed and an acceleration; these cannot be given with it.
             wait: see `Motions`.
         """
         seconds = check_wait(wait)
+        duration = _time(time, speed, acceleration)
         goal = check_pose(pose, "pose")
-        body = commands.move_linear(goal.tolist(), *_tool_rates(speed, acceleration), _time(time))
+        body = commands.move_linear(goal.tolist(), *_tool_rates(speed, acceleration), duration)
         self._check_reach(goal)
         # Only the position of the pose: one rotation has more than one rotation vector.
         gauge = _arriving(goal[:3], lambda state: state.tool_vector_actual[:3])
         motion = self._upload("move_linear", body, gauge, has_goal=True)
-        return _waited(motion, seconds)
+        return waited(motion, seconds)
 
+    @starts_motion
     def move_circular(
         self, via: Numbers, to: Numbers, speed: float = 0.25, acceleration: float = 1.2, *, wait: bool | float = False
     ) -> Motion:
@@ -157,8 +163,9 @@ class Motions(AnswersForeignNames):
         motion = self._upload(
             "move_circular", body, lambda state: arc.part(state.tool_vector_actual.tolist()), has_goal=True
         )
-        return _waited(motion, seconds)
+        return waited(motion, seconds)
 
+    @starts_motion
     def path(
         self,
         waypoints: Sequence[Waypoint],
@@ -196,10 +203,11 @@ class Motions(AnswersForeignNames):
         life = context.programs.life("path")
         motion = PathMotion(life, planned.sections, lambda: context.realtime.latest)
         wrapped = context.programs.own(planned.body)
-        context.programs.start(wrapped, life, left_alone=_MAY_GO_ON, on_text=motion._on_text)
         end_where_moved(life, context.realtime)
-        return _waited(motion, seconds)
+        context.programs.start(wrapped, life, left_alone=_MAY_GO_ON, on_text=motion._on_text)
+        return waited(motion, seconds)
 
+    @starts_motion
     def speed_joints(
         self,
         qd: Numbers,
@@ -230,8 +238,9 @@ class Motions(AnswersForeignNames):
         arm = self._context.who.identity.arm
         speeds, hardest = check_joint_speeds(qd, "qd", arm), _joint_acceleration(arm, acceleration)
         motion = self._speed("speed_joints", speeds, hardest, duration, link)
-        return _waited(motion, seconds)
+        return waited(motion, seconds)
 
+    @starts_motion
     def speed_linear(
         self,
         xd: Numbers,
@@ -253,8 +262,9 @@ class Motions(AnswersForeignNames):
         seconds = check_wait(wait)
         speeds, hardest = check_speeds(xd, "xd"), TOOL_ACCELERATION.check(acceleration, "acceleration")
         motion = self._speed("speed_linear", speeds, hardest, duration, link)
-        return _waited(motion, seconds)
+        return waited(motion, seconds)
 
+    @starts_motion
     def stop(self, acceleration: float = 2.0, *, wait: bool | float = False) -> Motion:
         """Brake all joints, at `acceleration` in rad/s² (`stopj`). Done when the arm stands still.
 
@@ -263,10 +273,12 @@ class Motions(AnswersForeignNames):
         """
         seconds = check_wait(wait)
         body = commands.stop(_joint_acceleration(self._context.who.identity.arm, acceleration))
-        return _waited(self._upload("stop", body, is_stop=True), seconds)
+        self._context.channel.overtake("the robot was stopped")
+        return waited(self._upload("stop", body, is_stop=True), seconds)
 
     # -- motions that last, linked to a program on the robot ---------------------------------------------
 
+    @starts_motion
     def follow(
         self,
         trajectory: Trajectory,
@@ -350,21 +362,21 @@ class Motions(AnswersForeignNames):
             following = Follower(trajectory, tolerances, servoing, _delay(delay), clock)
         life = context.programs.life("follow")
         motion = Motion(life, lambda: following.progress)
-        LinkedProgram(life, context, following, open_link, tolerance=tolerances.start).begin()
         if feedback is not None:
             # In a queue and a thread of its own: it may be slow, and may raise.
             subscription = context.realtime.subscribe(_reporter(following, feedback))
             life.on_end(lambda: subscription.close(0))
-        return _waited(motion, seconds)
+        LinkedProgram(life, context, following, open_link, tolerance=tolerances.start).begin()
+        return waited(motion, seconds)
 
     def servo(
         self,
         rate: float | None = None,
         *,
         target_filter: TargetFilterName | None = None,
-        speed: ArrayLike = 1.05,
-        acceleration: ArrayLike = 3.0,
-        jerk: ArrayLike = 30.0,
+        speed: ArrayLike = Default(1.05),
+        acceleration: ArrayLike = Default(3.0),
+        jerk: ArrayLike = Default(30.0),
         delay: float | None = None,
         watchdog: float = 0.1,
         lookahead_time: float = 0.03,
@@ -383,22 +395,29 @@ class Motions(AnswersForeignNames):
 
         Args:
             rate: set-points or targets per second that the loop intends to send, for the statistics; None for the
-                controller's rate.
+                controller's rate, which set-points cannot exceed. Targets for the filter can.
             target_filter: "jerk_limited", or None for a loop that sends set-points.
             speed, acceleration, jerk: limits of the target filter, rad/s, rad/s² and rad/s³, of all joints or (6,) of
-                each.
+                each. Without a filter they cannot be given, since nothing limits set-points to them.
             delay: s by which the arm lags behind its set-points, as `Servo.measure_delay` measures it: waypoints of
-                `schedule` are sent so much earlier. None for the two cycles in which a set-point arrives.
+                `schedule` are sent so much earlier. None for the two cycles in which a set-point arrives. With a filter
+                it cannot be given.
             watchdog: seconds without a set-point after which the robot brakes by itself.
             lookahead_time, gain, link: see `follow`.
         """
         firmware = self._context.who.identity.firmware
-        pace = float(firmware.rate) if rate is None else check_number(rate, "rate", 0.1, 10_000.0)
+        fastest = float(firmware.rate) if target_filter is None else _MOST_TARGETS
+        whose = f"firmware {firmware}" if target_filter is None else ""
+        pace = float(firmware.rate) if rate is None else check_number(rate, "rate", 0.1, fastest, "Hz", whose)
         # With a filter, a set-point is made in each cycle, however often targets come.
         servoing = self._servoing(watchdog, lookahead_time, gain, 1.0 / pace if target_filter is None else 0.0)
         limits = None
-        if target_filter is not None:
+        if target_filter is None:
+            no_filter = "only a target filter has limits (target_filter='jerk_limited')"
+            check_overridden(no_filter, speed=speed, acceleration=acceleration, jerk=jerk)
+        else:
             check_choice(target_filter, "target_filter", get_args(TargetFilterName))
+            check_overridden("schedule() is not available with a target filter", delay=delay)
             limits = joint_limits(self._context.who.identity.arm, speed, acceleration, jerk)
         return Servo(self._context, pace, servoing, self._opener(link), limits, _delay(delay))
 
@@ -487,6 +506,7 @@ class Motions(AnswersForeignNames):
 
     # -- contact, force mode, torques, freedrive -----------------------------------------------------------
 
+    @starts_motion
     def until_contact(
         self,
         direction: Numbers,
@@ -539,9 +559,10 @@ class Motions(AnswersForeignNames):
         )
         life = context.programs.life("until_contact")
         motion = ContactMotion(life, longest, self._tool_pose)
-        context.programs.start(context.programs.own(body), life, left_alone=_MAY_GO_ON, on_text=motion._on_text)
+        wrapped = context.programs.own(body)
         end_where_moved(life, context.realtime)
-        return _waited(motion, seconds)
+        context.programs.start(wrapped, life, left_alone=_MAY_GO_ON, on_text=motion._on_text)
+        return waited(motion, seconds)
 
     def force_mode(
         self,
@@ -733,9 +754,9 @@ class Motions(AnswersForeignNames):
 
         motion = Motion(life, measure)
         wrapped = context.programs.own(body, asks=asks and not is_stop)
-        context.programs.start(wrapped, life, is_stop=is_stop, left_alone=left_alone)
         if has_goal:
             end_where_moved(life, context.realtime)
+        context.programs.start(wrapped, life, is_stop=is_stop, left_alone=left_alone)
         return motion
 
     def _speed(self, name: str, speeds: FloatArray, acceleration: float, duration: float, link: LinkName) -> Motion:
@@ -844,12 +865,9 @@ def _joint_acceleration(arm: Model | None, value: float, prefix: str = "") -> fl
     return JOINT_ACCELERATION.check(value, f"{prefix}acceleration", most, whose)
 
 
-def _time(time: float | None) -> float | None:
-    return None if time is None else check_number(time, "time", _LEAST, _HOUR, "s")
-
-
-def _waited(motion: M, seconds: float) -> M:
-    """The motion, after its end; raises if that takes longer than `seconds`; 0 does not wait."""
-    if seconds:
-        motion.wait(seconds)
-    return motion
+def _time(time: float | None, speed: float, acceleration: float) -> float | None:
+    """The duration of a move; raises `BadValue` if a speed or an acceleration was given with it."""
+    if time is None:
+        return None
+    check_overridden("time sets the duration", speed=speed, acceleration=acceleration)
+    return check_number(time, "time", _LEAST, _HOUR, "s")

@@ -5,10 +5,10 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
-from concurrent.futures import TimeoutError as FutureTimeout
 from functools import partial
 from typing import TypeVar
 
+from linkcore import clock
 from linkcore.arguments import check_number, check_seconds, check_wait
 from linkcore.errors import Closed, LinkError, LinkTimeout, LocalError
 
@@ -86,7 +86,7 @@ class PointStream(LinkedBlock):
             lookahead_time=servoing.lookahead_time,
             gain=servoing.gain,
         )
-        self._feed = StreamFeed(write, context.section, bounds, cycle, capacity, buffer)
+        self._feed = StreamFeed(write, context.section.lock, bounds, cycle, capacity, buffer)
         super().__init__(context, "stream", self._feed, open_link)
         feed = self._feed
         life = self._life
@@ -137,7 +137,7 @@ class PointStream(LinkedBlock):
         """Where the stream ends, and what is to be appended there, from `begins`, s on its clock, if that is later."""
         mark = self._mark()
         if mark.time < begins:
-            with self._context.section:
+            with self._context.section.lock:
                 self._feed.skip(begins)
             mark = self._mark()
         return mark, self._reader.after(points, mark, begins)
@@ -145,7 +145,7 @@ class PointStream(LinkedBlock):
     def _add(self, mark: Mark, aims: Sequence[Aim]) -> Handed | None:
         """Append them; None where another thread has cleared the stream meanwhile."""
         handed = Handed()
-        with self._context.section:
+        with self._context.section.lock:
             if self._feed.mark is not mark:
                 return None
             self._feed.add(aims, handed)
@@ -185,23 +185,23 @@ class PointStream(LinkedBlock):
 
     def _put(self, since: float, curve: Sequence[Aim]) -> Future[float]:
         """Have the points after a time replaced, by none too."""
-        with self._context.section:
+        with self._context.section.lock:
             return self._feed.replace(since, curve)
 
     def _await_answer(self) -> None:
         """Wait until it is known which points the robot holds."""
-        with self._context.section:
+        with self._context.section.lock:
             answered = self._feed.answered()
         self._await(answered, _ANSWER, "the robot has not answered")
 
     def _check(self, since: float, curve: Sequence[Aim]) -> None:
         """Raise BadValue if it is known now that `_put` would be refused."""
-        with self._context.section:
+        with self._context.section.lock:
             self._feed.check(since, curve)
 
     def _reach(self, later: float) -> float:
         """See `StreamFeed.reach`."""
-        with self._context.section:
+        with self._context.section.lock:
             return self._feed.reach(later)
 
     @property
@@ -234,7 +234,7 @@ class PointStream(LinkedBlock):
         seconds = check_seconds(timeout, "timeout", finite=True)
         self._check_open()
         self._mark()
-        with self._context.section:
+        with self._context.section.lock:
             dry = self._feed.dry()
         self._await(dry, seconds, "the stream has not run dry")
 
@@ -246,7 +246,7 @@ class PointStream(LinkedBlock):
 
         It begins at 0, goes as slow as the robot does (speed slider, pause), and stands while the stream is dry.
         """
-        with self._context.section:
+        with self._context.section.lock:
             return self._feed.time
 
     @property
@@ -268,7 +268,7 @@ class PointStream(LinkedBlock):
     @property
     def is_dry(self) -> bool:
         """Whether the arm rests because there are no points."""
-        with self._context.section:
+        with self._context.section.lock:
             return self._feed.is_dry
 
     @property
@@ -281,7 +281,7 @@ class PointStream(LinkedBlock):
     @contextlib.contextmanager
     def _producing(self) -> Iterator[None]:
         self._check_open()
-        with self._context.section:
+        with self._context.section.lock:
             if self._is_producing:
                 raise LocalError("another thread or task appends or replaces points; a stream has one producer")
             self._is_producing = True
@@ -300,10 +300,8 @@ class PointStream(LinkedBlock):
         """The result, within so many seconds; raises what has ended the stream."""
         if not future.done():
             with self._context.section.waiting():
-                try:
-                    future.exception(seconds)
-                except (FutureTimeout, TimeoutError):
-                    raise LinkTimeout(f"{what} within {seconds:g} s") from None
+                if not clock.is_done(future, seconds):
+                    raise LinkTimeout(f"{what} within {seconds:g} s")
         error = future.exception()
         if isinstance(error, LinkError) and self.done and self.error is not None:
             raise self.error

@@ -16,7 +16,7 @@ import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Generic, Protocol, TypeVar
 
-from linkcore.clock import monotonic
+from linkcore import clock
 from linkcore.errors import ConnectFailed, ConnectionLost
 from linkcore.streaming.stream import Stream
 from linkcore.threads import held
@@ -188,7 +188,7 @@ class PointRegisterLink(ProgramRegisters):
         endpoint: the registers and the token, for the program's text.
     """
 
-    def __init__(self, inputs: InputClaim, outputs: Callable[[], Any], clock: Callable[[], float] = monotonic) -> None:
+    def __init__(self, inputs: InputClaim, outputs: Callable[[], Any], clock: Callable[[], float] = clock.now) -> None:
         super().__init__(inputs, POINT_INPUTS)
         self.endpoint = PointRegisters(_POINT_FLOAT, _POINT_INTEGER, _POINT_OUTPUT, _random_token())
         self._outputs, self._clock = outputs, clock

@@ -29,6 +29,8 @@ from .trajectory import LEAP
 
 #: Intervals that the statistics keep: a minute and a half at 500 Hz.
 _REMEMBERED = 50_000
+#: Seconds between two set-points from which on an error mentions the delay.
+_LATE = 0.05
 #: rad between the first set-point and the target position of the arm, at most.
 _NEAR = 0.05
 
@@ -64,6 +66,7 @@ class _Leading(LinkDialogue):
 
     def __init__(self, servoing: Servoing, paced: PacedSetpoints | None) -> None:
         super().__init__(servoing.body)
+        self.watchdog = servoing.watchdog
         #: set once, by any thread
         self.paced = paced
         self._clock = ProgramClock(1.0 / servoing.firmware.rate)
@@ -199,7 +202,7 @@ class Servo(LinkedBlock):
         time = check_number(at, "at")
         state = self._context.state()
         if self._schedule is None:
-            schedule = Schedule(self._model, self._cycle, self._delay, self._context.section)
+            schedule = Schedule(self._model, self._cycle, self._delay, self._context.section.lock)
             self._dialogue.paced = PacedSetpoints(self._servoing, schedule)
             # Last: one that an interruption left without its set-points would lead nothing.
             self._schedule = schedule
@@ -315,12 +318,22 @@ class Servo(LinkedBlock):
         seconds = max(now - at, self._cycle)
         return [(there - here) / seconds for here, there in zip(q, values, strict=True)]
 
+    def _lateness(self) -> str:
+        """The end of the message about a set-point that is too far away, if the loop was late."""
+        late = self._context.clock() - self._sent_at
+        if late <= max(1.5 / self.rate, _LATE):
+            return ""
+        return (
+            f"; the last one was sent {late:.3f} s ago (watchdog={self._servoing.watchdog:g} s): after such a delay, "
+            "continue from it in small steps, or use target_filter='jerk_limited'"
+        )
+
     def _check_step(self, last: list[float] | None, values: list[float], now: float) -> None:
         """Refuse what is too far from the last set-point; the first one, also after a pause, from where the arm is."""
         if last is not None:
             excess = self._limit.excess(last, values, now)
             if excess is not None:
-                raise BadValue(excess)
+                raise BadValue(f"{excess}{self._lateness()}")
             return
         here = self._dialogue.here
         assert here is not None  # the block opens after the first message was sent

@@ -76,8 +76,10 @@ class LinkDialogue(ABC):
         farewell: the message that ends the program and brakes; empty if the program ends by itself.
         is_over: whether no message is left to send: where it is, the BRAKE of the motion's life follows.
         survives_its_program: whether the program may end by itself before the dialogue is over.
+        watchdog: Seconds without a message after which the program brakes, for error messages; None if unknown.
     """
 
+    watchdog: float | None = None
     farewell = STOP_MESSAGE
     is_over = False
     survives_its_program = False

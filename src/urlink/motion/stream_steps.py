@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 
 from linkcore.errors import BadValue
-from linkcore.pending_call import PendingCall, current_call
+from linkcore.pending_call import Call, PendingCall, current_call
 
 from ..models import Model
 from ..urscript.buffering import BRAKING_FACTOR, STRAY
@@ -273,7 +273,7 @@ class Handed:
 
     def __init__(self) -> None:
         self.future: Future[None] = Future()
-        self.call: PendingCall | None = current_call()
+        self.call: Call | PendingCall | None = current_call()
 
     def settle(self, error: Exception | None = None) -> None:
         """Resolve it."""

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from linkcore.errors import BadValue, LocalError
+from linkcore.pending_call import starts_motion
 from linkcore.streaming.stream import Stream
 
 from ..interfaces.enums import RobotStatusBits
@@ -241,6 +242,7 @@ class Teaching:
         """The freedrive of this block; None if the arm is moved with its own button."""
         return self._freedrive
 
+    @starts_motion
     def __enter__(self) -> Self:
         """Begin freedrive.
 

@@ -7,16 +7,16 @@ settings, nothing is held for longer than a burst of them: whoever asks later ge
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
+from linkcore import clock
 from linkcore.arguments import check_whole
 from linkcore.errors import BadValue, Closed, ConnectionLost, LinkTimeout
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import ConnectionState
 from linkcore.streaming.packet_queue import block
-from linkcore.threads import held
+from linkcore.threads import acquired, held
 
 from ..interfaces.rtde.packets import InputsReply, InputsRequest, PauseRequest, StartRequest, join_names
 from ..interfaces.rtde.protocol import Requests, claim_of
@@ -116,7 +116,7 @@ class Claims:
         )
 
     def _claim(self, names: tuple[str, ...]) -> Recipe:
-        until = time.monotonic() + self._timeout
+        until = clock.now() + self._timeout
         connection = self._connection
         queue = connection.open_queue(InputsReply, block)
         reply = None
@@ -124,7 +124,7 @@ class Claims:
             # Data is paused meanwhile, as the vendor asks for before a recipe is changed.
             requests = (PauseRequest(), InputsRequest(names=join_names(names)), StartRequest())
             connection.send(b"".join(map(bytes, requests)), self._timeout)
-            reply = queue.next(max(until - time.monotonic(), 0.0))
+            reply = queue.next(clock.left(until))
         finally:
             connection.close_queue(queue)
             if reply is None:
@@ -166,11 +166,11 @@ class BriefClaims:
             InputInUse, NoSuchVariable: they cannot be had.
             LinkError: RTDE cannot be had.
         """
-        self._used = time.monotonic()
+        self._used = clock.now()
         # In a signal handler, who has the lock waits for this very call to end.
-        if not self._lock.acquire(timeout=CLAIM_TIMEOUT if wait else 0.0):
-            return None
-        try:
+        with acquired(self._lock, CLAIM_TIMEOUT if wait else 0.0) as is_held:
+            if not is_held:
+                return None
             claims = self._standing
             if claims is not None and (claims.is_over or claims._connection.failure is not None):
                 claims = self._standing = None
@@ -180,8 +180,6 @@ class BriefClaims:
                 claims.claim(names)
             elif claims is None or not claims.has(names):
                 return None
-        finally:
-            self._lock.release()
         return claims.put
 
     def _open(self, names: tuple[str, ...]) -> Claims:
@@ -190,7 +188,7 @@ class BriefClaims:
         connection = claims._connection
 
         def look(state: Outputs) -> None:
-            if time.monotonic() - self._used > HOLD:
+            if clock.now() - self._used > HOLD:
                 self.give_back()
 
         self._standing = claims  # before it connects: whoever closes the robot meanwhile ends that too

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import threading
-import time
 import weakref
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args, overload
 
+from linkcore import clock
 from linkcore.arguments import check_choice, check_number
 from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError
 from linkcore.streaming.connection import Connection
@@ -268,14 +268,14 @@ class Rtde:
         Raises:
             RemoteError: the controller cannot be reached, does not answer, or answers another number of types.
         """
-        until = time.monotonic() + self._source.timeout
+        until = clock.now() + self._source.timeout
         transport = RtdeTransport(self._source.transport("rtde"), Requests())
         transport.open(self._source.timeout)
         try:
             assert transport.dialogue is not None, "the connection was made"
             if transport.dialogue.protocol == 1:
                 requests = [type(request)("1.0", names=request.names) for request in requests]
-            transport.send(b"".join(map(bytes, requests)), max(until - time.monotonic(), 0.0))
+            transport.send(b"".join(map(bytes, requests)), clock.left(until))
             replies = self._replies(transport, len(requests), until)
         finally:
             transport.abort()
@@ -294,7 +294,7 @@ class Rtde:
         receiver = Receiver(transport.name, RtdeProtocol(Requests()), StreamCounters())
         replies: list[OutputsReply | InputsReply] = []
         while len(replies) < count:
-            left = until - time.monotonic()
+            left = until - clock.now()
             if left <= 0:
                 raise LinkTimeout(f"{transport.name}: {len(replies)} of {count} requests were answered in time")
             data, stamp = transport.receive(left)
@@ -331,13 +331,13 @@ class Rtde:
 
     def close(self, timeout: float = 2.0) -> None:
         """Close every stream and release every input, within `timeout` seconds. Idempotent."""
-        until = time.monotonic() + timeout
+        until = clock.now() + timeout
         with self._lock:
             self._is_closed = True
             opened, self._open = self._open, []
         self._brief.close(timeout)
         for each in opened:
-            each.close(max(until - time.monotonic(), 0.0))
+            each.close(clock.left(until))
 
     def __repr__(self) -> str:
         return f"<Rtde {self._name}>"

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import contextlib
 import threading
-import time
 from collections.abc import Callable, Iterator
 
+from linkcore import clock
 from linkcore.arguments import check_seconds
 from linkcore.errors import LinkTimeout
 from linkcore.threads import started
@@ -109,16 +109,16 @@ def passing(step: Callable[[int], object], rate: int, speed: float) -> Iterator[
     cycles = round(_SLICE * rate)
 
     def run() -> None:
-        due = time.monotonic()
-        while not over.wait(max(due - time.monotonic(), 0.0)):
+        due = clock.now()
+        while not clock.wait(over.wait, due - clock.now()):
             # The thread that serves may get no processor time for seconds: time stands still then, and goes on.
             with contextlib.suppress(LinkTimeout):
                 step(cycles)
-            due = max(due + cycles / rate / speed, time.monotonic() - 1.0)
+            due = max(due + cycles / rate / speed, clock.now() - 1.0)
 
     thread = started(threading.Thread(target=run, name="urlink sim time", daemon=True))
     try:
         yield
     finally:
         over.set()
-        thread.join()
+        clock.join(thread)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Literal
 
-from linkcore.clock import monotonic
+from linkcore import clock
 from linkcore.errors import BadValue, LocalError
 from urlink import models
 from urlink.address import RobotAddress
@@ -157,7 +157,7 @@ class Controller:
         self._reachable = frozenset(map(_numeric, reachable))
         self._server: Server | None = None
         self._stepped = SteppedClock(chosen.rate) if stepped else None
-        self._clock: Callable[[], float] = self._stepped or monotonic
+        self._clock: Callable[[], float] = self._stepped or clock.now
         # Of the cycles that were stepped, until they are taken.
         self._messages: deque[bytes] = deque()
         source = motion or Still()
@@ -321,12 +321,25 @@ class Controller:
 
     @property
     def remote_control(self) -> bool:
-        """Whether an e-Series accepts commands from outside the pendant. Can be set."""
+        """Whether an e-Series is in remote control, and so accepts commands from outside the pendant. Can be set."""
         return self._state.remote_control
 
     @remote_control.setter
     def remote_control(self, is_remote: bool) -> None:
         self._state.remote_control = is_remote
+
+    @property
+    def has_local_control(self) -> bool:
+        """Whether an e-Series that is not in remote control refuses commands from outside the pendant. Can be set.
+
+        If False, the controller accepts them although `remote_control` is False, as URSim does. Assumption: the feature
+        "remote control" is off in the settings of such a controller.
+        """
+        return self._state.has_local_control
+
+    @has_local_control.setter
+    def has_local_control(self, is_distinguished: bool) -> None:
+        self._state.has_local_control = is_distinguished
 
     @property
     def teach_button(self) -> bool:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from linkcore.errors import BadValue
-from urlink.firmware import Firmware, known_firmware
+from urlink.firmware import Firmware, existing_firmware
 from urlink.interfaces.enums import ControlMode, ProgramState, TimeScaleSource
 from urlink.kinematics import Arm as Kinematics
 from urlink.models import Model
@@ -146,7 +146,8 @@ class ControllerState:
         scaling: the fraction of their speed with which the commands of programs are executed; it follows `slider`, and
             is 0 at the start of a program.
         scaling_parameters: as given.
-        remote_control: whether an e-Series accepts commands from outside the pendant.
+        remote_control: whether an e-Series is in remote control.
+        has_local_control: whether an e-Series that is not in remote control refuses commands from outside the pendant.
         control_mode: what the program that runs controls; position without a program.
         teach_button: whether the button for freedrive is held.
         flags: of `set_flag`.
@@ -178,7 +179,7 @@ class ControllerState:
         self.cycles_down = 0
         self.signals = Signals()
         self.modbus = ModbusSignals(lambda: self.time)
-        self.remote_control = True
+        self.remote_control = self.has_local_control = True
         self.teach_button = False
         self.fieldbus: str | None = None
         self.log: list[str] = []
@@ -259,7 +260,7 @@ class ControllerState:
     @property
     def is_local(self) -> bool:
         """Whether it accepts commands from the pendant alone: an e-Series in local control."""
-        return self.firmware.is_e_series and not self.remote_control
+        return self.firmware.is_e_series and self.has_local_control and not self.remote_control
 
     def move_slider(self, seconds: float) -> None:
         """Let the speed slider take effect, as far as it does in some seconds."""
@@ -314,7 +315,7 @@ def firmware_for(model: Model, firmware: str | Firmware) -> Firmware:
         BadVersion: no such firmware.
         BadValue: it does not run on the model.
     """
-    parsed = known_firmware(firmware)
+    parsed = existing_firmware(firmware)
     if model.generation == "e":
         suits, needs = parsed.is_e_series, "5.0 or later"
     elif model.name == "UR3":

@@ -23,7 +23,7 @@ from linkcore.errors import BadValue
 from linkcore.wire.fields import Since
 
 from ..firmware import Firmware
-from .text import boolean, integer, number, pose, quoted, vector
+from .text import boolean, floats, integer, number, pose, quoted, vector
 
 #: Bd; those of the tool's serial line.
 BAUD_RATES = (9600, 19200, 38400, 57600, 115200, 1_000_000, 2_000_000, 5_000_000)
@@ -274,11 +274,11 @@ def gravity(acceleration: Sequence[float]) -> str:
     Raises:
         BadValue: not three numbers, or of a length that is none of gravity.
     """
-    upwards = vector(acceleration, 3, "gravity")
-    length = math.hypot(*acceleration)
+    components = floats(acceleration, 3, "gravity")
+    length = math.hypot(*components)
     if not _GRAVITIES[0] <= length <= _GRAVITIES[1]:
         raise BadValue(f"gravity is {length:g} m/s² long; expected {_GRAVITIES[0]:g} to {_GRAVITIES[1]:g}")
-    return f"set_gravity({upwards})"
+    return f"set_gravity({vector(components, 3)})"
 
 
 def tcp(offset: Sequence[float]) -> str:

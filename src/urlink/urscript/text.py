@@ -71,14 +71,14 @@ def number(value: Any, what: str = "value", least: float = -_LARGEST, most: floa
     return "0.0" if digits == "-0.0" else digits
 
 
-def vector(values: Iterable[Any], length: int = 6, what: str = "value") -> str:
-    """A list of numbers: six joints, a centre of gravity.
+def floats(values: Iterable[Any], length: int, what: str) -> list[float]:
+    """So many finite numbers.
 
-    >>> vector([1, 2, 3], 3)
-    '[1.0, 2.0, 3.0]'
+    >>> floats((1, 2), 2, "value")
+    [1.0, 2.0]
 
     Raises:
-        BadValue: there are more or fewer of them, or one is not finite.
+        BadValue: there are more or fewer of them, or one is not a finite number.
     """
     try:
         if isinstance(values, (str, bytes)):
@@ -88,8 +88,19 @@ def vector(values: Iterable[Any], length: int = 6, what: str = "value") -> str:
         raise BadValue(f"{what} is {values!r}; expected {length} numbers") from None
     if len(items) != length:
         raise BadValue(f"{what} has {len(items)} values; expected {length}")
-    numbers = [number(item, f"{what}[{index}]") for index, item in enumerate(items)]
-    return f"[{', '.join(numbers)}]"
+    return [check_number(item, f"{what}[{index}]") for index, item in enumerate(items)]
+
+
+def vector(values: Iterable[Any], length: int = 6, what: str = "value") -> str:
+    """A list of numbers: six joints, a centre of gravity.
+
+    >>> vector([1, 2, 3], 3)
+    '[1.0, 2.0, 3.0]'
+
+    Raises:
+        BadValue: there are more or fewer of them, or one is not finite.
+    """
+    return f"[{', '.join(map(number, floats(values, length, what)))}]"
 
 
 def pose(values: Sequence[Any], what: str = "pose") -> str:

@@ -206,7 +206,8 @@ def wrap(source: str, token: str, permission: Permission | None = None) -> Wrapp
 
     Raises:
         BadValue: nothing to run, a block without its `end` or an `end` without its block, a last statement that is
-            not whole, a program that wants arguments, or a `sec` that is not alone.
+            not whole, a program that wants arguments, several functions of which only the last would run, or a `sec`
+            that is not alone.
     """
     lines = _read(source)
     items = _items(lines)
@@ -215,8 +216,9 @@ def wrap(source: str, token: str, permission: Permission | None = None) -> Wrapp
         return _secondary(lines, items[0], token)
     called, called_line = "", ""
     if kind == "def":
-        last = [item for item in items if item.word == "def"][-1]
+        *others, last = [item for item in items if item.word == "def"]
         called = _called(lines[last.first], last.first)
+        _check_used(lines, others, called)
         called_line = f"{called}()"
     return _program(f"{called or 'urlink'}_{token}", lines, called_line, permission)
 
@@ -321,6 +323,32 @@ def _called(line: str, number: int) -> str:
     if not all("=" in each for each in arguments):
         raise BadValue(f"line {number + 1} of the program: {head[2]} takes arguments, so it cannot be run by itself")
     return head[2]
+
+
+def _check_used(lines: list[str], others: Sequence[_Item], called: str) -> None:
+    """Check that the functions above the one that is called are not all programs of their own.
+
+    A function that is not used is legal, as in a collection of helpers. But if none of them is used, the source is
+    several programs, of which only the last would run.
+
+    Raises:
+        BadValue: If none of these functions is mentioned outside of itself.
+    """
+    code = [_TOKEN.sub(lambda found: "" if found[0][0] in '"#' else found[0], line) for line in lines]
+    names = []
+    for item in others:
+        head = _HEAD.match(lines[item.first])
+        if head is None:
+            return
+        rest = [*code[: item.first], *code[item.last + 1 :]]
+        if any(re.search(rf"\b{head[2]}\b", line) for line in rest):
+            return
+        names.append(head[2])
+    if names:
+        raise BadValue(
+            f"the program has several functions and nothing calls {', '.join(names)}, so only the last one, {called}, "
+            f"would run; call them in {called}, or send each in a run() of its own"
+        )
 
 
 def _items(lines: list[str]) -> list[_Item]:

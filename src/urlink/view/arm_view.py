@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import contextlib
 import threading
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 
+from linkcore import clock
 from linkcore.errors import BadValue, LinkError
+from linkcore.plotting import element_names
 from linkcore.text import similar
 from linkcore.threads import Closing
 
 from ..kinematics import Arm
 from ..motion.jog import FULL_SPEED, FrameName, Jog
+from ..vectors import JOINTS
 from .bodies import Bodies, wxyz
 from .page import Page
 from .windows import SPAN, LiveWindow, RecordedWindow, Window
@@ -26,6 +28,8 @@ if TYPE_CHECKING:
 
 _ARM, _TARGET, _TRAIL, _FORCE = (205, 210, 216), (224, 122, 31), (224, 122, 31), (210, 40, 60)
 _CURVES = ("#4a7fc0", "#e07a1f", "#3f9c5a", "#b5495b", "#7d5fb2", "#8a7248")
+#: Units of vectors with six elements that have one for each joint.
+_OF_JOINTS = frozenset({"rad", "rad/s", "rad/s^2", "Nm", "A", "V", "degC"})
 #: m of the arrow for each newton, and newtons below which there is none: a simulated or idle sensor shows some.
 _PER_NEWTON, _LEAST = 0.004, 3.0
 #: rad between an actual and a target position below which the target is not drawn: it would cover the arm in spots.
@@ -36,7 +40,7 @@ _SELDOM = 6
 _RATE, _EXPIRY = 20.0, 0.25
 #: What the buttons of a frame move.
 _NAMES = {
-    "joints": ("base", "shoulder", "elbow", "wrist 1", "wrist 2", "wrist 3"),
+    "joints": JOINTS,
     "base": ("x", "y", "z", "about x", "about y", "about z"),
 }
 
@@ -165,7 +169,7 @@ class ArmView(Closing):
         """Call `show` in a thread of its own, `rate` times a second, until the view is closed."""
 
         def run() -> None:
-            while not self._over.wait(1.0 / rate):
+            while not clock.wait(self._over.wait, 1.0 / rate):
                 self.show()
 
         self._thread = threading.Thread(target=run, name="view", daemon=True)
@@ -176,7 +180,7 @@ class ArmView(Closing):
         """End a jog, and the page; idempotent."""
         self._over.set()
         if self._thread is not None:
-            self._thread.join()
+            clock.join(self._thread)
         if self._jog is not None:
             self._jog.close()
         self.page.close()
@@ -201,7 +205,7 @@ class _Player:
 
     def play(self) -> None:
         """Go on, if it plays, and show the moment of the slider."""
-        now = time.monotonic()
+        now = clock.now()
         if self._plays.value and self._last is not None:
             self._time.value = min(self._time.value + (now - self._last) * self._rate.value, self._end)
             if self._time.value >= self._end:
@@ -225,14 +229,23 @@ class _Curves:
             return
         data = (window.time - window.time[-1], *rows.T.copy())
         if self._handle is None:
-            colours = (_CURVES[number % len(_CURVES)] for number in range(rows.shape[1]))
-            curves = [{"label": "", "stroke": each, "width": 1.5, "points": {"show": False}} for each in colours]
+            unit, count = window.unit(self._field), rows.shape[1]
+            names = JOINTS if unit in _OF_JOINTS and count == len(JOINTS) else element_names(unit, count)
+            curves = [
+                {
+                    "label": name if count > 1 else self._field,
+                    "stroke": _CURVES[number % len(_CURVES)],
+                    "width": 1.5,
+                    "points": {"show": False},
+                }
+                for number, name in enumerate(names)
+            ]
             self._handle = self._gui.add_uplot(
                 data,
-                ({"label": "s"}, *curves),
-                title=self._field,
+                ({"label": "t [s]"}, *curves),
+                title=self._field if unit in ("", "1") else f"{self._field} [{unit}]",
                 scales={"x": {"time": False, "range": (-SPAN, 0.0), "auto": False}},
-                legend={"show": False},
+                legend={"show": True, "live": False},
                 height=140,
             )
         else:

@@ -47,6 +47,10 @@ class Window(ABC):
     def fields(self) -> tuple[str, ...]:
         """Names of the fields."""
 
+    @abstractmethod
+    def unit(self, field: str) -> str:
+        """The unit of a field; "" if it has none."""
+
     @property
     @abstractmethod
     def status(self) -> tuple[str, bool]:
@@ -95,6 +99,10 @@ class LiveWindow(Window):
     def fields(self) -> tuple[str, ...]:
         """Names of the fields of a state."""
         return tuple(RealtimeState.FIELDS)
+
+    def unit(self, field: str) -> str:
+        """See `Window`."""
+        return RealtimeState.FIELDS[field].unit
 
     def look(self) -> None:
         """Take the newest state, if it is new."""
@@ -157,6 +165,10 @@ class RecordedWindow(Window):
     def fields(self) -> tuple[str, ...]:
         """Names of the fields of the table."""
         return tuple(self._table.fields)
+
+    def unit(self, field: str) -> str:
+        """See `Window`."""
+        return self._table.fields[field].unit
 
     def at(self, time: float) -> None:
         """Show the last row that came at `time` or before, s since the recording began; else the first."""

@@ -179,6 +179,9 @@ async def test_who_falls_behind_loses_the_oldest_and_is_told_how_many() -> None:
         assert some.stats.waiting == 3
         assert await numbers(some, 3) == [7, 8, 9]
         assert await numbers(newest, 1) == [9]
+        assert stream.stats.dropped == 7 + 9
+        await some.aclose()
+        assert stream.stats.dropped == 7 + 9
         assert (some.stats.offered, some.stats.delivered, some.stats.dropped) == (10, 3, 7)
 
 

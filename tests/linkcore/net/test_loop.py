@@ -11,12 +11,12 @@ import socket
 import struct
 import sys
 import threading
-import time
 import weakref
 from collections.abc import Callable, Iterator
 
 import pytest
 
+import linkcore.clock
 from linkcore.errors import BadAddress, BadValue, LinkTimeout
 from linkcore.net.loop import Connection, Handler, ListeningPort, SelectorLoop
 from tests.fakes.clock import Clock
@@ -470,9 +470,9 @@ def test_a_loop_that_ends_in_order_has_a_deadline() -> None:
         until(lambda: (loop.serve_once(loop.time()), port.connections)[1])
         (connection,) = port.connections
         connection.write(b"z" * 20_000_000)
-        begun = time.monotonic()
+        begun = linkcore.clock.now()
         loop.close(within=0.1)
-        assert 0.05 < time.monotonic() - begun < TIMEOUT
+        assert 0.05 < linkcore.clock.now() - begun < TIMEOUT
     assert not connection.is_open
 
 
@@ -709,14 +709,16 @@ def test_where_select_cannot_be_used(monkeypatch: pytest.MonkeyPatch) -> None:
     """The selector of a process with more than a thousand descriptors; its waits are of whole milliseconds."""
     bench = Bench()
     monkeypatch.setattr(bench.loop, "_select_from", None)
-    bench.loop.time = time.monotonic
+    bench.loop.time = linkcore.clock.now
     with contextlib.closing(bench):
         for seconds in (0.0004, 0.0153):
-            end = time.monotonic() + seconds
-            until(lambda end=end: (bench.loop.serve_once(end), time.monotonic() >= end)[1])  # type: ignore[misc]
+            end = linkcore.clock.now() + seconds
+            until(lambda end=end: (bench.loop.serve_once(end), linkcore.clock.now() >= end)[1])  # type: ignore[misc]
         link = bench.connect()
         link.sendall(b"x")
-        until(lambda: (bench.loop.serve_once(time.monotonic() + 0.01), bench.handlers and bench.handlers[0].data)[1])
+        until(
+            lambda: (bench.loop.serve_once(linkcore.clock.now() + 0.01), bench.handlers and bench.handlers[0].data)[1]
+        )
 
 
 def test_an_owner_that_is_late_does_not_starve_its_clients(bench: Bench) -> None:

@@ -18,6 +18,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import linkcore.clock
 import linkcore.net.transport
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout, RemoteError
 from linkcore.net.awaited import AwaitedTcp
@@ -110,12 +111,12 @@ class Background:
         self._thread.start()
 
     def _run(self) -> None:
-        began = time.monotonic()
+        began = linkcore.clock.now()
         try:
             self.result = self._call()
         except Exception as error:
             self.error = error
-        self.seconds = time.monotonic() - began
+        self.seconds = linkcore.clock.now() - began
 
     def join(self) -> None:
         self._thread.join(TIMEOUT)
@@ -126,11 +127,11 @@ class Background:
 
 
 def test_receives_what_was_sent_with_the_moment_it_came(transport: TcpTransport, peer: Peer) -> None:
-    before = time.monotonic(), time.time()
+    before = linkcore.clock.now(), time.time()
     peer.connections[0].sendall(b"state")
     data, stamp = transport.receive()
     assert data == b"state"
-    assert before[0] <= stamp.monotonic <= time.monotonic()
+    assert before[0] <= stamp.monotonic <= linkcore.clock.now()
     assert before[1] <= stamp.wall <= time.time()
 
 
@@ -182,10 +183,10 @@ def test_a_host_that_does_not_answer_is_given_up_within_the_timeout(
     silent: Callable[[int], list[float]], addresses: int
 ) -> None:
     tried = silent(addresses)
-    began = time.monotonic()
+    began = linkcore.clock.now()
     with pytest.raises(LinkTimeout, match=r"cannot connect to robot:30003: nothing within 0\.3 s"):
         TcpTransport("robot", 30003, silence=1).open(0.3)
-    assert 0.25 < time.monotonic() - began < 2
+    assert 0.25 < linkcore.clock.now() - began < 2
     assert len(tried) == addresses
     assert tried[0] == pytest.approx(0.3 / addresses, abs=0.05)
 
@@ -295,11 +296,11 @@ def test_opening_again_closes_the_first_connection(transport: TcpTransport, peer
 def test_silence_is_a_timeout(peer: Peer, silence: float) -> None:
     transport = TcpTransport("127.0.0.1", peer.port, silence=silence)
     transport.open(TIMEOUT)
-    began = time.monotonic()
+    began = linkcore.clock.now()
     with pytest.raises(LinkTimeout, match="nothing within") as caught:
         transport.receive()
     assert isinstance(caught.value, TimeoutError)
-    assert silence * 0.9 <= time.monotonic() - began < 2
+    assert silence * 0.9 <= linkcore.clock.now() - began < 2
     # It is still connected: what comes now is received.
     peer.accept().sendall(b"late")
     while True:
@@ -311,10 +312,10 @@ def test_silence_is_a_timeout(peer: Peer, silence: float) -> None:
 
 def test_a_receive_can_have_a_timeout_of_its_own(transport: TcpTransport, peer: Peer) -> None:
     for timeout in (0.05, 0.05, 0.0, -1.0):
-        began = time.monotonic()
+        began = linkcore.clock.now()
         with pytest.raises(LinkTimeout, match=f"nothing within {max(timeout, 0):g} s"):
             transport.receive(timeout)
-        assert max(timeout, 0) * 0.9 <= time.monotonic() - began < 2
+        assert max(timeout, 0) * 0.9 <= linkcore.clock.now() - began < 2
     peer.connections[-1].sendall(b"late")
     assert transport.receive(TIMEOUT)[0] == b"late"
     peer.connections[-1].sendall(b"later")
@@ -407,10 +408,10 @@ def test_sends_all_however_long(transport: TcpTransport, peer: Peer) -> None:
 
 
 def test_sending_to_who_does_not_read_is_a_timeout(transport: TcpTransport) -> None:
-    began = time.monotonic()
+    began = linkcore.clock.now()
     with pytest.raises(LinkTimeout, match=r"sending to .* nothing within 0\.2 s"):
         transport.send(b"x" * 50_000_000, 0.2)
-    assert 0.19 < time.monotonic() - began < 2
+    assert 0.19 < linkcore.clock.now() - began < 2
 
 
 def test_sending_to_who_is_gone(transport: TcpTransport, peer: Peer) -> None:

@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import linkcore.clock
 from linkcore.clock import Stamp
 from linkcore.errors import BadRecording, BadValue, ConnectFailed, ConnectionLost, LinkTimeout
 from linkcore.net.transport import Finished
@@ -49,10 +50,10 @@ class Elapsed:
     """Seconds of simulated time since it was made."""
 
     def __init__(self) -> None:
-        self._begun = time.monotonic()
+        self._begun = linkcore.clock.now()
 
     def __call__(self) -> float:
-        return time.monotonic() - self._begun
+        return linkcore.clock.now() - self._begun
 
 
 def about(seconds: Any) -> Any:
@@ -79,7 +80,7 @@ def test_chunks_come_at_their_times(tmp_path: Path, rate: float) -> None:
     for expected in (b"a", b"b", b"c"):
         data, stamp = transport.receive()
         assert data == expected
-        assert stamp.monotonic == about(time.monotonic()), "the stamp is of the present"
+        assert stamp.monotonic == about(linkcore.clock.now()), "the stamp is of the present"
         came.append(elapsed())
     assert came == about([0, 0.25 / rate, 2 / rate])
     with pytest.raises(Finished):

@@ -8,6 +8,9 @@ import pytest
 
 from linkcore.streaming.stream import Stream
 from tests.fakes.link import Count, ScriptedTransport, scripted
+from tests.worlds.guarded import guards
+
+__all__ = ["guards"]
 
 
 @pytest.fixture

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import math
+import threading
+from collections.abc import Callable
+from decimal import Decimal
+from fractions import Fraction
 from typing import Any
 
+import numpy as np
 import pytest
 
-from linkcore.arguments import check_callable, check_seconds
+from linkcore.arguments import Default, check_callable, check_number, check_overridden, check_seconds, check_wait
 from linkcore.errors import BadValue
 from linkcore.net.transport import Finished
 from linkcore.streaming.connection_life import ConnectionEvent, Traffic
@@ -35,6 +40,36 @@ def test_what_is_one(value: float) -> None:
 def test_nothing_is_not_positive() -> None:
     with pytest.raises(BadValue, match="deadline=0; expected a positive number"):
         check_seconds(0, "deadline", positive=True)
+
+
+@pytest.mark.parametrize("value", [1e10, 9.3e9, 1e308, 10**400, math.inf])
+@pytest.mark.parametrize("check", [check_wait, lambda value: check_seconds(value, "wait", finite=True)])
+def test_check_wait_rejects_what_no_system_can_wait(value: float, check: Callable[[float], float]) -> None:
+    with pytest.raises(BadValue, match=r"wait=.*; expected a number of seconds, 0 or more"):
+        check(value)
+
+
+def test_check_wait_accepts_the_longest_wait_of_the_system() -> None:
+    assert check_wait(threading.TIMEOUT_MAX) == threading.TIMEOUT_MAX
+
+
+def test_check_overridden_accepts_defaults() -> None:
+    check_overridden("time sets the duration", speed=Default(1.05), delay=None)
+    with pytest.raises(BadValue, match=r"speed=1\.05 would be ignored, since time sets the duration; omit speed"):
+        check_overridden("time sets the duration", speed=1.05)
+
+
+@pytest.mark.parametrize("value", [True, np.bool_(True), "1", None, 1j, [1]])
+def test_check_number_rejects_other_types(value: object) -> None:
+    with pytest.raises(BadValue, match="expected a number"):
+        check_number(value, "fraction")
+
+
+@pytest.mark.parametrize("value", [Decimal("0.5"), Fraction(1, 2), np.float32(0.5)])
+def test_check_number_returns_a_float(value: Any) -> None:
+    checked = check_number(value, "fraction")
+    assert type(checked) is float
+    assert checked == 0.5
 
 
 def test_what_cannot_be_called() -> None:

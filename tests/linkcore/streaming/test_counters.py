@@ -13,6 +13,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule, run_state_machine_as_test
 
+import linkcore.clock
 from linkcore.errors import ConnectionLost
 from linkcore.net.transport import Finished
 from linkcore.streaming.packet_queue import Policy, block, drop_oldest, latest
@@ -26,7 +27,7 @@ pytestmark = pytest.mark.simulated_time
 
 
 def test_a_packet_that_comes_while_the_counters_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
-    counters, clock = StreamCounters(), time.monotonic
+    counters, clock = StreamCounters(), linkcore.clock.now
     counters.arrived = clock()
 
     def late() -> float:
@@ -36,7 +37,7 @@ def test_a_packet_that_comes_while_the_counters_are_looked_at(monkeypatch: pytes
         counters.arrived = arrived  # by the reader, before this thread goes on
         return now
 
-    monkeypatch.setattr(time, "monotonic", late)
+    monkeypatch.setattr(linkcore.clock, "now", late)
     age = counters.statistics.age
     assert age is not None
     assert age >= 0
@@ -56,6 +57,40 @@ def test_each_counter_of_a_stream(stream: Stream[Count], transport: ScriptedTran
     assert stats.resyncs == 1
     assert stats.reconnects == 1
     assert (stats.unknown, stats.tails, stats.slow_inline) == (0, 0, 0)
+
+
+def test_stats_count_what_a_slow_loop_drops(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    loop = stream.iterate(latest)
+    transport.put(counts(1))
+    assert next(loop).number == 1
+    transport.put(counts(2, 3, 4), counts(5))
+    until(lambda: stream.stats.dropped == 3)
+    assert next(loop).number == 5
+    transport.put(counts(6, 7))
+    until(lambda: stream.stats.dropped == 4)
+    # The one that waits when the loop ends was not passed over.
+    loop.close()  # type: ignore[attr-defined]
+    transport.put(counts(8, 9), counts(10))
+    until(lambda: stream.stats.received == 10)
+    assert stream.stats.dropped == 4
+
+
+def test_stats_count_what_expires_in_a_loop(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    loop = stream.iterate(drop_oldest(10), lifespan=0.5)
+    transport.put(counts(1))
+    assert next(loop).number == 1
+    transport.put(counts(2, 3))
+    until(lambda: stream.stats.received == 3)
+    time.sleep(1.0)
+    transport.put(counts(4))
+    assert next(loop).number == 4
+    assert stream.stats.dropped == 2
+
+
+def test_stats_do_not_count_what_a_wait_drops(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    transport.put(counts(1, 2, 3))
+    assert stream.wait(10).number == 3
+    assert stream.stats.dropped == 0
 
 
 def test_what_a_protocol_counts_is_the_streams(stream: Stream[Count], transport: ScriptedTransport) -> None:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import threading
-import time
 from typing import Any, NamedTuple
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import linkcore.clock
 from linkcore.aio.packets import LoopQueue
 from linkcore.clock import Stamp
 from linkcore.errors import BadValue
@@ -61,7 +61,7 @@ def test_every_packet_is_delivered_dropped_or_waits(
         if isinstance(step, list):
             # In one thread a queue that evicts nothing must not be offered more than it has room for.
             ages = step if evicts else step[: limit - len(model)]
-            now = time.monotonic()
+            now = linkcore.clock.now()
             packets = [
                 Packet(number, None if age is None else Stamp(now - age, 0.0))
                 for number, age in enumerate(ages, offered)
@@ -102,8 +102,8 @@ def test_a_subscription() -> None:
     assert is_held.wait(10)
     transport.put(counts(2, 3, 4))
     until(lambda: stream.stats.received == 4)
-    old = time.monotonic() + 1.1
-    until(lambda: time.monotonic() > old)
+    old = linkcore.clock.now() + 1.1
+    until(lambda: linkcore.clock.now() > old)
     goes_on.set()
     until(lambda: subscription.stats.expired == 3)
     transport.put(counts(5))
@@ -129,8 +129,8 @@ def test_a_loop() -> None:
     assert next(states).number == 1
     transport.put(counts(2, 3))
     until(lambda: stream.stats.received == 3)
-    old = time.monotonic() + 1.1
-    until(lambda: time.monotonic() > old)
+    old = linkcore.clock.now() + 1.1
+    until(lambda: linkcore.clock.now() > old)
     transport.put(counts(4))
     assert next(states).number == 4
     stream.close()
@@ -142,7 +142,7 @@ def test_a_task_that_waits() -> None:
 
     async def wait() -> None:
         queue = LoopQueue(drop_oldest(8), connection, LIFESPAN)
-        old = Stamp(time.monotonic() - 2 * LIFESPAN, 0.0)
+        old = Stamp(linkcore.clock.now() - 2 * LIFESPAN, 0.0)
         queue.offer([Packet(number, old) for number in range(3)])
         assert await queue.next(0.01) is None
         assert (queue.taken, queue.dropped, queue.expired, queue.is_over) == (0, 3, 3, False)
@@ -176,6 +176,6 @@ def test_an_inline_callback_has_none() -> None:
 
 def test_a_thread_that_waits_is_not_given_what_has_expired() -> None:
     queue = PacketQueue(drop_oldest(8), LIFESPAN)
-    queue.offer([Packet(0, Stamp(time.monotonic() - 2 * LIFESPAN, 0.0))])
+    queue.offer([Packet(0, Stamp(linkcore.clock.now() - 2 * LIFESPAN, 0.0))])
     assert queue.next(0.01) is None
     assert not queue.is_over

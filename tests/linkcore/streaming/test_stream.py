@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from collections.abc import Iterator
 
 import pytest
 
+import linkcore.clock
 from linkcore.errors import BadValue, Closed, ConnectFailed, ConnectionLost, LinkTimeout
 from linkcore.net.transport import Finished
 from linkcore.streaming.connection_life import Backoff, Chunk, ConnectionEvent, ConnectionState, Traffic
@@ -55,11 +55,11 @@ def test_delivers_in_order(stream: Stream[Count], transport: ScriptedTransport) 
 
 
 def test_stamps_say_when_the_bytes_came(stream: Stream[Count], transport: ScriptedTransport) -> None:
-    before = time.monotonic()
+    before = linkcore.clock.now()
     transport.put(counts(1))
     count = stream.wait(10)
     assert count.received is not None
-    assert before <= count.received.monotonic <= time.monotonic()
+    assert before <= count.received.monotonic <= linkcore.clock.now()
     assert count.received.age >= 0
 
 
@@ -152,9 +152,9 @@ def test_close_frees_a_reader_that_waits_for_room(stream: Stream[Count], transpo
     stream.subscribe(sleep, policy=Policy(1, evicts=False))
     transport.put(counts(*range(50)))
     assert asleep.wait(10)
-    began = time.monotonic()
+    began = linkcore.clock.now()
     stream.close(timeout=0.5)
-    assert time.monotonic() - began < 5
+    assert linkcore.clock.now() - began < 5
     wake.set()
     until(lambda: not own_threads())
     adds_up(stream)

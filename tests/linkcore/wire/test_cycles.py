@@ -50,24 +50,28 @@ class Timed:
         return frame
 
 
-def counted(times: list[float | None], *periods: float, cuts: int = 1, is_uniform: bool = False) -> Missing:
-    """What is missing, the same whether the receiver sees it by itself or asks for each packet."""
+def counters(times: Sequence[float | None], *periods: float, cuts: int = 1) -> MissedCycles:
+    """What is missing and what comes twice, the same whether the receiver sees it by itself or asks for each packet."""
     frames = [b"" if time is None else _TIME.pack(time) for time in times]
     chunks = [frames[at : at + cuts] for at in range(0, len(frames), cuts)]
-    counter = MissedCycles(moment, periods, is_uniform=is_uniform)
+    counter = MissedCycles(moment, periods)
     for chunk in chunks:
         counter.take(chunk)
-    quick = MissedCycles(moment, periods, time=_TIME.unpack, size=_TIME.size, is_uniform=is_uniform)
+    quick = MissedCycles(moment, periods, time=_TIME.unpack, size=_TIME.size)
     receiver = Receiver("frames", cast(PacketProtocol, Timed(chunks, quick)), StreamCounters())
     for number in range(len(chunks)):
         receiver.feed(b"", Stamp(number * 1e-3, 0.0))
-    assert quick.missing == counter.missing
+    assert (quick.missing, quick.duplicates) == (counter.missing, counter.duplicates)
     np.testing.assert_equal(quick.last, counter.last)
-    return counter.missing
+    return counter
+
+
+def counted(times: Sequence[float | None], *periods: float, cuts: int = 1) -> Missing:
+    return counters(times, *periods, cuts=cuts).missing
 
 
 def test_a_packet_that_follows_on_the_last_costs_no_call(monkeypatch: pytest.MonkeyPatch) -> None:
-    cycles = MissedCycles(moment, (0.002,), time=_TIME.unpack, size=_TIME.size, is_uniform=True)
+    cycles = MissedCycles(moment, (0.002,), time=_TIME.unpack, size=_TIME.size)
     chunks = [[_TIME.pack(number * 0.002)] for number in (1, 2, 3, 4, 9, 10)]
     receiver = Receiver("frames", cast(PacketProtocol, Timed(chunks, cycles)), StreamCounters())
     asked: list[Sequence[bytes]] = []
@@ -90,20 +94,21 @@ def test_a_packet_that_follows_on_the_last_costs_no_call(monkeypatch: pytest.Mon
     st.sampled_from([0.002, 0.008, 0.04, 0.1]),
     st.floats(0, 1e6),
     st.integers(1, 7),
-    st.booleans(),
+    st.lists(st.integers(1, 3), min_size=61, max_size=61),
 )
 def test_received_and_missing_are_all_cycles_of_the_clock(
-    missing: list[int], period: float, start: float, cuts: int, is_uniform: bool
+    missing: list[int], period: float, start: float, cuts: int, copies: list[int]
 ) -> None:
     cycles = np.concatenate([[0], np.cumsum([each + 1 for each in missing])])
     times = start + cycles * period
-    live = counted(times.tolist(), period, cuts=cuts, is_uniform=is_uniform)
+    found = counters(np.repeat(times, copies[: len(times)]).tolist(), period, cuts=cuts)
+    live = found.missing
+    assert found.duplicates == sum(copies[: len(times)]) - len(times)
     assert live.cycles == cycles[-1] + 1 - len(times) == sum(missing)
     gaps = gaps_of(times, times, (period,))
     assert [gap.cycles for gap in gaps] == [each for each in missing if each]
-    if cuts == 1:
-        assert live.gaps == len(gaps)
-        assert live.longest == max((gap.seconds for gap in gaps), default=0.0)
+    assert live.gaps == len(gaps)
+    assert live.longest == max((gap.seconds for gap in gaps), default=0.0)
 
 
 @pytest.mark.parametrize(("step", "period"), [(0.002, 0.002), (0.008, 0.008)])
@@ -119,6 +124,11 @@ def test_a_late_state_is_not_a_missing_one() -> None:
     """Of 12.5 cycles of 8 ms, robot states come after 12 and 13."""
     assert counted([0.0, 0.096, 0.2, 0.304, 0.4], 0.1) == Missing()
     assert counted([0.0, 0.104, 0.296, 0.4], 0.1).cycles == 1
+
+
+def test_duplicates_and_missing_cycles_in_one_chunk_do_not_cancel() -> None:
+    found = counters([0.0, 0.002, 0.002, 0.006, 0.008], 0.002, cuts=5)
+    assert (found.duplicates, found.missing.cycles) == (1, 1)
 
 
 def test_another_clock_is_no_gap() -> None:

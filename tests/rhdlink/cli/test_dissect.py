@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import io
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -47,6 +49,17 @@ def whole(pieces: list[Piece]) -> bytes:
             assert part.offset == len(data)
             data += part.data
     return data
+
+
+def test_dissect_reads_hex_text_and_stdin(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "server"
+    path.write_bytes(server())
+    status, expected, _ = run("dissect", str(path))
+    assert status == 0
+    path.write_text(server().hex(" "))
+    assert run("dissect", str(path))[:2] == (0, expected)
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(buffer=io.BytesIO(server())))
+    assert run("dissect", "-")[:2] == (0, expected)
 
 
 @pytest.mark.parametrize("width", [2, 4])

@@ -230,6 +230,8 @@ def test_an_obstacle_stops_a_motion_before_it() -> None:
         lambda drive: drive.follow_wall("front", 0.3),
         lambda drive: drive.follow_wall("left", -0.3),
         lambda drive: drive.wheels(0.1, None),
+        lambda drive: drive.wheels(11.0, 0.1),
+        lambda drive: drive.wheels(0.1, -11.0),
         lambda drive: drive.forward(1.0, speed=math.nan),
         lambda drive: drive.forward(True),
         lambda drive: drive.arc(True, 90),
@@ -243,6 +245,27 @@ def test_motions_that_cannot_be_are_refused(refused: Callable[[Drive], object]) 
         assert drive.error is None
 
 
+@pytest.mark.parametrize("speed", [-1.0, 0.0, 100.0, 10.01])
+@pytest.mark.parametrize(
+    "begin",
+    [
+        lambda drive, speed: drive.forward(0.5, speed=speed),
+        lambda drive, speed: drive.turn(90, speed=speed),
+        lambda drive, speed: drive.arc(0.5, 90, speed=speed),
+        lambda drive, speed: drive.to(1.0, 1.0, 0.0, speed=speed),
+        lambda drive, speed: drive.along(1.0, 1.0, 0.0, speed=speed),
+        lambda drive, speed: drive.follow_line(speed=speed),
+        lambda drive, speed: drive.follow_wall("left", 0.3, speed=speed),
+    ],
+)
+def test_drive_rejects_speeds_that_no_robot_drives(begin: Callable[[Drive, float], object], speed: float) -> None:
+    robot = Turtle()
+    with Drive(robot) as drive:
+        with pytest.raises(BadValue, match=r"^speed is .* 10 m/s"):
+            begin(drive, speed)
+        assert drive._motions.is_idle
+
+
 @pytest.mark.parametrize("kind", [np.int64, np.float32])
 def test_numbers_of_numpy_are_numbers(kind: Any) -> None:
     robot = Turtle(World(1000.0))
@@ -252,7 +275,12 @@ def test_numbers_of_numpy_are_numbers(kind: Any) -> None:
 
 
 def test_a_drive_that_cannot_be_is_refused() -> None:
-    for arguments in ({"speed": math.nan}, {"speed": True}, {"acceleration": 0.0}, {"compat": "loud"}):
+    refused: list[dict[str, Any]] = [
+        *({"speed": speed} for speed in (math.nan, True, -0.3, 0.0, 100.0)),
+        *({"acceleration": acceleration} for acceleration in (0.0, -1.0, 101.0)),
+        {"compat": "loud"},
+    ]
+    for arguments in refused:
         with pytest.raises(BadValue):
             Drive(Turtle(), **arguments)
     with pytest.raises(LinkError):

@@ -1,8 +1,10 @@
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -177,6 +179,23 @@ def test_hostile_text(run: Run, tmp_path: Path) -> None:
         assert status == 0
         assert_harmless(out)
     assert strict(run("dissect", str(path), "--json")[1])["fields"][-1]["value"] == HOSTILE
+
+
+def test_dissect_reads_hex_text_and_stdin(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = bytes(TextMessage(text="hello"))
+    path = tmp_path / "packet"
+    path.write_bytes(data)
+    status, expected, _ = run("dissect", str(path))
+    assert status == 0
+    for text in (data, data.hex().encode(), data.hex(" ").encode() + b"\n"):
+        path.write_bytes(text)
+        assert run("dissect", str(path))[:2] == (0, expected)
+        monkeypatch.setattr("sys.stdin", SimpleNamespace(buffer=io.BytesIO(text)))
+        assert run("dissect", "-")[:2] == (0, expected)
+    path.write_text("00000000: 0000 0037")
+    status, _, err = run("dissect", str(path))
+    assert status == 1
+    assert "it is text that begins with '00000000: 0000 0037'; expected hex digits" in err
 
 
 @pytest.mark.parametrize("data", [b"", b"\xff" * 5000, b"HTTP/1.1 400 Bad Request\r\n\r\n"])

@@ -32,7 +32,7 @@ _STATS = StreamStatistics(
     tails=0,
     age=None,
 )
-_COUNTERS = "received 9 missed 7 failed 1 reconnects 3"
+_COUNTERS = "received 9 missed 7 duplicates 0 failed 1 reconnects 3"
 
 
 def test_figures() -> None:

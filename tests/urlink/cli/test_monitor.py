@@ -10,12 +10,14 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from rich.console import Console
 
+import linkcore.clock
 import urlink
 from linkcore.streaming.connection_life import ConnectionState
 from linkcore.streaming.statistics import StreamStatistics
@@ -46,6 +48,7 @@ _STATS = StreamStatistics(
     unknown=0,
     tails=0,
     age=0.1,
+    duplicates=4,
 )
 Spawn = Callable[..., "subprocess.Popen[str]"]
 
@@ -61,11 +64,11 @@ def painted(glance: Glance, width: int = 100, colour: bool = False) -> str:
 
 def until(glances: Iterator[Glance], wanted: Callable[[Glance], bool]) -> Glance:
     """The first glance that is wanted; within ten seconds."""
-    deadline = time.monotonic() + 10
+    deadline = linkcore.clock.now() + 10
     for glance in glances:
         if wanted(glance):
             return glance
-        assert time.monotonic() < deadline, f"still {glance}"
+        assert linkcore.clock.now() < deadline, f"still {glance}"
         time.sleep(0.005)
     raise AssertionError("no more glances")
 
@@ -75,7 +78,12 @@ def until(glances: Iterator[Glance], wanted: Callable[[Glance], bool]) -> Glance
 
 def test_lines_have_what_matters(run: Run, address: str) -> None:
     status, out, err = run("monitor", address, "--duration", "1.3")
-    assert (status, err) == (0, "")
+    assert status == 0
+    watched, step = err.splitlines()
+    assert re.fullmatch(
+        r"urlink: watched for 1\.\d s, \d+\.\d Hz on average; received \d+ missed 0 failed 0 reconnects 0", watched
+    )
+    assert step == f"urlink: next: urlink record '{address}' run.urlog records what the robot sends"
     lines = out.splitlines()
     assert len(lines) == 3  # at once, after a second, and at the end
     for text in lines:
@@ -111,6 +119,32 @@ def test_recording_ends_by_itself(run: Run, recording: Path) -> None:
     assert status == 0
     assert " ENDED | " in out.splitlines()[-1]
     assert "OLD DATA" in out.splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    ("status", "counts", "address", "step"),
+    [
+        (StreamStatus.CONNECTED, {}, "sim://", "urlink record sim:// run.urlog"),
+        (StreamStatus.SLOW, {}, "sim://?motion=still", "urlink doctor 'sim://?motion=still'"),
+        (StreamStatus.LOST, {}, "10.0.0.7", "urlink doctor 10.0.0.7"),
+        (StreamStatus.CONNECTED, {"missed": 3}, "10.0.0.7", "urlink doctor 10.0.0.7"),
+        (StreamStatus.CONNECTED, {"reconnects": 1}, "10.0.0.7", "urlink doctor 10.0.0.7"),
+        (StreamStatus.ENDED, {}, "replay:///tmp/run%20one.urlog?rate=2", "urlink replay '/tmp/run one.urlog'"),
+    ],
+)
+def test_next_step_depends_on_what_was_shown(
+    status: StreamStatus, counts: dict[str, int], address: str, step: str
+) -> None:
+    stats = replace(_STATS, **({"missed": 0, "reconnects": 0} | counts))
+    glance = Glance("UR5e", address, status, Reading(None), stats)
+    assert monitor.next_step(glance, address).startswith(f"next: {step} ")
+
+
+def test_summary_counts_states_and_names_the_longest_gap() -> None:
+    glance = Glance("UR5e", "sim://", StreamStatus.CONNECTED, Reading(None), _STATS)
+    counts = "received 7 missed 7 failed 1 reconnects 2, longest gap 0.400 s"
+    assert monitor.summary(glance, 2.0) == f"watched for 2.0 s, 3.5 Hz on average; {counts}"
+    assert monitor.summary(glance, 0.5) == f"watched for 0.5 s; {counts}"
 
 
 def test_nothing_ever_came(run: Run, silent_address: str) -> None:
@@ -182,7 +216,7 @@ def test_controller_that_comes_back_with_other_firmware() -> None:
     ],
 )
 def test_status(connection: ConnectionState, has_latest: bool, age: float | None, status: StreamStatus) -> None:
-    reading = None if age is None else Reading(urlink.packets.Stamp(time.monotonic() - age, 0.0))
+    reading = None if age is None else Reading(urlink.packets.Stamp(linkcore.clock.now() - age, 0.0))
     assert status_of(connection, has_latest, reading) is status
 
 
@@ -295,7 +329,8 @@ def test_picture_shows_it_all() -> None:
         "CONNECTED", "125.0 Hz", "180.00", "3.1416", "nan", "inf", "1.25", "41.5", "FAULT", "UNKNOWN_99", "0.2000",
         "0.12", "robot RUNNING", "safety PROTECTIVE_STOP", "program PAUSED", "speed 50%",
         "0-7 ●○○○○○○○   8-15 ○●○○○○○○",
-        "and 0x10000000000", "16-17 ○●", "received 7", "missed 7", "failed 1", "reconnects 2", "skipped 3",
+        "and 0x10000000000", "16-17 ○●", "received 7", "missed 7", "duplicates 4", "failed 1", "reconnects 2",
+        "skipped 3",
     ):  # fmt: skip
         assert part in text, part
     assert len(text.splitlines()) <= 24
@@ -378,7 +413,8 @@ def test_terminal_is_left_clean_at_the_end(address: str) -> None:
     assert "CONNECTED" in written
     assert "wrist 3" in written
     assert written.rfind(_SHOW) > written.rfind(_HIDE) >= 0
-    assert written.endswith(f"╯\x1b[0m\r\n{_SHOW}")
+    assert written.rpartition(_SHOW)[0].endswith("╯\x1b[0m\r\n")
+    assert written.rpartition(_SHOW)[2].startswith("urlink: watched for ")
 
 
 @pytest.mark.real_time
@@ -386,13 +422,14 @@ def test_ctrl_c_leaves_the_terminal_clean(address: str) -> None:
     status, written = on_terminal("monitor", address, interrupt_after=b"wrist 3")
     assert status == 130
     assert "Traceback" not in written
-    assert written.endswith(f"╯\x1b[0m\r\n{_SHOW}")
+    assert written.rpartition(_SHOW)[0].endswith("╯\x1b[0m\r\n")
+    assert written.rpartition(_SHOW)[2].startswith("urlink: watched for ")
 
 
 @pytest.mark.slow
 @pytest.mark.real_time
 def test_plain_lines_on_a_terminal(address: str) -> None:
-    status, written = on_terminal("monitor", address, "--plain", "--duration", "0.2")
+    status, written = on_terminal("monitor", "-q", address, "--plain", "--duration", "0.2")
     assert status == 0
     assert "\x1b" not in written
 
@@ -400,7 +437,7 @@ def test_plain_lines_on_a_terminal(address: str) -> None:
 @pytest.mark.slow
 @pytest.mark.real_time
 def test_without_rich_lines_and_a_hint(address: str) -> None:
-    status, written = on_terminal("monitor", address, "--duration", "0.2", code="sys.modules['rich'] = None")
+    status, written = on_terminal("monitor", "-q", address, "--duration", "0.2", code="sys.modules['rich'] = None")
     assert status == 0
     assert "pip install 'urlink[cli]'" in written
     assert "CONNECTED | " in written

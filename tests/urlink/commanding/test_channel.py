@@ -176,7 +176,7 @@ def test_who_waits_for_another_threads_text_leaves_the_processor_alone(
         go_on.set()
         first.join(10)
 
-    monkeypatch.setattr("urlink.commanding.channel.time.sleep", pause)
+    monkeypatch.setattr("urlink.commanding.channel.clock.sleep", pause)
     desk.channel.motion("stopj(2)")
     assert pauses == [0.001]
     assert desk.sent == ["mov", "ej(q)\n", "stopj(2)\n"]

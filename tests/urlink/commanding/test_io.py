@@ -86,7 +86,8 @@ def test_reading(robot: ScriptedController) -> None:
     }
     tool = {"analog_input_2": 2.5, "analog_input_range_2": 1, "analog_input_3": 3.5, "tool_output_voltage": 24}
     robot.state(board=board, tool=tool)
-    until(lambda: io.tool_voltage == 24)
+    robot.fast.put(bytes(RealtimeState(robot.firmware, digital_input_bits=board["digital_input_bits"])))
+    until(lambda: io.tool_voltage == 24 and io.digital_in(3))
     assert [io.digital_in(number) for number in range(8)] == [number == 3 for number in range(8)]
     assert [io.digital_out(number) for number in range(8)] == [number == 7 for number in range(8)]
     assert [io.configurable_digital_in(number) for number in range(8)] == [number == 0 for number in range(8)]
@@ -106,8 +107,10 @@ def test_reading(robot: ScriptedController) -> None:
 
 def test_cb2() -> None:
     with ScriptedController("1.8") as robot:
-        robot.clear(board={"digital_input_bits": 1 << 9, "digital_output_bits": 1 << 8})
+        robot.clear(board={"digital_output_bits": 1 << 8})
+        robot.fast.put(bytes(RealtimeState(robot.firmware, digital_input_bits=1 << 9)))
         io = robot.io
+        until(lambda: io.tool_digital_in(1))
         assert [io.tool_digital_in(number) for number in range(2)] == [False, True]
         assert [io.tool_digital_out(number) for number in range(2)] == [True, False]
         io.set_tool_digital_out(0, True)
@@ -186,6 +189,18 @@ def test_an_input_is_waited_for_at_the_rate_of_the_real_time_interface(
         wait(robot.io, True, 10.0)
         show(0)
         wait(robot.io, False, 10.0)
+
+
+@pytest.mark.parametrize("bank", ["", "configurable_", "tool_"])
+def test_digital_in_is_as_new_as_the_state_that_ended_a_wait(robot: ScriptedController, bank: str) -> None:
+    bit = {"": 1, "configurable_": 9, "tool_": 17}[bank]
+    wait, read = getattr(robot.io, f"wait_{bank}digital_in"), getattr(robot.io, f"{bank}digital_in")
+    # The primary interface has not reported the input yet, which it does ten times a second.
+    robot.state(board={"digital_input_bits": 0})
+    for on in (True, False, True):
+        robot.fast.put(bytes(RealtimeState(robot.firmware, digital_input_bits=on << bit)))
+        wait(1, on, 10.0)
+        assert read(1) == on
 
 
 @pytest.mark.parametrize(

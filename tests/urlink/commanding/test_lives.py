@@ -571,15 +571,18 @@ def test_what_cannot_be_listened_to_is_not_sent(desk: Programming) -> None:
     assert desk.sent == []
 
 
+@pytest.mark.parametrize("is_detached", [True, False])
 @pytest.mark.parametrize("is_motion", [True, False])
-def test_closing_stops_the_motion_that_runs_and_no_program_of_the_users_own(desk: Programming, is_motion: bool) -> None:
+def test_close_stops_the_program_unless_it_is_detached(desk: Programming, is_motion: bool, is_detached: bool) -> None:
     before = len(desk.primary.subscribers)
-    beside, run = desk.script(SEC), desk.motion() if is_motion else desk.script()
+    beside = desk.script(SEC)
+    run = desk.motion(is_detached=is_detached) if is_motion else desk.script(is_detached=is_detached)
     run.begins()
     desk.programs.close(0.0)
-    assert desk.stops == is_motion
-    closed = f"ConnectionLost: the robot was closed here while {run.name} ran; it may still run"
-    assert run.end == (f"Cancelled: {run.name} was cancelled, since the robot was closed" if is_motion else closed)
+    assert desk.stops == (not is_detached)
+    closed = f"ConnectionLost: the robot was closed here while {run.name} ran; it may still "
+    cancelled = f"Cancelled: {run.name} was cancelled, since the robot was closed"
+    assert run.end.startswith(closed if is_detached else cancelled)
     assert beside.end.startswith(f"ConnectionLost: the robot was closed here while {beside.name} ran")
     assert len(desk.primary.subscribers) == before
     life = desk.programs.life("late")

@@ -540,10 +540,10 @@ def test_send_line(robot: ScriptedController) -> None:
     assert len(robot.sent) == 1
 
 
-def test_closing_ends_what_is_followed(robot: ScriptedController) -> None:
+def test_close_ends_each_handle(robot: ScriptedController) -> None:
     program = run(robot)
     robot.programs.close(0.0)
-    with pytest.raises(ConnectionLost, match=r"closed here while .* ran; it moves nothing if it begins later"):
+    with pytest.raises(Cancelled, match=r"was cancelled, since the robot was closed"):
         program.wait(5)
     with pytest.raises(Closed):
         robot.script.run("movej(q)")

@@ -676,7 +676,7 @@ def test_a_signal_handler_waits_from_within(robot: ScriptedController) -> None:
     in_the_section(robot, handler)
     # And the section is still that of who was interrupted.
     with pytest.raises(RuntimeError):
-        robot.section._lock.release()
+        robot.section.lock.release()
 
 
 def test_a_signal_handler_whose_own_thread_is_in_the_middle_of_a_text(robot: ScriptedController) -> None:

@@ -17,9 +17,9 @@ def is_free(section: Section) -> bool:
     found: list[bool] = []
 
     def try_to_enter() -> None:
-        found.append(section._lock.acquire(blocking=False))
+        found.append(section.lock.acquire(blocking=False))
         if found[0]:
-            section._lock.release()
+            section.lock.release()
 
     thread = threading.Thread(target=try_to_enter)
     thread.start()
@@ -29,7 +29,7 @@ def is_free(section: Section) -> bool:
 
 def test_who_waits_lets_others_in_however_deep() -> None:
     section = Section()
-    with section, section:
+    with section.lock, section.lock:
         with section.waiting():
             assert is_free(section)
         assert not is_free(section)
@@ -46,7 +46,7 @@ def test_waiting_without_having_entered() -> None:
 def test_a_thread_that_has_to_deliver_is_refused() -> None:
     section = Section(lambda: False, lambda: True)
     assert not section.may_wait
-    with section, pytest.raises(LocalError, match="inline=True"), section.waiting():
+    with section.lock, pytest.raises(LocalError, match="inline=True"), section.waiting():
         pass
     assert is_free(section)
     assert Section(lambda: False).may_wait

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable, Iterator
+from decimal import Decimal
+from fractions import Fraction
 from typing import Any, cast
 
 import pytest
@@ -95,6 +97,21 @@ SHOWN: dict[str, Case] = {
     "centre of gravity": (
         lambda r, c: r.settings.payload(1.5, [0, 0.01, 0.1], None, c),
         {"payload": (1.5, [0, 0.01, 0.1])},
+        {"payload": (1.5, [0, 0, 0.1])},
+    ),
+    "analog output of another type of number": (
+        lambda r, c: r.io.set_analog_out(0, cast(Any, Decimal("0.5")), confirm=c),
+        board(analog_output_0=0.012),
+        board(analog_output_0=0.011),
+    ),
+    "slider of another type of number": (
+        lambda r, c: r.settings.speed_slider(cast(Any, Fraction(1, 4)), c),
+        {"modes": {"target_speed_fraction": 0.25}},
+        {"modes": {"target_speed_fraction": 0.26}},
+    ),
+    "payload of another type of number": (
+        lambda r, c: r.settings.payload(cast(Any, Decimal("1.5")), [cast(Any, Decimal("0.5"))] * 3, None, c),
+        {"payload": (1.5, [0.5, 0.5, 0.5])},
         {"payload": (1.5, [0, 0, 0.1])},
     ),
 }

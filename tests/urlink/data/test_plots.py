@@ -1,8 +1,9 @@
-"""Pictures of recordings and of what comes, bars, and what a notebook shows."""
+"""Pictures of recordings and of what comes, and what a notebook shows."""
 
 from __future__ import annotations
 
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,6 @@ from numpy.typing import NDArray
 import urlink
 import urlink.cli
 from linkcore import plotting
-from linkcore.cli.terminal import ProgressBar
 from linkcore.plotting import Curves, Plot
 from linkcore.recording.file import Kind, RecordingWriter
 from linkcore.streaming.history import History
@@ -39,7 +39,9 @@ def test_a_panel_for_each_field_and_a_line_for_each_element(run: urlink.Recordin
         "primary.robot_mode_data.robot_mode",
     ]
     assert [len(panel.lines) for panel in panels] == [6, 6, 1]
-    assert [line.get_label() for line in panels[1].lines] == ["x", "y", "z", "rx", "ry", "rz"]
+    assert [line.get_label() for line in panels[1].lines] == ["x, N", "y, N", "z, N", "rx, Nm", "ry, Nm", "rz, Nm"]
+    assert [panel.get_ylabel() for panel in panels] == ["rad", "N, Nm", ""]
+    assert [panel.get_legend() is not None for panel in panels] == [True, True, False]
     line = panels[0].lines[2]
     part = run.realtime.between(0.1, 0.2)
     assert line.get_xdata().tolist() == part.time.tolist()
@@ -124,6 +126,22 @@ def test_a_live_plot_shows_what_comes(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.simulated_time
+def test_live_plot_ends_with_every_state(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[int] = []
+
+    def update(live: plotting.LivePlot, plot: Plot, pause: float) -> None:
+        """Drawing takes longer than the plot is to last, as the first time in a notebook."""
+        drawn.append(len(plot._curves[0].time))
+        time.sleep(1.0)
+
+    monkeypatch.setattr(plotting.LivePlot, "update", update)
+    with urlink.connect("sim://") as robot:
+        robot.realtime.plot("q_actual", seconds=0.5)
+    assert len(drawn) == 2
+    assert drawn[-1] >= drawn[0] + 499
+
+
+@pytest.mark.simulated_time
 def test_what_a_notebook_shows_is_escaped(run: urlink.Recording) -> None:
     with urlink.connect(f"replay://{CAPTURE}?rate=max") as robot:
         robot.realtime.wait()
@@ -135,17 +153,3 @@ def test_what_a_notebook_shows_is_escaped(run: urlink.Recording) -> None:
         assert "<Ro" not in html
         assert "<Ta" not in html.replace("<Table", "<Ta")
         assert html.startswith(("<table><caption>&lt;", "<table><caption>replay://"))
-
-
-def test_a_bar_on_a_terminal_and_nothing_elsewhere(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("linkcore.cli.terminal._PERIOD", 0.0)
-    for is_terminal, quiet in ((False, False), (True, True), (True, False)):
-        monkeypatch.setattr(sys.stderr, "isatty", lambda is_terminal=is_terminal: is_terminal)
-        with ProgressBar("writing", quiet) as progress:
-            progress(0.0)
-            progress(0.5)
-        out, err = capsys.readouterr()
-        assert out == ""
-        assert err == ("" if quiet or not is_terminal else f"\rwriting [{'=' * 15}{' ' * 15}]  50%\x1b[K\r\x1b[K")

@@ -112,12 +112,16 @@ def test_total_sizes_of_the_reference(version: str, realtime: int, first: int | 
     assert len(bytes(RealtimeState(version))) == realtime
 
 
-@pytest.mark.parametrize("version", ["1.4", "0.9", "2.0", "4.1"])
+@pytest.mark.parametrize("version", ["1.4", "0.9", "2.0", "4.1", "6.1", "9.9"])
 def test_firmware_that_nothing_is_known_of(version: str) -> None:
     with pytest.raises(BadVersion, match="nothing is known of firmware"):
         release_of(Firmware.parse(version))
     with pytest.raises(BadVersion):
         decode(b"", "realtime", version)
+
+
+def test_release_of_a_later_generation_is_the_newest_row() -> None:
+    assert release_of(Firmware(11, 0)) == RELEASES[-1]
 
 
 @pytest.mark.parametrize("version", [[5, 11], 5, {"5": "11"}, ("5", "11"), ([5], 11)])

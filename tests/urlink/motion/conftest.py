@@ -10,6 +10,9 @@ import pytest
 
 from tests.fakes.rehearsal import Rehearsal
 from tests.waiting import until
+from tests.worlds.guarded import guards
+
+__all__ = ["guards"]
 
 
 @pytest.fixture(autouse=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator
-from concurrent.futures import TimeoutError as FutureTimeout
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
@@ -255,11 +254,11 @@ def test_the_thread_of_a_block_is_urgent_within_it(robot: Rehearsal, monkeypatch
 
 
 def test_a_block_whose_beginning_is_interrupted(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupt(seconds: float) -> None:
+    def interrupt(future: object, seconds: float) -> bool:
         raise KeyboardInterrupt
 
     jog = robot.motion.jog()
-    monkeypatch.setattr(jog._linked, "result", interrupt)
+    monkeypatch.setattr("urlink.motion.linked_block.clock.is_done", interrupt)
     with pytest.raises(KeyboardInterrupt):
         jog.__enter__()
     assert jog.phase is Phase.CANCELLED
@@ -270,12 +269,12 @@ def test_a_block_whose_program_never_comes(robot: Rehearsal, monkeypatch: pytest
     """Nor do states, by which it would be told that it has not after five seconds."""
     waited: list[float] = []
 
-    def result(seconds: float) -> None:
+    def is_done(future: object, seconds: float) -> bool:
         waited.append(seconds)
-        raise FutureTimeout
+        return False
 
     jog = robot.motion.jog()
-    monkeypatch.setattr(jog._linked, "result", result)
+    monkeypatch.setattr("urlink.motion.linked_block.clock.is_done", is_done)
     with pytest.raises(LinkTimeout, match="jog: no connection within 6 s"):
         jog.__enter__()
     assert waited == [6.0]

@@ -27,6 +27,10 @@ class Callbacks:
     def __init__(self) -> None:
         self._waiting: deque[Callable[[], object]] = deque()
         self._is_busy = False
+        self.has_started = False
+
+    def start(self) -> None:
+        self.has_started = True
 
     def call(self, function: Callable[..., object], *arguments: Any) -> None:
         self._waiting.append(partial(function, *arguments))
@@ -369,7 +373,10 @@ def test_what_is_over_is_not_cleared(streams: Streams, monkeypatch: pytest.Monke
 
 def test_all_arms_are_waited_for_in_one_time(streams: Streams, monkeypatch: pytest.MonkeyPatch) -> None:
     now = [100.0]
-    monkeypatch.setattr("urlink.motion.group_motion.time", SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr(
+        "urlink.motion.group_motion.clock",
+        SimpleNamespace(now=lambda: now[0], left=lambda until: max(until - now[0], 0.0)),
+    )
     monkeypatch.setattr(streams.left, "_await_room", lambda handed, seconds: now.__setitem__(0, now[0] + 45.0))
     streams.group.append(cast("list[Points]", [[1.0], [1.0]]))
     streams.group.append(cast("list[Points]", [[2.0], [2.0]]), wait=30.0)

@@ -253,7 +253,7 @@ class TestHeldSpeeds:
 
 
 def test_a_speed_is_over_once_it_was_held_for_its_time() -> None:
-    holding = _Holding(nullcontext(), lambda link: [], np.array([0.3] * 6), 0.5)  # type: ignore[arg-type]
+    holding = _Holding(nullcontext(), lambda link: [], np.array([0.3] * 6), 0.5)
     state = cast(RealtimeState, None)
     for now, is_over in ((10.0, False), (10.25, False), (10.499, False), (10.5, True)):
         assert read_message(holding.step(b"", state, now))[0] == [0.3] * 6
@@ -263,7 +263,7 @@ def test_a_speed_is_over_once_it_was_held_for_its_time() -> None:
 
 
 def test_a_speed_that_is_changed_begins_its_time_anew() -> None:
-    holding = _Holding(nullcontext(), lambda link: [], np.array([0.3] * 6), 0.5)  # type: ignore[arg-type]
+    holding = _Holding(nullcontext(), lambda link: [], np.array([0.3] * 6), 0.5)
     state = cast(RealtimeState, None)
     assert holding.part(9.0) == 0.0
     assert holding.change(np.array([0.3] * 6), 0.5) is True

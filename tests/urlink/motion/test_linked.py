@@ -294,7 +294,11 @@ def test_a_dialogue_that_cannot_go_on(talk: Talk, failure: Exception) -> None:
     [
         ("urlink: cannot connect", ConnectFailed, "absent: it says that it was refused"),
         ("urlink: the link ended", ConnectionLost, "says that its connection ended"),
-        ("urlink: nothing to go to", ConnectionLost, "nothing came to the program on the robot in time"),
+        (
+            "urlink: nothing to go to",
+            ConnectionLost,
+            r"came to the program on the robot in time; .*pass a larger watchdog=",
+        ),
         ("urlink: the first point is too far away", ToleranceExceeded, "first point is too far away"),
     ],
 )
@@ -406,7 +410,9 @@ def test_what_a_loop_sends_after_a_silence(talk: Talk, silence: float, says: boo
     said = len(talk.said)
     talk.program._seen = talk.now - silence
     if says is None:
-        with pytest.raises(ConnectionLost, match=r"has sent no state for 0\.25 s, so its program takes no message"):
+        with pytest.raises(
+            ConnectionLost, match=r"no state for 0\.25 s, more than twice watchdog=0\.125 s, .*larger watchdog="
+        ):
             talk.program.feed(b"mine", 0.125)
         talk.fails(ConnectionLost, "brakes by itself")
         assert talk.said[said:] == [b"bye"]

@@ -24,9 +24,9 @@ pytestmark = pytest.mark.simulated_time
 MOVES: list[tuple[Callable[[Rehearsal], Motion], str, str]] = [
     (lambda r: r.motion.move_joints([0] * 6), "move_joints", "movej([0.0, 0.0, 0.0, 0.0, 0.0, 0.0], a=1.4, v=1.05)"),
     (
-        lambda r: r.motion.move_joints([0] * 6, 2, 3, time=4),
+        lambda r: r.motion.move_joints([0] * 6, time=4),
         "move_joints",
-        "movej([0.0, 0.0, 0.0, 0.0, 0.0, 0.0], a=3.0, v=2.0, t=4.0)",
+        "movej([0.0, 0.0, 0.0, 0.0, 0.0, 0.0], a=1.4, v=1.05, t=4.0)",
     ),
     (
         lambda r: r.motion.move_linear([0.1, 0.2, 0.3, 0, 0, 1]),
@@ -213,6 +213,16 @@ NAN = float("nan")
         lambda m: m.speed_linear([None] * 6),
         lambda m: m.stop(0),
         lambda m: m.servo(rate=0),
+        lambda m: m.servo(rate=501),
+        lambda m: m.servo(speed=0.05),
+        lambda m: m.servo(acceleration=[1.0] * 6),
+        lambda m: m.servo(jerk=30.0),
+        lambda m: m.servo(target_filter="jerk_limited", delay=0.01),
+        lambda m: m.move_joints([0] * 6, 0.5, time=2.0),
+        lambda m: m.move_joints([0] * 6, acceleration=1.4, time=2.0),
+        lambda m: m.move_joints([0] * 6, time=2.0, wait=1e10),
+        lambda m: m.move_linear([0.3, 0.2, 0.3, 0, 0, 0], speed=0.25, time=2.0),
+        lambda m: m.move_linear([0.3, 0.2, 0.3, 0, 0, 0], acceleration=1.0, time=2.0),
         lambda m: m.servo(watchdog="soon"),
     ],
 )

@@ -409,6 +409,25 @@ def test_a_stop(led: Rehearsal) -> None:
             servo.send(HOME)
 
 
+def test_servo_names_its_watchdog_when_it_has_ended_it(robot: Rehearsal) -> None:
+    with opened(robot) as servo:
+        servo.send(HOME)
+        robot.text("urlink: nothing to go to")
+        until(lambda: servo.done)
+        with pytest.raises(ConnectionLost, match=r"\(watchdog=0\.1 s\); .*pass a larger watchdog="):
+            servo.send(HOME)
+
+
+def test_servo_names_the_delay_before_a_step_that_is_too_far(led: Rehearsal) -> None:
+    with opened(led) as servo:
+        for n in range(3):
+            servo.send(turned(0.001 * n))
+            led.time += 0.002
+        led.time += 0.06
+        with pytest.raises(BadValue, match=r"sent 0\.062 s ago \(watchdog=0\.1 s\): after such a delay"):
+            servo.send(turned(0.5))
+
+
 def test_the_link_is_cut(robot: Rehearsal) -> None:
     with opened(robot) as servo:
         servo.send(HOME)

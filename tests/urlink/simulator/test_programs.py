@@ -548,6 +548,29 @@ def test_a_program_may_ask_for_a_protective_stop(watched: Watched, kind: str) ->
     assert watched.story[-1] == "C153 Protective stop: position deviates from path"
 
 
+@pytest.mark.parametrize("ending", ["", "  textmsg(7)\n"])
+def test_protective_stop_as_last_statement_ends_the_program(watched: Watched, ending: str) -> None:
+    # As the UR Client Library expects: it waits for the end, and only then unlocks the stop.
+    watched.take(f"def f():\n  protective_stop()\n{ending}end\n").step(0.1)
+    codes = [line.partition(" ")[0] for line in watched.story if line != "'7'"]
+    assert codes == ["started", "C209", "stopped"]
+    assert watched.controller.program_name is None
+    assert watched.controller.modes.program_state is ProgramState.STOPPED
+    watched.controller.faults.clear()
+    watched.take("def g():\n  sleep(0.01)\nend\n").step(0.1)
+    assert watched.story[-2:] == ["started g", "stopped g"]
+
+
+def test_protective_stop_pauses_a_program_that_has_more_to_do(watched: Watched) -> None:
+    watched.take("def f():\n  protective_stop()\n  sleep(0.01)\nend\n").step(0.1)
+    assert watched.controller.program_name == "f"
+    assert watched.controller.modes.program_state is ProgramState.PAUSED
+    watched.controller.faults.clear()
+    watched.controller.pendant.play()
+    watched.step(0.1)
+    assert watched.story[-1] == "stopped f"
+
+
 def test_the_reason_of_a_stop_that_did_not_hold_is_forgotten(watched: Watched) -> None:
     watched.controller.faults.emergency_stop()
     watched.controller._state.stop_protectively("a joint jumped")

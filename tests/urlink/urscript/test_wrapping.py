@@ -38,6 +38,24 @@ def test_the_last_of_several_is_called() -> None:
     assert wrap(source, "t").name == "two_t"
 
 
+@pytest.mark.parametrize(
+    ("source", "unused"),
+    [
+        ("def one():\n  a()\nend\ndef two():\n  b()\nend\n", "one"),
+        ('def one():\n  one()\nend\ndef two():\n  textmsg("one")\n  # one()\nend\n', "one"),
+        ("def one():\nend\ndef also():\nend\ndef two():\nend\n", "one, also"),
+    ],
+)
+def test_wrap_rejects_several_programs_in_one_text(source: str, unused: str) -> None:
+    with pytest.raises(BadValue, match=rf"nothing calls {unused}, so only the last one, two, would run"):
+        wrap(source, "t")
+
+
+def test_wrap_accepts_helpers_that_are_not_called() -> None:
+    source = "def used():\nend\ndef unused():\nend\ndef main():\n  used()\nend\n"
+    assert wrap(source, "t").name == "main_t"
+
+
 def test_statements_above_the_last_function_run_first() -> None:
     assert body("global a = 1\ndef job():\n  b(a)\nend")[-1] == "  job()"
     assert body("def job():\n  b(a)\nend\njob()\njob()")[-2:] == ["  job()", "  job()"]

@@ -12,6 +12,7 @@ import pytest
 import urlink
 import urlink.cli
 from linkcore.recording.file import Kind, RecordingWriter
+from linkcore.streaming.connection_life import ConnectionState
 from tests.waiting import until
 from urlink.kinematics import Arm
 from urlink.packets import RealtimeState, RobotMode, SafetyMode, Stamp
@@ -211,6 +212,29 @@ def test_where_the_arm_is_wanted_is_drawn_if_that_is_elsewhere(apart: float, sho
         view._wants_target.value = False
         view._draw()
         assert not view._target.root.visible
+
+
+@pytest.mark.real_time
+def test_curves_have_their_unit_and_a_legend(tmp_path: Path) -> None:
+    pytest.importorskip("viser", reason=WHY)
+    recorded = RecordedWindow(urlink.load(run(tmp_path / "run.urlog", 100)).realtime)
+    state = RealtimeState("5.11", time=1.0, q_actual=Q, qd_actual=Q, tcp_force=Q, speed_scaling=1.0)
+    connected = ConnectionState.CONNECTED
+    live = LiveWindow(cast("Any", SimpleNamespace(start=lambda: None, latest=state, connection=connected)))
+    fields = {
+        "qd_actual": ("qd_actual [rad/s]", ["base", "shoulder", "elbow", "wrist 1", "wrist 2", "wrist 3"]),
+        "tcp_force": ("tcp_force [N, Nm]", ["x, N", "y, N", "z, N", "rx, Nm", "ry, Nm", "rz, Nm"]),
+        "speed_scaling": ("speed_scaling", ["speed_scaling"]),
+    }
+    for window in (live, recorded):
+        with Page("a page", port=0) as page:
+            view = ArmView(page, Arm("UR5e"), window, plots=list(fields))
+            view.show()
+            for curves, (title, labels) in zip(view._plots, fields.values(), strict=True):
+                handle = curves._handle
+                assert handle.title == title
+                assert [each["label"] for each in handle.series] == ["t [s]", *labels]
+                assert handle.legend["show"]
 
 
 @pytest.mark.real_time

@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
+from linkcore import clock
 from urlink import BadValue, LinkError, Robot
 
 from .joints import GRIPPER
@@ -50,7 +51,7 @@ class Fingers:
 
     def _work(self) -> None:
         told = None
-        while not self._over.wait(_POLL):
+        while not clock.wait(self._over.wait, _POLL):
             try:
                 wanted = self.wanted()
                 if wanted is not None and wanted != told:

@@ -12,11 +12,11 @@ import dataclasses
 import inspect
 import json
 import math
-import time
 import uuid
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from linkcore import clock
 from urlink import BadValue, LinkTimeout, LocalError, Robot
 
 __all__ = ["COMMANDS", "LARGEST_AGE", "MOTIONS", "Asked", "ServerClock", "begin", "read"]
@@ -113,17 +113,19 @@ class ServerClock:
     """The clock of one server, by which commands expire.
 
     Args:
-        now: seconds; by default of a clock that also goes on while the computer sleeps, where the system has one.
+        now: Monotonic clock, in seconds.
+
+    Attributes:
+        now: as given.
     """
 
-    def __init__(self, now: Callable[[], float] | None = None) -> None:
-        boot_time = getattr(time, "CLOCK_BOOTTIME", None)
-        self._now = now or (lambda: time.monotonic() if boot_time is None else time.clock_gettime(boot_time))
+    def __init__(self, now: Callable[[], float] = clock.now) -> None:
+        self.now = now
         self._server = uuid.uuid4().hex
 
     def described(self) -> dict[str, Any]:
         """The time, and whose it is, as a client sends them back."""
-        return {"server": self._server, "time": self._now()}
+        return {"server": self._server, "time": self.now()}
 
     def check(self, asked: Asked) -> None:
         """Refuse a command that must not be carried out any more.
@@ -140,7 +142,7 @@ class ServerClock:
             )
         if asked.server != self._server:
             raise LocalError("the command was meant for a server that is gone, or for another robot")
-        late = self._now() - asked.time
+        late = self.now() - asked.time
         if not 0 <= late <= asked.age:
             raise LinkTimeout(
                 f"the command came {late:.1f} s after the status that its client had, and was to be refused after "

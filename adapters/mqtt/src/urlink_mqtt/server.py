@@ -13,11 +13,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from paho.mqtt.client import Client, MQTTMessage
-from paho.mqtt.enums import CallbackAPIVersion
+from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
+from paho.mqtt.subscribeoptions import SubscribeOptions
 
-from urlink import BadValue, ConnectFailed, LinkError, LocalError, Motion, Robot
+from linkcore import clock
+from urlink import BadValue, ConnectFailed, LinkError, LocalError, Motion, PendingCall, Robot
 
-from .commands import COMMANDS, MOTIONS, Asked, ServerClock, begin, read
+from .commands import COMMANDS, LARGEST_AGE, MOTIONS, Asked, ServerClock, begin, read
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -98,12 +100,17 @@ class Server:
         self._clock = ServerClock()
         self._present: set[str] = set()
         self._held: tuple[str, Motion] | None = None
+        #: motions that were requested and are not answered yet, each with its client
+        self._requested: list[tuple[str, PendingCall]] = []
+        #: commands that were executed, and when they expire: a broker may deliver a message again
+        self._executed: dict[tuple[str, bytes], float] = {}
         self._ended = threading.Event()
         self._answered = threading.Event()
         self._refused = f"no answer within {_SOON:g} s"
         # A stop never waits for another command to be sent.
         self._stops, self._others = (ThreadPoolExecutor(1, f"{name} {lane}") for lane in ("stops", "commands"))
-        self._client = Client(CallbackAPIVersion.VERSION2)
+        # MQTT 5, in which a subscriber can see that a command was published with the retain flag.
+        self._client = Client(CallbackAPIVersion.VERSION2, protocol=MQTTProtocolVersion.MQTTv5)
         self._client.max_queued_messages_set(_QUEUED)
         self._client.reconnect_delay_set(1, 5)
         self._client.on_connect = self._connected
@@ -130,7 +137,7 @@ class Server:
         except (OSError, ValueError) as error:
             raise ConnectFailed(f"no broker at {where}: {error}") from error
         self._client.loop_start()
-        if not self._answered.wait(_SOON) or self._refused:
+        if not clock.wait(self._answered.wait, _SOON) or self._refused:
             self._client.disconnect()
             self._client.loop_stop()
             raise ConnectFailed(f"no broker at {where}: {self._refused}")
@@ -162,7 +169,7 @@ class Server:
         return self._client.publish(f"{self.topic}/{topic}", payload, qos=qos, retain=retain)
 
     def _tell(self, period: float) -> None:
-        while not self._ended.wait(period):
+        while not clock.wait(self._ended.wait, period):
             try:
                 # Those that cannot be sent now are not worth sending later.
                 self._put("status", self._status(), qos=0, retain=True)
@@ -194,7 +201,8 @@ class Server:
         self._refused = str(reason) if reason.is_failure else ""
         if not reason.is_failure:
             # Here, so that it holds for the connection after a lost one too.
-            client.subscribe([(f"{self.topic}/command/+", 1), (f"{self.topic}/client/+", 1)])
+            options = SubscribeOptions(qos=1, retainAsPublished=True)
+            client.subscribe([(f"{self.topic}/command/+", options), (f"{self.topic}/client/+", options)])
             identity = self._robot.identity
             self._put(
                 "info",
@@ -210,6 +218,7 @@ class Server:
     def _disconnected(self, client: Client, data: Any, flags: Any, reason: Any, properties: Any) -> None:
         self._present.clear()
         with contextlib.suppress(RuntimeError):  # closed
+            self._abandon(list(self._requested))
             self._stops.submit(self._cancel)
 
     def _heard(self, client: Client, data: Any, message: MQTTMessage) -> None:
@@ -219,25 +228,61 @@ class Server:
                 self._present.add(name)
             elif kind == "client":
                 self._present.discard(name)
+                self._abandon([each for each in self._requested if each[0] == name])
                 self._stops.submit(self._lost, name)
-            elif not message.retain:  # said before somebody was here: nobody waits for it now
-                lane = self._stops if name in ("stop", "cancel") else self._others
-                lane.submit(self._carry_out, name, bytes(message.payload))
+            elif not message.retain:  # published before anybody was here: nobody waits for it now
+                self._take(name, bytes(message.payload))
+
+    def _take(self, name: str, payload: bytes) -> None:
+        """Pass a command on to its lane. It counts as entered now, so a stop that comes later overtakes it."""
+        requested = ("", PendingCall())
+        if name == "cancel":
+            self._abandon(list(self._requested))
+        elif name in MOTIONS:
+            with contextlib.suppress(BadValue):  # which the lane answers
+                requested = (read(payload).client, requested[1])
+            self._requested.append(requested)
+        lane = self._stops if name in ("stop", "cancel") else self._others
+        lane.submit(self._carry_out, name, payload, requested)
+
+    def _abandon(self, requested: list[tuple[str, PendingCall]]) -> None:
+        """Do not execute these motions, wherever they are."""
+        for _, call in requested:
+            call.give_up(self._stops.submit)
 
     # -- in the lanes ----------------------------------------------------------------------------------
 
-    def _carry_out(self, name: str, payload: bytes) -> None:
+    def _carry_out(self, name: str, payload: bytes, requested: tuple[str, PendingCall]) -> None:
         asked, said = Asked(), {}
+        call = requested[1]
         try:
             # What cannot be read stops the arm all the same.
             with contextlib.suppress(*((BadValue,) if name in ("stop", "cancel") else ())):
                 asked = read(payload)
-            said = self._done(name, asked)
+            self._note(name, payload)
+            said = call.make(lambda: self._done(name, asked))
         except Exception as error:
             if not isinstance(error, LinkError):
                 _log.exception("%s: %s failed", self.topic, name)
             said = _failed(error)
+        finally:
+            if requested in self._requested:
+                self._requested.remove(requested)
         self._put("answer", {"client": asked.client, "id": asked.id, "command": name, "error": None, **said})
+
+    def _note(self, name: str, payload: bytes) -> None:
+        """Refuse a message that was executed before.
+
+        Raises:
+            LocalError: If the same message has come within the time for which a command can be valid.
+        """
+        if name in ("stop", "cancel"):
+            return  # to stop twice does no harm
+        now = self._clock.now()
+        self._executed = {each: until for each, until in self._executed.items() if until > now}
+        if (name, payload) in self._executed:
+            raise LocalError(f"this {name} was received before; each command needs an id of its own")
+        self._executed[name, payload] = now + LARGEST_AGE
 
     def _done(self, name: str, asked: Asked) -> dict[str, Any]:
         if not self._allows:

@@ -25,6 +25,8 @@ _COUNTERS = {
     "received": "packets that came off the wire",
     "failed": "packets that could not be decoded",
     "missed": "packets that never came, by the controller's own clock",
+    "duplicates": "packets that arrived twice, by the controller's own clock",
+    "dropped": "packets that slow loops over the stream did not get",
     "reconnects": "connections after the first",
     "bytes": "bytes received",
     "skipped": "bytes thrown away while looking for a lost frame boundary",

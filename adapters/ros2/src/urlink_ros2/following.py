@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import threading
-import time
+from functools import partial
 from typing import Any
 
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
@@ -13,7 +13,8 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.duration import Duration
 from rclpy.qos import QoSProfile
 
-from urlink import BadValue, Cancelled, Expiry, LinkError, LinkTimeout, Motion, Robot
+from linkcore import clock
+from urlink import BadValue, Cancelled, Expiry, LinkError, LinkTimeout, Motion, PendingCall, Robot
 from urlink.motion import TrajectoryFeedback
 from urlink.packets import RealtimeState
 
@@ -125,10 +126,10 @@ class TrajectoryAction:
         The executor has to go on meanwhile, since it sends the results.
         """
         with self._idle:
-            self._idle.wait_for(lambda: self._running == 0, seconds)
-            left = self._last_end + _SENDING - time.monotonic()
+            clock.wait(partial(self._idle.wait_for, lambda: self._running == 0), seconds)
+            left = self._last_end + _SENDING - clock.now()
         if left > 0.0:
-            time.sleep(left)
+            clock.sleep(left)
 
     def destroy(self) -> None:
         """Serve it no more."""
@@ -158,15 +159,16 @@ class TrajectoryAction:
     def _execute(self, handle: Any) -> Any:
         with self._idle:
             self._running += 1
+        # One call from here on: a stop of the robot ends a goal that has not begun.
         try:
-            return self._follow(handle)
+            return self._follow(handle, PendingCall())
         finally:
             with self._idle:
                 self._running -= 1
-                self._last_end = time.monotonic()
+                self._last_end = clock.now()
                 self._idle.notify_all()
 
-    def _follow(self, handle: Any) -> Any:
+    def _follow(self, handle: Any, call: PendingCall) -> Any:
         number = self._server.number_of(handle)
         watch = _Watch(self._node, self._publisher, self._feedback_topic)
         newest: list[TrajectoryFeedback] = []
@@ -182,14 +184,18 @@ class TrajectoryAction:
             while (early := begins - self._now()) > 0.0:
                 self._publish(handle, _standing(self._robot.realtime.wait()), watch)
                 self._check(handle, watch, number)
-                time.sleep(min(early, _FEEDBACK))
+                refusal = call.make(lambda: self._robot.safety.refusal)
+                if refusal is not None:
+                    raise refusal
+                clock.sleep(min(early, _FEEDBACK))
             with self._turn:
                 self._check(handle, watch, number)
                 self._expiry.check()
                 here = self._robot.realtime.wait().q_target
                 goal = read_goal(handle.request, self._joints, here, -early if start_of(handle.request) else 0.0)
                 duration = goal.trajectory.duration
-                motion = self._motion = self._robot.motion.follow(
+                follow = partial(
+                    self._robot.motion.follow,
                     goal.trajectory,
                     path_tolerance=goal.path_tolerance,
                     goal_tolerance=goal.goal_tolerance,
@@ -197,11 +203,12 @@ class TrajectoryAction:
                     feedback=note,
                     watchdog=self._watchdog,
                 )
+                motion = self._motion = call.make(follow)
         except LinkError as error:
             return self._ended(handle, error, False, number)
         reason: Cancelled | None = None
         while not motion.done:
-            time.sleep(_FEEDBACK)
+            clock.sleep(_FEEDBACK)
             if told.is_set():
                 told.clear()
                 self._publish(handle, newest[0], watch)
@@ -306,7 +313,7 @@ class _Watch:
         self._node = node
         self._publisher = publisher
         self._topic = topic
-        self._began = time.monotonic()
+        self._began = clock.now()
         self._clients: set[bytes] = set()
         self._published = 0
         # None until something of this goal was acknowledged: one that was killed before must not end it.
@@ -316,13 +323,13 @@ class _Watch:
         """Before feedback is published: note whether all that was published is acknowledged."""
         # Without waiting: rclpy keeps the interpreter's lock meanwhile.
         if self._published >= _DEPTH and self._publisher.wait_for_all_acked(Duration(seconds=0)):
-            self._acknowledged = time.monotonic()
+            self._acknowledged = clock.now()
         self._published += 1
 
     @property
     def lost(self) -> str | None:
         """Which one is lost, in words; None while all are there."""
-        now = time.monotonic()
+        now = clock.now()
         here = {bytes(each.endpoint_gid) for each in self._node.get_subscriptions_info_by_topic(self._topic)}
         if now < self._began + _DISCOVERY:
             self._clients |= here

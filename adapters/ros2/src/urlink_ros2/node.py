@@ -14,7 +14,8 @@ import rclpy.executors
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64
 
-from urlink import BadValue, Expiry, LinkError, LocalError, Robot, drop_oldest
+from linkcore import clock
+from urlink import BadValue, Expiry, LinkError, LocalError, Robot, SafetyStop, drop_oldest
 from urlink.packets import RealtimeState
 from urlink.urdf import JOINTS as JOINT_NAMES
 
@@ -128,7 +129,7 @@ class RobotNode:
             self._publishers.publish(state)
 
     def _tick(self) -> None:
-        while not self._is_closed.wait(_LOOK):
+        while not clock.wait(self._is_closed.wait, _LOOK):
             self._expiry.tick()
 
     def _look(self) -> None:
@@ -139,9 +140,8 @@ class RobotNode:
         self._publishers.publish_changes(state, "" if refusal is None else str(refusal))
 
     def _halt(self) -> None:
-        motion = self._robot.motion.current
-        if motion is not None:
-            motion.cancel()
+        with contextlib.suppress(SafetyStop):  # the arm stands already
+            self._robot.motion.stop()  # whatever moves it: also a script of a user
 
     def _set_speed(self, message: Any) -> None:
         try:

@@ -7,6 +7,7 @@ has not asked anew.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import queue
 import threading
@@ -18,7 +19,8 @@ from typing import Any
 from rclpy.callback_groups import ReentrantCallbackGroup
 from std_msgs.msg import Bool, Float64MultiArray, String
 
-from urlink import Expiry, LinkError, Robot
+from linkcore import clock
+from urlink import Expiry, LinkError, PendingCall, Robot
 
 from .states import STREAMED
 
@@ -141,7 +143,8 @@ class _Led:
                 return
             self._messages.put(message)
             if self._thread is None:
-                self._thread = threading.Thread(target=self._lead, name=f"urlink-ros2 {self.name}", daemon=True)
+                lead = partial(self._lead, PendingCall())
+                self._thread = threading.Thread(target=lead, name=f"urlink-ros2 {self.name}", daemon=True)
                 self._thread.start()
 
     def end(self) -> None:
@@ -152,11 +155,12 @@ class _Led:
     def wait_ended(self, seconds: float) -> None:
         thread = self._thread
         if thread is not None:
-            thread.join(seconds)
+            clock.join(thread, seconds)
 
-    def _lead(self) -> None:
+    def _lead(self, call: PendingCall) -> None:
         try:
-            with self._enter() as block:
+            with contextlib.ExitStack() as entered:
+                block = call.make(lambda: entered.enter_context(self._enter()))
                 while (message := self._next()) is not None:
                     self._obey(block, message)
         except LinkError as error:
@@ -171,7 +175,7 @@ class _Led:
     def _next(self) -> Any:
         """The newest message; None where the block is to be left."""
         try:
-            message = self._messages.get(timeout=self._silent)
+            message = clock.get(self._messages, self._silent)
             while message is not None and not self._messages.empty():
                 message = self._messages.get_nowait()
         except queue.Empty:

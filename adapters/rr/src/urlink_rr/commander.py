@@ -5,12 +5,13 @@ from __future__ import annotations
 import contextlib
 import logging
 import threading
-import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from linkcore import clock
 from urlink import BadValue, Expiry, LinkError, LocalError, Motion, Robot
 from urlink.motion import Servo
 
@@ -72,7 +73,7 @@ class Commander:
     @property
     def is_commanded_by_wire(self) -> bool:
         """Commands arrive by the wire of the mode."""
-        return time.monotonic() - self._heard < _STALE
+        return clock.now() - self._heard < _STALE
 
     def choose(self, mode: str, endpoint: int) -> None:
         """Go over to another mode; what moves is cancelled.
@@ -140,7 +141,9 @@ class Commander:
     def _follow_wires(self) -> None:
         while not self._is_closed:
             with self._changed:
-                self._changed.wait_for(lambda: self._is_closed or self._mode.endswith("_command"), 1.0)
+                clock.wait(
+                    partial(self._changed.wait_for, lambda: self._is_closed or self._mode.endswith("_command")), 1.0
+                )
                 mode = self._mode
             try:
                 if mode == "position_command":
@@ -150,22 +153,22 @@ class Commander:
             except LinkError as error:
                 # A stop, a command that makes no sense or is too old: the next command tries again.
                 _log.warning("%s: %s", self._robot.address, error)
-                time.sleep(0.1)
+                clock.sleep(0.1)
 
     def _next(self, mode: str, seen: int | None, seconds: float) -> tuple[int, Any] | None:
         """The next command that comes by the wire of a mode; None when time is up, or the mode is another."""
         units = _POSITION_UNITS if mode == "position_command" else _VELOCITY_UNITS
-        until = time.monotonic() + seconds
+        until = clock.now() + seconds
         while self._mode == mode:
             found = self._read(mode)
             # Only of the client that chose the mode.
             if found is not None and found[3] == self._owner and found[0] != seen:
                 self._expiry.check()
-                self._heard = time.monotonic()
+                self._heard = clock.now()
                 return found[0], _in_radians(found[1], found[2], units)
-            if time.monotonic() > until:
+            if clock.now() > until:
                 return None
-            time.sleep(0.001)
+            clock.sleep(0.001)
         return None
 
     def _follow_positions(self) -> None:
@@ -197,7 +200,7 @@ class Commander:
             number, qd = following
             motion = self._robot.motion.speed_joints(qd, duration=_VELOCITY_HOLDS)
             self._hold(mode, motion)
-            time.sleep(1.0 / _VELOCITY_RATE)
+            clock.sleep(1.0 / _VELOCITY_RATE)
 
     def _hold(self, mode: str, motion: Motion) -> None:
         with self._changed:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import RobotRaconteur as RR
 
+from linkcore import clock
 from rhdlink import ConnectionState, LinkError, Variables
 from rhdlink.variables import ConnectionEvent, Update
 from urlink import Expiry
@@ -106,7 +107,7 @@ class RhdService:
             self._lost(endpoint)
 
     def _tick(self) -> None:
-        while not self._ended.wait(_TICK):
+        while not clock.wait(self._ended.wait, _TICK):
             self._expiry.tick()
 
     def _receiver(self, variable: str) -> Any:

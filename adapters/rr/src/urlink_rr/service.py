@@ -13,6 +13,7 @@ import numpy as np
 import RobotRaconteur as RR
 from RobotRaconteurCompanion.Util.DateTimeUtil import DateTimeUtil
 
+from linkcore import clock
 from urlink import BadValue, Expiry, LocalError, Motion, Robot, drop_oldest, poses
 from urlink.packets import RealtimeState, RobotModeData, SafetyMode
 
@@ -143,7 +144,7 @@ class RobotService:
 
         Also ticks: where this process was held up, clients have to take command anew.
         """
-        while not self._ended.wait(_RETOLD):
+        while not clock.wait(self._ended.wait, _RETOLD):
             if self._expiry.tick() and self._commander is not None:
                 _log.warning(
                     "%s: this process was held up; the command mode has to be chosen anew", self._robot.address

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import RobotRaconteur as RR
 
+from linkcore import clock
 from urlink import BadValue, LinkError, Motion, Trajectory
 from urlink.urdf import JOINTS as JOINT_NAMES
 
@@ -85,18 +85,18 @@ class MotionGenerator:
             try:
                 if self._motion is None:
                     self._motion = self._begin()
-                    self._began = time.monotonic()
+                    self._began = clock.now()
                     return self._state(self._codes["running"], 0.0)
-                until = time.monotonic() + _TELL
-                while not self._motion.done and time.monotonic() < until:
-                    time.sleep(0.005)
+                until = clock.now() + _TELL
+                while not self._motion.done and clock.now() < until:
+                    clock.sleep(0.005)
                 if self._motion.error is not None:
                     raise self._motion.error
             except LinkError as error:
                 self._is_over = True
                 raise raised(error) from error
             self._is_over = self._motion.done
-            return self._state(self._codes["complete" if self._is_over else "running"], time.monotonic() - self._began)
+            return self._state(self._codes["complete" if self._is_over else "running"], clock.now() - self._began)
 
     def Close(self) -> None:  # noqa: N802
         """Give it up."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import queue
 import uuid
@@ -13,7 +14,18 @@ import zenoh
 import zenoh.ext
 
 import urlink
-from urlink import BadValue, LinkError, LinkTimeout, NotEnabled, PacketError, RemoteError, SafetyStop, ScriptError
+from linkcore import clock
+from urlink import (
+    BadValue,
+    Cancelled,
+    LinkError,
+    LinkTimeout,
+    NotEnabled,
+    PacketError,
+    RemoteError,
+    SafetyStop,
+    ScriptError,
+)
 from urlink.packets import RealtimeState, Stamp, State
 
 from .description import json_of
@@ -130,6 +142,9 @@ class RemoteRobot:
         self._timeout = timeout
         self._token = session.liveliness().declare_token(f"{self._key}/client/{self.client}")
         self._is_closed = False
+        #: calls of this object are numbered, and so is the last `stop` or `cancel`
+        self._numbers = itertools.count(1)
+        self._last_stop = 0
 
     def close(self) -> None:
         """Let the server know that this client is gone, which ends its motion; idempotent."""
@@ -191,13 +206,19 @@ class RemoteRobot:
         Raises:
             LinkTimeout: nobody answers within the timeout, or the motion is not over in time. The command is cancelled
                 then, and one that arrives later is refused: it is valid for `timeout` seconds by the server's clock.
+            Cancelled: If another thread has called `stop` or `cancel` of this object meanwhile.
             LinkError: what the robot's own method raised there: `SafetyStop`, `BadValue`, ...
         """
         seconds = 60.0 if wait is True else float(wait)
         asked = uuid.uuid4().hex
+        number = next(self._numbers)
+        if command in _ALWAYS:
+            self._last_stop = number
         selector = f"{self._key}/command/{command}?client={self.client};command={asked}"
         if command not in _ALWAYS:
             clock = self._asked("clock")
+            if number < self._last_stop:
+                raise Cancelled(f"the robot was stopped after {command} was called, so it sends nothing")
             selector += f";server={clock['server']};time={clock['time']!r};age={min(self._timeout, LARGEST_AGE)!r}"
         if seconds:
             selector += ";wait=true"
@@ -235,7 +256,7 @@ class RemoteRobot:
         self._session.get(selector, handler, payload=payload, timeout=timeout)
         # Not by iterating over the replies: no signal is heard then.
         with contextlib.suppress(queue.Empty):
-            while (reply := answers.get(timeout=timeout + _GRACE)) is not None:
+            while (reply := clock.get(answers, timeout + _GRACE)) is not None:
                 if reply.ok is not None:
                     return dict(_json(reply.ok.payload))
                 if reply.err is not None and reply.err.encoding == JSON:

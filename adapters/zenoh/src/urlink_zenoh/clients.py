@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable
 
 import zenoh
 
+from linkcore import clock
 from urlink import LocalError, Motion
 
 from .keys import check_name
@@ -77,10 +77,10 @@ class Clients:
             held[1].cancel()
 
     def _await(self, client: str) -> None:
-        until = time.monotonic() + _ANNOUNCED
+        until = clock.now() + _ANNOUNCED
         with self._changed:
             while client not in self._alive:
-                if not self._changed.wait(max(until - time.monotonic(), 0.0)) and client not in self._alive:
+                if not clock.wait(self._changed.wait, until - clock.now()) and client not in self._alive:
                     raise LocalError(
                         f"no client is alive that is called {client}; expected a token {self._key}/{client}"
                     )

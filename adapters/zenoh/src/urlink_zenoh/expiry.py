@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import math
 import threading
-import time
 import uuid
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
 
+from linkcore import clock
 from urlink import BadValue, LinkTimeout, LocalError
 
 __all__ = ["LARGEST_AGE", "Expiry"]
@@ -26,12 +26,6 @@ LARGEST_AGE = 60.0
 _REMEMBERED = 10_000
 
 
-def _now() -> float:
-    """Seconds of a clock that also goes on while the computer sleeps, where the system has one."""
-    boot_time = getattr(time, "CLOCK_BOOTTIME", None)
-    return time.monotonic() if boot_time is None else time.clock_gettime(boot_time)
-
-
 class Expiry:
     """The clock of one served robot, and the commands that were given up.
 
@@ -39,7 +33,7 @@ class Expiry:
         now: seconds of the clock.
     """
 
-    def __init__(self, now: Callable[[], float] = _now) -> None:
+    def __init__(self, now: Callable[[], float] = clock.now) -> None:
         self._now = now
         self._server = uuid.uuid4().hex
         self._given_up: OrderedDict[str, None] = OrderedDict()

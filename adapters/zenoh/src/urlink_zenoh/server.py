@@ -7,14 +7,14 @@ import functools
 import itertools
 import logging
 import threading
-import time
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
 
 import zenoh
 
-from urlink import BadValue, ConnectionEvent, LinkError, LocalError, Motion, Robot, Subscription
+from linkcore import clock
+from urlink import BadValue, ConnectionEvent, LinkError, LocalError, Motion, PendingCall, Robot, Subscription
 from urlink.packets import RealtimeState, State
 
 from .clients import Clients
@@ -94,14 +94,14 @@ class Server:
 
     def _tell(self) -> None:
         """Publish how each robot is, evenly."""
-        due = time.monotonic()
-        while not self._ended.wait(max(due - time.monotonic(), 0.0)):
+        due = clock.now()
+        while not clock.wait(self._ended.wait, due - clock.now()):
             for served in self._served:
                 try:
                     served.tell_status()
                 except (LinkError, zenoh.ZError) as error:
                     _log.warning("%s: no status: %s", served.key, error)
-            due = max(due + self._period, time.monotonic() - self._period)
+            due = max(due + self._period, clock.now() - self._period)
 
 
 class _Served:
@@ -151,6 +151,8 @@ class _Served:
                 self._lanes = lanes
                 self._expiry = Expiry()
                 self._last: tuple[str, Motion] | None = None  # the id of a command, and its motion
+                #: motions that were requested and have not begun
+                self._requested: list[PendingCall] = []
                 self._clients = Clients(session, f"{key}/client", self._lost)
                 self._stack.callback(self._clients.close)
                 self._stack.callback(session.declare_queryable(f"{key}/clock", self._tell_time).undeclare)
@@ -227,17 +229,25 @@ class _Served:
         name = str(query.key_expr).rpartition("/")[2]
         command = COMMANDS.get(name)
         kind = Kind.STOP if name == "cancel" else Kind.SETTING if command is None else command.kind
+        # It counts as entered now, so a stop that comes later overtakes it.
+        call = PendingCall()
+        if kind is Kind.MOTION:
+            self._requested.append(call)
+        requested = list(self._requested) if name == "cancel" else []
         with contextlib.suppress(RuntimeError):  # shut down
-            self._lanes[kind].submit(self._carry_out, name, query)
+            self._lanes[kind].submit(self._carry_out, name, query, call, requested)
 
-    def _carry_out(self, name: str, query: zenoh.Query) -> None:
+    def _carry_out(self, name: str, query: zenoh.Query, call: PendingCall, requested: list[PendingCall]) -> None:
         try:
-            handle = self._begun(name, query)
+            handle = call.make(lambda: self._begun(name, query, requested))
         except Exception as error:
             if not isinstance(error, LinkError):
                 _log.exception("%s: %s failed", self.key, name)
             _refuse(query, error)
             return
+        finally:
+            if call in self._requested:
+                self._requested.remove(call)
         if handle is None:
             self._reply(query, {"phase": "done"})
         elif query.parameters.get("wait") is None:
@@ -246,11 +256,11 @@ class _Served:
             motion: Motion = handle["handle"]
             motion.add_done_callback(functools.partial(self._over, query, handle))
 
-    def _begun(self, name: str, query: zenoh.Query) -> dict[str, Any] | None:
+    def _begun(self, name: str, query: zenoh.Query, requested: list[PendingCall]) -> dict[str, Any] | None:
         arguments = read_arguments(None if query.payload is None else bytes(query.payload))
         client = query.parameters.get("client")
         if name == "cancel":
-            self._cancel(arguments)
+            self._cancel(arguments, requested)
             return None
         command = COMMANDS.get(name)
         if command is None:
@@ -278,8 +288,8 @@ class _Served:
         motion.add_done_callback(lambda motion: self._motion.put(json_of({"id": number, **_of_motion(client, motion)})))
         return {**said, "handle": motion}
 
-    def _cancel(self, arguments: dict[str, Any]) -> None:
-        """Cancel whatever moves the arm, or one command alone, which may not have come yet.
+    def _cancel(self, arguments: dict[str, Any], requested: list[PendingCall]) -> None:
+        """Cancel whatever moves the arm or was requested before, or one command alone, which may not have come yet.
 
         Raises:
             BadValue: there is another argument than `command`, or it is no text.
@@ -291,6 +301,9 @@ class _Served:
         if asked is not None:
             self._expiry.give_up(asked)  # before looking: one that is being sent looks after it has begun
             held = self._last if self._last is not None and self._last[0] == asked else None
+        else:
+            for call in requested:
+                call.give_up()
         if held is not None:
             held[1].cancel()
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import os
-import time
 from collections.abc import Sequence
 from typing import Literal
 
 import zenoh
 
+from linkcore import clock
 from urlink import BadValue, ConnectFailed
 
 __all__ = ["Mode", "open_session"]
@@ -67,11 +67,11 @@ def open_session(
         )
     except zenoh.ZError as error:
         raise BadValue(f"Zenoh cannot be set up so: {error}") from error
-    until = time.monotonic() + timeout
+    until = clock.now() + timeout
     while True:
         try:
             return zenoh.open(settings)
         except zenoh.ZError as error:
-            if time.monotonic() + _PAUSE > until:
+            if clock.now() + _PAUSE > until:
                 raise ConnectFailed(f"no session of Zenoh within {timeout:g} s: {error}") from error
-        time.sleep(_PAUSE)
+        clock.sleep(_PAUSE)

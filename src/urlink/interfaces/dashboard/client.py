@@ -9,12 +9,12 @@ import contextlib
 import math
 import os
 import threading
-import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Literal
 
+from linkcore import clock
 from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError, PacketError
 from linkcore.net.dialogue import Dialogue
 from linkcore.net.http_client import HttpClient
@@ -139,18 +139,18 @@ class Dashboard(Closing):
             LocalError: CB2 has no command for it.
             DashboardRefused: the controller does not want to, as an e-Series in local mode.
         """
-        until = time.monotonic() + _positive(timeout)
+        until = clock.now() + _positive(timeout)
         if self._present().is_cb2:
             raise LocalError("a CB2 controller cannot be told to power the arm on; start the arm at the pendant")
         next_step = {RobotMode.POWER_OFF: "power on", RobotMode.IDLE: "brake release"}
         while True:
             mode = self.robot_mode()
             # After the command to switch off, the arm is still reported as running while it comes to rest.
-            if mode == RobotMode.RUNNING and time.monotonic() - self._switched_off > _OFF_WITHIN:
+            if mode == RobotMode.RUNNING and clock.now() - self._switched_off > _OFF_WITHIN:
                 return
             if mode != RobotMode.RUNNING:
                 self._switched_off = -math.inf
-            left = until - time.monotonic()
+            left = until - clock.now()
             if left <= 0:
                 raise LinkTimeout(
                     f"the arm does not run after {timeout:g} s: robot mode {mode.name}, "
@@ -160,7 +160,7 @@ class Dashboard(Closing):
             step = next_step.pop(RobotMode(mode), None)
             if step is not None:
                 self._do(step)
-            time.sleep(min(_POLL, left))
+            clock.sleep(min(_POLL, left))
 
     def power_on(self) -> None:
         """Begin to power the arm on; it arrives in IDLE with its brakes locked. `start` does all of it, and waits."""
@@ -169,7 +169,7 @@ class Dashboard(Closing):
     def power_off(self) -> None:
         """Begin to switch the arm off; it comes to rest first."""
         self._do("power off")
-        self._switched_off = time.monotonic()
+        self._switched_off = clock.now()
 
     def brake_release(self) -> None:
         """Begin to release the brakes. **The arm may move.** Powers it on first if it is off.

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
+from linkcore import clock
 from linkcore.arguments import check_seconds, check_wait
 from linkcore.errors import BadValue, LinkTimeout, RemoteError
 from linkcore.net.dialogue import Dialogue
@@ -159,7 +159,7 @@ class Gripper:
         Raises:
             LinkTimeout: it was not done in time.
         """
-        until = time.monotonic() + check_seconds(timeout, "timeout", positive=True, finite=True)
+        until = clock.now() + check_seconds(timeout, "timeout", positive=True, finite=True)
         status = self.status()
         if status.is_active and not status.fault and not again:
             return status
@@ -197,7 +197,7 @@ class Gripper:
             raise GripperFault("the gripper is not activated, so it was not told to move; call activate() first", 7)
         self._set(line, moves=True)
         # The gripper takes the request over some milliseconds later; until then it shows how the last one ended.
-        until = time.monotonic() + self._timeout
+        until = clock.now() + self._timeout
         self._await(lambda: self.get("PRE") == position, until, self._timeout, "it does not take the request over")
         return self.wait(seconds) if seconds else self.status()
 
@@ -219,7 +219,7 @@ class Gripper:
         Raises:
             LinkTimeout: they do not in time; they may still move.
         """
-        until = time.monotonic() + check_seconds(timeout, "timeout", finite=True)
+        until = clock.now() + check_seconds(timeout, "timeout", finite=True)
         found: list[GripperStatus] = []
 
         def rests() -> bool:
@@ -288,10 +288,10 @@ class Gripper:
 
     def _await(self, condition: Callable[[], bool], until: float, timeout: float, otherwise: str) -> None:
         while not condition():
-            left = until - time.monotonic()
+            left = until - clock.now()
             if left <= 0:
                 raise LinkTimeout(f"the gripper at {self._name}: {otherwise} within {timeout:g} s")
-            time.sleep(min(_POLL, left))
+            clock.sleep(min(_POLL, left))
 
     def _disconnect(self) -> None:
         """Disconnect for good."""

@@ -185,7 +185,7 @@ class RealtimeProtocol:
         """The frame boundary has learnt the size of this connection's packets, and the size determines the layout."""
         is_first = self.cycles is None
         if is_first:
-            self.cycles = MissedCycles(_moment, periods_of(size), time=_TIME.unpack_from, size=size, is_uniform=True)
+            self.cycles = MissedCycles(_moment, periods_of(size), time=_TIME.unpack_from, size=size)
         decode = None
         if all(layout.size != size for layout in RealtimeState.LAYOUTS.all):
             _log.warning("real-time packets of %d bytes: no such firmware is known; decoded as far as one is", size)

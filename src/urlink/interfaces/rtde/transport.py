@@ -5,9 +5,9 @@ So whoever reads the stream, or records it, gets every byte that the controller 
 
 from __future__ import annotations
 
-import time
 from collections import deque
 
+from linkcore import clock
 from linkcore.clock import Stamp
 from linkcore.errors import LinkTimeout, PacketError
 from linkcore.net.transport import Transport
@@ -94,18 +94,18 @@ class RtdeTransport:
             LinkTimeout: an answer did not come in time; says which.
             RtdeRefused: the controller does not do what the plan asks for.
         """
-        until = time.monotonic() + timeout
+        until = clock.now() + timeout
         self._transport.open(timeout)
         dialogue = RtdeDialogue(self._plan)
         try:
             while not dialogue.is_over:
                 if requests := dialogue.protocol.requests():
-                    self._transport.send(requests, max(until - time.monotonic(), 0.0))
+                    self._transport.send(requests, clock.left(until))
                 try:
-                    dialogue.receive(*self._transport.receive(max(until - time.monotonic(), 0.001)))
+                    dialogue.receive(*self._transport.receive(max(until - clock.now(), 0.001)))
                 except LinkTimeout:
                     raise dialogue.unanswered(self.name, timeout) from None
-                if time.monotonic() > until and not dialogue.protocol.is_ready:
+                if clock.now() > until and not dialogue.protocol.is_ready:
                     raise dialogue.unanswered(self.name, timeout)
             self._begin(dialogue)
         except BaseException:

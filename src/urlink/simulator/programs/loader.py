@@ -19,6 +19,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 
+from linkcore import clock
 from urlink.firmware import Firmware
 
 from .. import messages
@@ -234,7 +235,7 @@ class ProgramLoader:
         compilation = self._compilation
         self.clear()
         if compilation is not None:
-            compilation.join(_JOIN_TIMEOUT)
+            clock.join(compilation, _JOIN_TIMEOUT)
 
     def _compiles(self, queue: ProgramQueue) -> bool:
         """Whether a program of this client is being compiled, which its later ones wait for."""

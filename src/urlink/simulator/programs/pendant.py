@@ -29,10 +29,13 @@ class Pendant:
 
     Attributes:
         files: path -> URScript of the programs that can be loaded; a real one loads what was saved at it.
+        directory: directory of the programs, in which relative paths are looked up: ``load("/programs/a.urp")`` loads
+            the file `a.urp`.
     """
 
     def __init__(self, state: ControllerState, runner: ProgramRunner, files: Mapping[str, str]) -> None:
         self.files = dict(files)
+        self.directory = "/programs"
         self._state = state
         self._runner = runner
 
@@ -56,11 +59,12 @@ class Pendant:
         return self._state.log
 
     def load(self, path: str) -> bool:
-        """Load one of the `files`; False if there is none of that name."""
-        if path not in self.files:
+        """Load one of the `files`, by its path or by its path in `directory`; False if there is none of that name."""
+        name = path if path in self.files else path.removeprefix(f"{self.directory}/")
+        if name not in self.files:
             return False
         self.stop()
-        self._state.loaded = path
+        self._state.loaded = name
         return True
 
     def play(self) -> bool:

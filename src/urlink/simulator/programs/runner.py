@@ -3,11 +3,14 @@
 In each cycle the threads of the program run first; then its motion generator makes one set-point of their commands. The
 arm follows that set-point, and has no access to programs.
 
-Guesses: that a protective stop pauses a program, which `play` then continues, and that an emergency stop or switching
-off ends it; that secondary programs run on through all of these; that a program which was paused because an RTDE input
-was late has the full time for it again when it is resumed. That the scaling does not begin at 0 again if a program
-replaces another, or takes over while the arm still moves, is inferred: drivers send a program with a speed many times a
-second, and the arm keeps its speed.
+A program whose last statement is `protective_stop()` ends, and its end is reported after the stop: the UR Client
+Library waits for that before it unlocks the stop.
+
+Guesses: that a protective stop pauses any other program, which `play` then continues, and that an emergency stop or
+switching off ends it; that secondary programs run on through all of these; that a program which was paused because an
+RTDE input was late has the full time for it again when it is resumed. That the scaling does not begin at 0 again if a
+program replaces another, or takes over while the arm still moves, is inferred: drivers send a program with a speed many
+times a second, and the arm keeps its speed.
 """
 
 from __future__ import annotations
@@ -60,7 +63,8 @@ class RunningProgram:
         if self.is_program:
             generator.tcp = state.arm.tcp
             self.execution.advance()
-            if self.execution.is_over:
+            # If the last statement was protective_stop(), the message of the stop comes before that of the end.
+            if self.execution.is_over and state.modes.may_move:
                 self.end()
         try:
             setpoint = drive.advance(seconds)
@@ -196,7 +200,10 @@ class ProgramRunner:
         if state.resumes and modes.may_move:
             state.is_paused = state.resumes = False
         if modes.holds_program:
-            if self.program is not None:
+            program = self.program
+            if program is not None and program.execution.is_over:
+                program.end()
+            elif program is not None:
                 state.is_paused = True
         elif not modes.may_move:
             # The demonstration may have been paused.

@@ -66,11 +66,10 @@ def popup(
         yield
 
 
-@declare(takes_time=True, since="3.8/5.0")
-def protective_stop(thread: ScriptThread) -> Waiting:
-    """Make a protective stop; the program that moves the arm continues when it is unlocked (a guess)."""
+@declare(since="3.8/5.0")
+def protective_stop(thread: ScriptThread) -> None:
+    """Make a protective stop. Assumed: a program with statements that take time left is paused until it is unlocked."""
     thread.world.protective_stop()
-    yield
 
 
 @declare(takes_time=True, in_secondary=False, since="3.0")

@@ -1,0 +1,185 @@
+"""Which of the drawn defects simulated worlds find: ``python -m tests.mutants.by_worlds --report FILE``.
+
+Worlds are run once without a defect, to learn which functions each of them calls. For each defect a process is forked,
+in which its function is replaced, and the worlds that call this function are run in the order of their seeds, until one
+fails. A world that fails without a defect is not run, nor one that does not call the function: it would do the same.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import faulthandler
+import importlib
+import json
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from types import CodeType, FunctionType
+from typing import Any
+
+from tests.mutants.defects import Drawn, draw, with_defect
+from tests.mutants.drawn import COUNT, SEED
+from tests.mutants.engine import _functions, codes
+from tests.mutants.operators import Function
+from tests.mutants.targets import GROUPS, ROOT
+
+#: s of real time for one world with a defect; one that takes longer hangs.
+_HANGS = 25.0
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="python -m tests.mutants.by_worlds", description=__doc__)
+    parser.add_argument("--drawn", metavar="FROM:TO", default=":", help="these of the defects of `drawn`")
+    parser.add_argument("--worlds", type=int, default=500, help="how many are tried for each")
+    parser.add_argument("--first", type=int, default=0, help="seed of the first")
+    parser.add_argument("--limit", type=float, default=120.0, help="s of processor time for each defect")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--calls", type=Path, help="keep there, or take from there, what worlds call without a defect")
+    parser.add_argument("--report", type=Path, required=True, metavar="FILE", help="one JSON object a line")
+    options = parser.parse_args()
+    files = GROUPS["drawn"].files()
+    for path in files:
+        importlib.import_module(".".join(path.relative_to(ROOT / "src").with_suffix("").parts))
+    importlib.import_module("tests.worlds.running")
+    first, _, last = options.drawn.partition(":")
+    drawn = list(enumerate(draw(files, SEED, COUNT)))[slice(int(first or 0), int(last) if last else None)]
+    functions = dict(_functions(set(map(str, files))))
+    seeds = range(options.first, options.first + options.worlds)
+    if options.calls is not None and options.calls.exists():
+        calls, failing = json.loads(options.calls.read_text())
+    else:
+        calls, failing = _measured(draw(files, SEED, COUNT), functions, seeds)
+        if options.calls is not None:
+            options.calls.write_text(json.dumps([{seed: sorted(names) for seed, names in calls.items()}, failing]))
+    print(f"{len(seeds)} worlds, of which {len(failing)} fail without a defect: {failing}", flush=True)
+    waiting = list(drawn)
+    running: dict[int, tuple[int, Drawn, int, int]] = {}
+    with options.report.open("a") as report:
+        while waiting or running:
+            while waiting and len(running) < options.jobs:
+                number, each = waiting.pop(0)
+                asked = [seed for seed in seeds if seed not in failing and str(_key(each)) in calls[str(seed)]]
+                read, write = os.pipe()
+                pid = os.fork()
+                if pid == 0:
+                    os.close(read)
+                    _try(each, functions, asked, options.limit, write)
+                os.close(write)
+                running[pid] = number, each, read, len(asked)
+            pid, _status = os.wait()
+            number, each, read, count = running.pop(pid)
+            with os.fdopen(read) as pipe:
+                lines = pipe.read().splitlines()
+            outcome = json.loads(lines[-1]) if lines else {"outcome": "not made"}
+            if outcome["outcome"] == "begins":
+                outcome = {**outcome, "outcome": "found", "fault": "the process hangs or ends"}
+            result = {"number": number, "path": str(each.path.relative_to(ROOT / "src")), "of": count, **outcome}
+            result |= {"kind": each.mutation.kind, "line": each.mutation.line, "before": each.mutation.before}
+            report.write(json.dumps(result) + "\n")
+            report.flush()
+            print(number, result["path"], each.mutation.line, outcome, flush=True)
+    return 0
+
+
+def _key(each: Drawn) -> tuple[str, Function | None]:
+    return str(each.path), each.mutation.function
+
+
+def _measured(
+    drawn: Iterable[Drawn], functions: dict[Any, list[FunctionType]], seeds: range
+) -> tuple[dict[str, set[str]], list[int]]:
+    """By seed, the functions that its world calls; and the seeds that fail without a defect."""
+    read, write = os.pipe()
+    pid = os.fork()
+    if pid == 0:
+        os.close(read)
+        hits: set[str] = set()
+        sys.modules["__hits__"] = hits  # type: ignore[assignment]
+        for path, function in {_key(each) for each in drawn}:
+            _replace(functions, (path, function), _counting(Path(path), function))
+        from tests.worlds.drawn import draw as draw_world
+        from tests.worlds.running import run
+
+        with os.fdopen(write, "w") as pipe:
+            for seed in seeds:
+                hits.clear()
+                faults = run(draw_world(seed)).faults
+                pipe.write(json.dumps([seed, sorted(hits), faults[:1]]) + "\n")
+                pipe.flush()
+        os._exit(0)
+    os.close(write)
+    calls, failing = {}, []
+    with os.fdopen(read) as pipe:
+        for line in pipe:
+            seed, hit, faults = json.loads(line)
+            calls[str(seed)] = set(hit)
+            if faults:
+                failing.append(seed)
+    os.waitpid(pid, 0)
+    return calls, failing
+
+
+def _counting(path: Path, function: Function | None) -> ast.Module:
+    """The module, with the function noting that it is called."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    note = f"__import__('sys').modules['__hits__'].add({str((str(path), function))!r})"
+    for node in ast.walk(tree):
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)) and function is not None:
+            first = node.decorator_list[0].lineno if node.decorator_list else node.lineno
+            if (node.name, first) == function:
+                node.body.insert(0, ast.parse(note).body[0])
+    return ast.fix_missing_locations(tree)
+
+
+def _replace(functions: dict[Any, list[FunctionType]], key: tuple[str, Function | None], tree: ast.Module) -> bool:
+    """Give the functions of that name other code; False if that cannot be done."""
+    module = compile(tree, key[0], "exec", dont_inherit=True)
+    found: list[CodeType] = [each for each in codes(module) if (each.co_name, each.co_firstlineno) == key[1]]
+    live = functions.get(key, [])
+    if not live or len(found) != 1 or any(each.__code__.co_freevars != found[0].co_freevars for each in live):
+        return False
+    for each in live:
+        each.__code__ = found[0]
+    return True
+
+
+def _try(each: Drawn, functions: dict[Any, list[FunctionType]], seeds: list[int], limit: float, write: int) -> None:
+    """In a child: run worlds until one fails."""
+    tell: Callable[[dict[str, Any]], int] = lambda what: os.write(write, (json.dumps(what) + "\n").encode())  # noqa: E731
+    null = os.open(os.devnull, os.O_WRONLY)
+    for descriptor in (1, 2):
+        os.dup2(null, descriptor)
+    try:
+        tree = with_defect(each.path.read_text(encoding="utf-8"), each.mutation.number)
+        if not _replace(functions, _key(each), tree):
+            tell({"outcome": "not made"})
+            os._exit(0)
+        from tests.worlds.drawn import draw as draw_world
+        from tests.worlds.running import run
+
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        for count, seed in enumerate(seeds):
+            tell({"outcome": "begins", "seed": seed, "worlds": count + 1})
+            faulthandler.dump_traceback_later(_HANGS, exit=True, file=null)
+            faults = run(draw_world(seed)).faults
+            faulthandler.cancel_dump_traceback_later()
+            if faults:
+                fault = faults[0].splitlines()
+                tell({"outcome": "found", "seed": seed, "worlds": count + 1, "fault": f"{fault[0]} {fault[-1]}"[:200]})
+                os._exit(0)
+            if time.process_time() > limit:
+                tell({"outcome": "missed, out of time", "worlds": count + 1})
+                os._exit(0)
+        tell({"outcome": "missed", "worlds": len(seeds)})
+    except BaseException as error:
+        tell({"outcome": "found", "fault": f"raised {error!r}"[:200], "worlds": 0})
+    finally:
+        os._exit(0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

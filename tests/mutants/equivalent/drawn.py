@@ -1,0 +1,5 @@
+from __future__ import annotations
+
+from tests.mutants.equivalent import Equivalent
+
+EQUIVALENT: tuple[Equivalent, ...] = ()
