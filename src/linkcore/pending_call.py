@@ -6,8 +6,8 @@ stop sends nothing after it. So a motion that is still being prepared, or that w
 stop. A call that was entered later is not affected.
 
 Python cannot interrupt a thread from outside. So each wait of the library that can take long is entered with
-`interruptible`, which wakes the wait when the call is abandoned; the call then ends with `Cancelled`. An abandoned call
-sends nothing more: `check_wanted` is asked where bytes leave this computer. What it has started on a robot is cancelled.
+`interruptible`, which wakes the wait when the call is abandoned; the call then ends with `Cancelled`. An abandoned
+call sends nothing more: `check_wanted` is asked where bytes leave this computer. What it has started is cancelled.
 """
 
 from __future__ import annotations
@@ -183,15 +183,6 @@ class Call:
         if self._task is not None:
             self._task.has_begun(life)
 
-    def on_give_up(self, undo: Callable[[], object]) -> None:
-        """See `PendingCall.on_give_up`."""
-        if self._task is not None:
-            self._task.on_give_up(undo)
-
-    def interruptible(self, wake: Callable[[], object]) -> contextlib.AbstractContextManager[None]:
-        """See `PendingCall.interruptible`."""
-        return contextlib.nullcontext() if self._task is None else self._task.interruptible(wake)
-
     def check(self) -> None:
         """See `PendingCall.check`."""
         if self._task is not None:
@@ -270,15 +261,21 @@ def check_wanted() -> None:
         call.check()
 
 
-def interruptible(wake: Callable[[], object]) -> contextlib.AbstractContextManager[None]:
-    """Around a wait in any thread; see `PendingCall.interruptible`. No effect unless the thread makes a pending call."""
+def pending_call() -> PendingCall | None:
+    """The pending call that this thread makes, or None."""
     call = _in_this_thread()
+    return call._task if isinstance(call, Call) else call
+
+
+def interruptible(wake: Callable[[], object]) -> contextlib.AbstractContextManager[None]:
+    """Around a wait; see `PendingCall.interruptible`. No effect unless this thread makes a pending call."""
+    call = pending_call()
     return contextlib.nullcontext() if call is None else call.interruptible(wake)
 
 
 def on_give_up(undo: Callable[[], object]) -> None:
-    """See `PendingCall.on_give_up`. No effect unless the thread makes a pending call."""
-    call = _in_this_thread()
+    """See `PendingCall.on_give_up`. No effect unless this thread makes a pending call."""
+    call = pending_call()
     if call is not None:
         call.on_give_up(undo)
 

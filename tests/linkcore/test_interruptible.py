@@ -1,4 +1,4 @@
-"""Waits of a call that a thread makes for a task, which end when the task is cancelled; and how its result is undone."""
+"""Waits of a call that a thread makes for a task, which end when the task is cancelled."""
 
 from __future__ import annotations
 
