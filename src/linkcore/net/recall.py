@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
 from ..errors import Closed, LinkError, LinkTimeout, LocalError
-from ..threads import started
+from ..threads import ReentrantEvent, started
 
 #: How the error of a command ends that was sent and not answered.
 MAY_STILL = "it may still be carried out"
@@ -69,7 +69,7 @@ class Recall:
         self._thread: threading.Thread | None = None
         self._client: _Closeable | None = None
         self._lock = threading.RLock()  # a signal handler may give up another one
-        self._closed = threading.Event()
+        self._closed = ReentrantEvent()
         #: who uses it; None for one that belongs to whoever made it, and is forgotten when it is closed
         self._users: weakref.WeakSet[object] | None = None
 

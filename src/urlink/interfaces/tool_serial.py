@@ -14,7 +14,7 @@ from linkcore.arguments import check_seconds
 from linkcore.errors import BadValue, Closed, ConnectionLost, LinkTimeout
 from linkcore.net.recall import MAY_STILL
 from linkcore.net.transport import TcpTransport
-from linkcore.threads import Closing, held
+from linkcore.threads import Closing, alone
 
 #: The message where the port is refused.
 _NEEDED = (
@@ -45,7 +45,7 @@ class ToolSerial(Closing):
     def __init__(self, host: str, port: int, *, timeout: float = 5.0) -> None:
         self._timeout = check_seconds(timeout, "timeout", positive=True, finite=True)
         self._transport = TcpTransport(host, port, silence=timeout, refused=lambda: _NEEDED)
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
         self._is_open = False
         self._is_closed = False
         self._rest = b""
@@ -104,7 +104,7 @@ class ToolSerial(Closing):
 
     def _turn(self, timeout: float) -> AbstractContextManager[None]:
         otherwise = f"for {timeout:g} s another thread used the tool's serial line; nothing was sent"
-        return held(self._lock, timeout, otherwise)
+        return alone(self._lock, timeout, otherwise)
 
     def _check(self, timeout: float, *, request: bytes = b"\0", size: int = 1) -> float:
         if not isinstance(request, (bytes, bytearray)) or not request:
