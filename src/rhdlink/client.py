@@ -20,7 +20,7 @@ from linkcore.streaming.connection_life import Backoff, ConnectionEvent, Connect
 from linkcore.streaming.packet_queue import Policy, drop_oldest
 from linkcore.streaming.subscription import Subscription
 from linkcore.text import similar
-from linkcore.threads import Closing, held
+from linkcore.threads import Closing, ReentrantEvent, alone
 
 from .address import parse_address
 from .connection import Connection, Transport
@@ -154,7 +154,7 @@ class Variables(Declarations, Closing):
         self._replica = Replica(address, unsent, type(self))
         self._exchange = threading.RLock()  # held by the thread that uses the connection
         self._subscribers = Subscribers(address)
-        self._closing = threading.Event()
+        self._closing = ReentrantEvent()
         self._background = threading.Lock()  # held by the thread that begins to keep it in sync
         self._sync_thread: SyncThread | None = None
         self._connections = 0
@@ -287,7 +287,8 @@ class Variables(Declarations, Closing):
 
         Raises:
             LinkTimeout: no answer in time. The connection stays; the answer is waited for by the
-                next sync.
+                next sync. At once, if a signal handler calls it and has interrupted another sync of its own thread;
+                what was set is sent by the next sync.
             ConnectionLost, PacketError: the connection has ended; the next sync makes another.
             AccessDenied, WrongVariables, ConnectFailed, WrongPeer: it could not be made again.
             Closed: after `close`.
@@ -302,7 +303,7 @@ class Variables(Declarations, Closing):
         # One deadline for everything: waiting for another thread, connecting, and each receive take what is left of it.
         until = clock.now() + seconds
         otherwise = f"{self.address}: another thread has been in sync() for {seconds:g} s"
-        with held(self._exchange, seconds, otherwise):
+        with alone(self._exchange, seconds, otherwise):
             if self._closing.is_set():
                 raise Closed(f"{self._address} was closed")
             self._sync(replica, until)

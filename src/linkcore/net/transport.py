@@ -118,6 +118,10 @@ class TcpTransport:
         self._socket: socket.socket | None = None
         self._receive_timeout = silence  # that of the socket
 
+    def another(self) -> TcpTransport:
+        """A transport to the same port, which is not connected."""
+        return TcpTransport(self.host, self.port, silence=self.silence, refused=self._refused)
+
     def open(self, timeout: float) -> None:
         """Connect within `timeout` seconds.
 

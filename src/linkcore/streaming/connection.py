@@ -19,6 +19,7 @@ from ..clock import Stamp
 from ..errors import Cancelled, Closed, ConnectionLost, LinkTimeout, LocalError, RemoteError, unraised
 from ..net.transport import Finished, Transport
 from ..text import printable
+from ..threads import alone
 from ..wire.framing import PacketProtocol
 from .connection_life import (
     STATES,
@@ -77,7 +78,7 @@ class Connection(abc.ABC):
         # stream that nobody holds any more, can come between any two instructions of the thread that has it.
         self._changed = threading.Condition()
         self._life = ConnectionLife(name, backoff or Backoff())
-        self._sending = threading.Lock()
+        self._sending = threading.RLock()
 
     @property
     def state(self) -> ConnectionState:
@@ -232,13 +233,15 @@ class Connection(abc.ABC):
         the connection is given up, since whatever followed would be read as its rest.
 
         Raises:
-            LinkTimeout: the peer did not take it within `timeout` seconds.
+            LinkTimeout: the peer did not take it within `timeout` seconds. Or this is a signal handler that has
+                interrupted another call of `send`, whose bytes may have been sent in part.
             RemoteError, LocalError, Closed: as `start` and `send_some`.
         """
         self.start()
         until = clock.now() + timeout
         rest = memoryview(data)
-        with self._sending:
+        otherwise = f"{self.name}: other bytes were not sent within {timeout:g} s"
+        with alone(self._sending, timeout, otherwise):
             while rest:
                 try:
                     sent = self.send_some(rest)

@@ -13,7 +13,7 @@ from linkcore.arguments import check_whole
 from linkcore.errors import BadValue, Closed, ConnectionLost
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import ConnectionState
-from linkcore.threads import Closing, held
+from linkcore.threads import Closing, alone
 
 from ..interfaces.rtde.packets import join_names
 from ..interfaces.rtde.protocol import RtdeProtocol, check_names
@@ -113,7 +113,7 @@ class Inputs(Closing):
         self._transport = transport
         self._timeout = timeout
         self._last: dict[str, Any] = {}
-        self._sending = threading.Lock()
+        self._sending = threading.RLock()
 
     def _claim(self) -> None:
         """Connect and claim them; closed if that fails.
@@ -154,10 +154,10 @@ class Inputs(Closing):
         unknown = values.keys() - set(self.names)
         if unknown or not values:
             raise BadValue(f"cannot send {', '.join(sorted(unknown)) or 'nothing'}; there is {', '.join(self.names)}")
-        # In turn: a package made beside another one would put back what that one changes. With a deadline: a signal
-        # handler may come here while the main thread, which it keeps, sends.
+        # In turn: a package made beside another one would put back what that one changes. Alone: a
+        # signal handler may come here while the main thread, which it keeps, sends.
         otherwise = f"{self._connection.name}: another package was not sent within {self._timeout:g} s"
-        with held(self._sending, self._timeout, otherwise):
+        with alone(self._sending, self._timeout, otherwise):
             recipe = self._recipe()
             package = self._package(recipe, values)
             self._connection.send(recipe.encode(package), self._timeout)

@@ -14,7 +14,7 @@ from linkcore import clock
 from linkcore.errors import BadValue, LinkError
 from linkcore.plotting import element_names
 from linkcore.text import similar
-from linkcore.threads import Closing
+from linkcore.threads import Closing, ReentrantEvent
 
 from ..kinematics import Arm
 from ..motion.jog import FULL_SPEED, FrameName, Jog
@@ -79,7 +79,7 @@ class ArmView(Closing):
         self._window = window
         self._model = arm.model.name
         self._rounds = 0
-        self._over = threading.Event()
+        self._over = ReentrantEvent()
         self._thread: threading.Thread | None = None
         scene, gui = page.server.scene, page.server.gui
         reach = float(sum(abs(link.a) + abs(link.d) for link in arm.geometry.links))
