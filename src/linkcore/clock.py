@@ -25,12 +25,12 @@ import time
 from collections.abc import Callable
 from concurrent.futures import CancelledError, Future
 from concurrent.futures import TimeoutError as FutureTimeout
-from typing import NamedTuple, Protocol, TypeVar
+from typing import NamedTuple, TypeVar, cast
 
 from .errors import LinkTimeout
+from .pending_call import check_wanted, interruptible, pending_call
 
 T = TypeVar("T")
-T_co = TypeVar("T_co", covariant=True)
 
 # -- the clock -------------------------------------------------------------------------------------
 
@@ -85,6 +85,9 @@ _IS_DEAF = sys.platform == "win32" and sys.version_info < (3, 14)
 #: macOS, so a deadline that passed during a suspend is noticed so much later.
 _SLICE = 0.1 if _IS_DEAF else 1.0
 
+#: Seconds after which a wait that nothing can wake notices that its pending call was abandoned.
+_LOOK = 0.05
+
 
 def slice_of(seconds: float | None) -> float | None:
     """How long one call of the system should wait, of `seconds` in total; None if it may wait without a limit.
@@ -102,7 +105,21 @@ def wait(attempt: Callable[[float | None], object], timeout: float | None = None
     Args:
         attempt: waits for as many seconds as it is given, or without a limit if it is given None.
         timeout: seconds; None or infinity for no limit.
+
+    Raises:
+        Cancelled: If this thread makes a pending call that was abandoned; within 0.05 s.
     """
+    if pending_call() is None:
+        return _wait(attempt, timeout)
+    until = math.inf if timeout is None else now() + timeout
+    while not attempt(min(max(until - now(), 0.0), _LOOK)):
+        check_wanted()
+        if now() >= until:
+            return False
+    return True
+
+
+def _wait(attempt: Callable[[float | None], object], timeout: float | None) -> bool:
     part = slice_of(timeout)
     if part is None or part == timeout:  # one call is enough
         return bool(attempt(part))
@@ -114,7 +131,16 @@ def wait(attempt: Callable[[float | None], object], timeout: float | None = None
 
 
 def sleep(seconds: float) -> None:
-    """Sleep for `seconds`; returns at once if there are none left."""
+    """Sleep for `seconds`; returns at once if there are none left.
+
+    Raises:
+        Cancelled: If this thread makes a pending call that was abandoned.
+    """
+    if pending_call() is not None:
+        is_abandoned = threading.Event()
+        with interruptible(is_abandoned.set):
+            _wait(is_abandoned.wait, seconds)
+        return
     if seconds <= _SLICE:
         time.sleep(max(seconds, 0.0))
         return
@@ -123,15 +149,12 @@ def sleep(seconds: float) -> None:
         time.sleep(min(rest, _SLICE))
 
 
-class _Queue(Protocol[T_co]):
-    def get(self, block: bool = True, timeout: float | None = None) -> T_co: ...
-
-
-def get(items: _Queue[T], timeout: float | None = None) -> T:
-    """Take the next item of a queue.
+def get(items: queue.SimpleQueue[T], timeout: float | None = None) -> T:
+    """Take the next item of a queue that only this thread reads.
 
     Raises:
         queue.Empty: If no item came within `timeout` seconds.
+        Cancelled: If this thread makes a pending call that was abandoned.
     """
     got: list[T] = []
 
@@ -140,20 +163,31 @@ def get(items: _Queue[T], timeout: float | None = None) -> T:
             got.append(items.get(timeout=seconds))
         return bool(got)
 
-    if not wait(attempt, timeout):
-        raise queue.Empty
+    with interruptible(lambda: items.put(cast(T, None))):
+        if not _wait(attempt, timeout):
+            raise queue.Empty
     return got[0]
 
 
 def is_done(future: Future[T], timeout: float | None = None) -> bool:
-    """Wait until a future has a result, an error, or was cancelled; False if time is up."""
+    """Wait until a future has a result, an error, or was cancelled; False if time is up.
+
+    Raises:
+        Cancelled: If this thread makes a pending call that was abandoned.
+    """
+    if pending_call() is not None and not future.done():
+        is_over = threading.Event()
+        future.add_done_callback(lambda future: is_over.set())
+        with interruptible(is_over.set):
+            _wait(is_over.wait, timeout)
+        return future.done()
 
     def attempt(seconds: float | None) -> bool:
         with contextlib.suppress(CancelledError, FutureTimeout, TimeoutError):
             future.exception(seconds)
         return future.done()
 
-    return wait(attempt, timeout)
+    return _wait(attempt, timeout)
 
 
 def join(thread: threading.Thread, timeout: float | None = None) -> bool:

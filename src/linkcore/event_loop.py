@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import asyncio
+import atexit
 import contextlib
 import math
+import os
+import threading
+import weakref
+from collections import deque
 from collections.abc import Callable, Coroutine, Generator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from functools import partial
 from typing import Any, Generic, Protocol, TypeVar
 
 from . import clock
 from .errors import Closed, LocalError
 from .pending_call import PendingCall
+from .threads import started
 
 T = TypeVar("T")
 
@@ -114,22 +120,137 @@ def ended(future: Future[Any], loop: asyncio.AbstractEventLoop) -> asyncio.Futur
     return end
 
 
-class Workers:
-    """Threads of one robot. The first call starts one, which stays; another is started only while all are busy.
+class _Threads:
+    """Threads that make calls, in the order in which the calls are submitted.
 
     Args:
-        name: of the threads.
-        most: so many at once. What moves the arm must not stand behind what waits for an input, so not 1 where calls
-            may wait long; 1 has calls follow each other.
+        name: Name of the threads.
+        most: Maximum number of threads; math.inf for as many as the system has.
+        kept: Number of threads that stay when there is nothing to do.
     """
 
-    def __init__(self, name: str, most: int) -> None:
+    def __init__(self, name: str, most: float, kept: float) -> None:
         self._name = name
-        self._threads = ThreadPoolExecutor(most, thread_name_prefix=name)
-        # Of its own, and started when it is needed: what stops the robot must not stand behind calls that wait.
-        self._undoing = ThreadPoolExecutor(1, thread_name_prefix=f"{name} stop")
-        self.is_used = False
+        self._most = most
+        self._kept = kept
+        self._calls: deque[tuple[Future[Any], Callable[[], Any]]] = deque()
+        self._changed = threading.Condition()
+        self._idle = 0
         self._is_closed = False
+        self._threads: set[threading.Thread] = set()
+
+    def start(self, count: int) -> None:
+        """Start so many threads now.
+
+        Raises:
+            LocalError: If the system has no thread left.
+        """
+        with self._changed:
+            for _ in range(count):
+                self._start()
+
+    def submit(self, call: Callable[[], T], *, waits_for_thread: bool = False) -> Future[T]:
+        """Make a call in a thread that is idle, or in a new one while there are less than the maximum.
+
+        Args:
+            call: The call.
+            waits_for_thread: If no new thread can be started, whether the call waits for a thread that is busy now.
+
+        Raises:
+            Closed: If the threads were closed.
+            LocalError: If the system has no thread left. The call is not made.
+        """
+        future: Future[T] = Future()
+        with self._changed:
+            if self._is_closed:
+                raise Closed(f"{self._name} was closed")
+            if self._idle <= len(self._calls) and len(self._threads) < self._most:
+                try:
+                    self._start()
+                except LocalError:
+                    if not (self._threads and waits_for_thread):
+                        raise
+            self._calls.append((future, call))
+            self._changed.notify()
+        return future
+
+    def close(self) -> None:
+        """Make the calls that were submitted, and no more. Does not wait. Idempotent."""
+        with self._changed:
+            self._is_closed = True
+            self._changed.notify_all()
+
+    def drop(self) -> None:
+        """Cancel the calls that no thread has begun."""
+        with self._changed:
+            dropped = list(self._calls)
+            self._calls.clear()
+        for future, _ in dropped:
+            future.cancel()
+
+    def join(self, timeout: float) -> None:
+        """Wait until the threads have ended, after `close`."""
+        until = clock.now() + timeout
+        for thread in tuple(self._threads):
+            clock.join(thread, clock.left(until))
+
+    def _start(self) -> None:
+        thread = threading.Thread(target=self._run, name=f"{self._name}_{len(self._threads)}", daemon=True)
+        self._threads.add(thread)
+        try:
+            started(thread)
+        except BaseException:
+            self._threads.discard(thread)
+            raise
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                while not self._calls:
+                    if self._is_closed or self._idle >= self._kept:
+                        self._threads.discard(threading.current_thread())
+                        return
+                    self._idle += 1
+                    try:
+                        self._changed.wait()
+                    finally:
+                        self._idle -= 1
+                future, call = self._calls.popleft()
+            if future.set_running_or_notify_cancel():
+                try:
+                    future.set_result(call())
+                except BaseException as error:
+                    future.set_exception(error)
+            del future, call  # while this thread is idle, it must not keep a robot
+
+
+class Workers:
+    """Threads of one robot: those for calls, and those for what stops it, which never waits for a call.
+
+    A thread for calls is started when it is needed, and stays.
+
+    Args:
+        name: Name of the threads.
+        most: Maximum number of calls at once; 1 makes calls follow each other.
+        stopping: Number of threads for stops that are started at once, so that they cannot fail to start later. More
+            of them are started while all are busy.
+
+    Raises:
+        LocalError: If the system has no thread left.
+    """
+
+    def __init__(self, name: str, most: int, *, stopping: int = 0) -> None:
+        self._name = name
+        self._threads = _Threads(name, most, most)
+        self._stopping = _Threads(f"{name} stop", math.inf, max(stopping, 1))
+        self.is_used = False
+        weakref.finalize(self, _close, self._threads, self._stopping).atexit = False
+        try:
+            self._stopping.start(stopping)
+        except BaseException:
+            self.close()
+            raise
+        _open.add(self._stopping)
 
     def submit(self, call: Callable[[], T]) -> Future[T]:
         """Call in a thread.
@@ -138,33 +259,55 @@ class Workers:
             Closed: it was closed.
             LocalError: the system has no thread left.
         """
-        if self._is_closed:
-            raise Closed(f"{self._name} was closed")
         self.is_used = True
-        try:
-            return self._threads.submit(call)
-        except RuntimeError as error:
-            raise LocalError(f"no thread could be started: {error}") from error
+        return self._threads.submit(call)
 
-    async def make(self, call: Callable[[], T], undo: Callable[[T], object] = lambda result: None) -> T:
+    def stop(self, call: Callable[[], T]) -> Future[T]:
+        """Make a call that stops the robot or closes something, in a thread that no other call keeps busy.
+
+        Raises:
+            Closed: it was closed.
+            LocalError: the system has no thread left, and none was started with the robot.
+        """
+        self.is_used = True
+        return self._stopping.submit(call, waits_for_thread=True)
+
+    async def make(
+        self, call: Callable[[], T], undo: Callable[[T], object] = lambda result: None, *, is_ordered: bool = True
+    ) -> T:
         """Call in a thread, and wait for the result. A task that is cancelled meanwhile gives the call up and ends.
 
         Args:
             undo: called with the result, in a thread, where the call was given up and has one all the same.
+            is_ordered: see `PendingCall`.
 
         Raises:
             Closed, LocalError: as `submit`.
         """
-        pending = PendingCall()
+        pending = PendingCall(is_ordered=is_ordered)
         making = self.submit(partial(pending.make, call))
+        try:
+            return await self._result(making)
+        except asyncio.CancelledError:
+            self.give_up(pending, making, undo)
+            raise
+        finally:
+            del making  # an error refers to this frame, and the future to the error
+
+    async def make_stop(self, call: Callable[[], T]) -> T:
+        """As `make`, for a call that stops the robot: it is made even if the task is cancelled, which ends at once.
+
+        Raises:
+            Closed, LocalError: as `stop`.
+        """
+        return await self._result(self.stop(call))
+
+    async def _result(self, making: Future[T]) -> T:
         try:
             await ended(making, asyncio.get_running_loop())
             if making.cancelled():  # it waited for a thread
                 raise Closed(f"{self._name} was closed")
             return making.result()
-        except asyncio.CancelledError:
-            self.give_up(pending, making, undo)
-            raise
         finally:
             del making  # an error refers to this frame, and the future to the error
 
@@ -181,12 +324,38 @@ class Workers:
 
     def _undo(self, call: Callable[[], object]) -> None:
         try:
-            self._undoing.submit(call)
-        except RuntimeError:  # the robot is closed, so there is nothing to wait for; or the system has no thread left
+            self.stop(call)
+        except (Closed, LocalError):  # the robot is closed, so there is nothing to wait for; or there is no thread left
             call()
 
     def close(self) -> None:
         """Make no more calls; the threads end with what they do. Does not wait. Idempotent."""
-        self._is_closed = True
-        self._undoing.shutdown(wait=False)
-        self._threads.shutdown(wait=False, cancel_futures=True)
+        _close(self._threads, self._stopping)
+
+
+def _close(threads: _Threads, stopping: _Threads) -> None:
+    threads.close()
+    threads.drop()
+    stopping.close()
+
+
+#: Seconds for which the end of the process waits for stops that are being sent.
+_AT_EXIT = 2.0
+
+#: The threads for stops of all robots.
+_open: weakref.WeakSet[_Threads] = weakref.WeakSet()
+
+
+def _send_stops() -> None:
+    """Wait for stops, since the threads end with the process: a task might have been cancelled just before."""
+    threads = tuple(_open)
+    for each in threads:
+        each.close()
+    until = clock.now() + _AT_EXIT
+    for each in threads:
+        each.join(clock.left(until))
+
+
+atexit.register(_send_stops)
+if hasattr(os, "register_at_fork"):  # not on Windows, which cannot fork
+    os.register_at_fork(after_in_child=_open.clear)  # the threads do not exist there

@@ -44,7 +44,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 from . import clock
 from .arguments import check_callable, check_seconds
 from .errors import Cancelled, LinkError, LinkTimeout, unraised
-from .pending_call import current_call, has_started, next_order, regardless
+from .pending_call import current_call, has_started, next_order, pending_call, regardless
 from .threads import CallbackThread
 
 if TYPE_CHECKING:
@@ -368,8 +368,9 @@ class Handle:
             raise self._life.error
 
     def _give_up(self, interruption: BaseException) -> None:
-        """Cancel where waiting was interrupted, by Ctrl-C for one, and not ended by an error of the library."""
-        if not isinstance(interruption, Exception):
+        """Cancel if the wait was interrupted by Ctrl-C or a cancelled task, rather than ended by an error."""
+        call = pending_call()
+        if not isinstance(interruption, Exception) or (call is not None and call.is_given_up):
             try:
                 self.cancel()
             finally:

@@ -5,17 +5,19 @@ call wants to send is compared with the last stop where bytes leave this compute
 stop sends nothing after it. So a motion that is still being prepared, or that waits in a queue, does not begin after a
 stop. A call that was entered later is not affected.
 
-A thread cannot be interrupted. So a call whose task was cancelled runs to its own end or timeout, but sends nothing
-more: `check_wanted` is asked where bytes leave this computer. What the call has started on a robot is cancelled.
+Python cannot interrupt a thread from outside. So each wait of the library that can take long is entered with
+`interruptible`, which wakes the wait when the call is abandoned; the call then ends with `Cancelled`. An abandoned
+call sends nothing more: `check_wanted` is asked where bytes leave this computer. What it has started is cancelled.
 """
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import itertools
 import threading
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar
 
 from .errors import Cancelled, LinkTimeout
@@ -72,6 +74,10 @@ class PendingCall:
         self.is_given_up = False
         self.has_stopped = False
         self._started = _Lives()
+        self._undos: list[Callable[[], object]] = []
+        self._wakes: list[Callable[[], object]] = []
+        #: held while waits are woken, so that no wait is woken after it has ended
+        self._waking = threading.RLock()
 
     def make(self, call: Callable[[], T]) -> T:
         """Make the call in this thread.
@@ -94,20 +100,54 @@ class PendingCall:
         self._started.add(life)
         self.check()
 
+    def on_give_up(self, undo: Callable[[], object]) -> None:
+        """Call `undo` if the call is abandoned, even after its function has returned: nobody received the result then.
+
+        Args:
+            undo: Called in a thread, or here if the call was abandoned before. Must be idempotent.
+        """
+        self._undos.append(undo)
+        if self.is_given_up:
+            undo()
+
+    @contextlib.contextmanager
+    def interruptible(self, wake: Callable[[], object]) -> Iterator[None]:
+        """Around a wait: `wake` is called when the call is abandoned, and must end the wait without waiting itself.
+
+        Raises:
+            Cancelled: If the call was abandoned, whatever else the wait ended with.
+        """
+        with self._waking:
+            self._wakes.append(wake)
+        try:
+            self.check()
+            yield
+        finally:
+            with self._waking:
+                self._wakes.remove(wake)
+            self.check()
+
     def check(self) -> None:
         """Raise `Cancelled` if it was abandoned."""
         if self.is_given_up:
             raise Cancelled("the task that awaited this call was cancelled; nothing more is sent")
 
     def give_up(self, submit: Callable[[Callable[[], object]], object] = lambda call: call()) -> None:
-        """Send nothing more, and cancel what it has started; the robot brakes. Idempotent, from any thread.
+        """Send nothing more, wake its waits, and cancel what it has started; the robot brakes. Idempotent.
+
+        From any thread.
 
         Args:
             submit: Runs a function, which sends the robot a stop and may wait for that; by default in this thread.
         """
         self.is_given_up = True
+        with self._waking:
+            for wake in self._wakes:
+                wake()
         for life in self._started.live():
             submit(life.give_up)
+        for undo in tuple(self._undos):
+            submit(undo)
 
 
 class Call:
@@ -219,6 +259,25 @@ def check_wanted() -> None:
     call = _in_this_thread()
     if call is not None:
         call.check()
+
+
+def pending_call() -> PendingCall | None:
+    """The pending call that this thread makes, or None."""
+    call = _in_this_thread()
+    return call._task if isinstance(call, Call) else call
+
+
+def interruptible(wake: Callable[[], object]) -> contextlib.AbstractContextManager[None]:
+    """Around a wait; see `PendingCall.interruptible`. No effect unless this thread makes a pending call."""
+    call = pending_call()
+    return contextlib.nullcontext() if call is None else call.interruptible(wake)
+
+
+def on_give_up(undo: Callable[[], object]) -> None:
+    """See `PendingCall.on_give_up`. No effect unless this thread makes a pending call."""
+    call = pending_call()
+    if call is not None:
+        call.on_give_up(undo)
 
 
 def regardless(call: Callable[[], T]) -> T:

@@ -39,12 +39,13 @@ class AsyncRobot(Generic[R]):
         variables: the robot itself, with its properties. They change with `sync` and only with it.
     """
 
-    __slots__ = ("_is_closed", "_thread", "variables")
+    __slots__ = ("_ending", "_is_closed", "_thread", "variables")
 
     def __init__(self, variables: R, thread: Workers) -> None:
         self.variables = variables
         self._thread = thread
         self._is_closed = False
+        self._ending: asyncio.Task[None] | None = None
 
     async def sync(self, timeout: float | None = None) -> None:
         """As `Variables.sync`. Several at once wait for each other.
@@ -70,12 +71,19 @@ class AsyncRobot(Generic[R]):
             yield self.variables
 
     async def close(self, timeout: float = 2.0) -> None:
-        """Close the connection, within `timeout` seconds; see `Variables.close`. Idempotent."""
+        """Close the connection, within `timeout` seconds; see `Variables.close`. Idempotent.
+
+        A task that is cancelled meanwhile ends when this is done.
+        """
         self._is_closed = True
-        # Not in the robot's own thread, which may be in a sync that this is to end.
-        closing = asyncio.get_running_loop().run_in_executor(None, self.variables.close, timeout)
+        if self._ending is None:
+            self._ending = asyncio.create_task(self._close(timeout))
+        await finished(self._ending)
+
+    async def _close(self, timeout: float) -> None:
         try:
-            await finished(closing)
+            # Not in the robot's own thread, which may be in a sync that this is to end.
+            await self._thread.make_stop(lambda: self.variables.close(timeout))
         finally:
             self._thread.close()
 
@@ -123,7 +131,7 @@ def connect_async(
 
 async def _connected(address: str, variables: Any, options: _Options) -> AsyncRobot[Any]:
     running_loop("connect_async")
-    thread = Workers(f"rhdlink {address}", 1)
+    thread = Workers(f"rhdlink {address}", 1, stopping=1)
     try:
         robot = await thread.make(lambda: connect_here(address, variables, **options), Variables.close)
     except BaseException:

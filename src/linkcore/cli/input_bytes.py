@@ -13,6 +13,8 @@ from ..recording.file import MAGIC
 _TEXT = re.compile(rb"[\t\n\f\r\x20-\x7e]*")
 _SEPARATOR = re.compile(rb"0[xX]|\\x|[\s:,;-]")
 _HEX = re.compile(rb"[0-9a-fA-F]*")
+#: A line of a dump begins with its offset, which is not part of the data.
+_OFFSET = re.compile(rb"^\s*(0x)?[0-9a-fA-F]{4,}:", re.MULTILINE)
 
 
 def input_bytes(name: str) -> bytes:
@@ -53,7 +55,7 @@ def from_hex(data: bytes, where: str) -> bytes:
         BadRecording: If the number of hex digits is odd.
     """
     digits = _SEPARATOR.sub(b"", data) if _TEXT.fullmatch(data) else b""
-    if not digits or not _HEX.fullmatch(digits):
+    if not digits or not _HEX.fullmatch(digits) or _OFFSET.search(data):
         return data
     if len(digits) % 2:
         raise BadRecording(f"{where} has {len(digits)} hex digits; expected two for each byte")

@@ -12,7 +12,8 @@ from collections.abc import Callable
 from typing import Protocol
 
 from .. import clock
-from ..errors import Closed, ConnectionLost, LinkTimeout, WrongPeer
+from ..errors import Cancelled, Closed, ConnectionLost, LinkTimeout, WrongPeer
+from ..pending_call import interruptible
 from ..threads import held
 from .recall import MAY_STILL
 from .transport import TcpTransport
@@ -86,6 +87,7 @@ class Dialogue:
             LinkTimeout: no answer came in time, or other threads had their turn for so long.
             ConnectFailed, ConnectionLost: the peer is not there, or went away.
             Closed: `close` was called.
+            Cancelled: the task that awaits this call was cancelled.
             LinkError: whatever the protocol or the gate raises.
         """
         until = clock.now() + timeout
@@ -102,18 +104,19 @@ class Dialogue:
 
         with held(self._lock, timeout, busy):
             try:
-                protocol = self._connected(min(until, clock.now() + self._timeout))
-                gate(send)
-                while answer is None:
-                    answer = protocol.feed(
-                        self._received(protocol, until, f"no reply to {text!r} within {timeout:g} s")
-                    )
+                with interruptible(self._transport.abort):
+                    protocol = self._connected(min(until, clock.now() + self._timeout))
+                    gate(send)
+                    while answer is None:
+                        answer = protocol.feed(
+                            self._received(protocol, until, f"no reply to {text!r} within {timeout:g} s")
+                        )
                 if not stays(answer):
                     self._disconnect()
             except BaseException as error:
                 self._disconnect()
                 hint = ""
-                if given_up is not None and is_sent and answer is None:
+                if given_up is not None and is_sent and (answer is None or isinstance(error, Cancelled)):
                     given_up()
                     hint = f"; {MAY_STILL}"
                 if self.is_closed and isinstance(error, ConnectionLost):

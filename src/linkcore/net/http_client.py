@@ -11,7 +11,8 @@ from dataclasses import replace
 from urllib.parse import urljoin, urlsplit
 
 from .. import clock
-from ..errors import Closed, ConnectionLost, LinkTimeout, PacketError, WrongPeer
+from ..errors import Cancelled, Closed, ConnectionLost, LinkTimeout, PacketError, WrongPeer
+from ..pending_call import interruptible
 from ..wire.http import HttpParser, HttpRequest, HttpResponse
 from .recall import MAY_STILL
 from .transport import TcpTransport
@@ -50,6 +51,7 @@ class HttpClient:
             ConnectFailed, ConnectionLost: the server is not there, or goes away.
             LinkTimeout: the answer was not whole within `timeout` seconds.
             Closed: `close` was called.
+            Cancelled: the task that awaits this call was cancelled.
         """
         until = clock.now() + timeout
         host, port = self.host, self.port
@@ -92,17 +94,18 @@ class HttpClient:
         self._open.add(transport)
         is_sent, answer = False, None
         try:
-            transport.open(_left(until, transport.name, timeout))
-            if self._is_closed:
-                raise ConnectionLost(f"{transport.name} was closed here")
-            is_sent = True
-            transport.send(data, _left(until, transport.name, timeout))
-            while answer is None:
-                answer = _received(transport, parser, _left(until, transport.name, timeout))
+            with interruptible(transport.abort):
+                transport.open(_left(until, transport.name, timeout))
+                if self._is_closed:
+                    raise ConnectionLost(f"{transport.name} was closed here")
+                is_sent = True
+                transport.send(data, _left(until, transport.name, timeout))
+                while answer is None:
+                    answer = _received(transport, parser, _left(until, transport.name, timeout))
             return answer
         except BaseException as error:
             hint = ""
-            if given_up is not None and is_sent and answer is None:
+            if given_up is not None and is_sent and (answer is None or isinstance(error, Cancelled)):
                 given_up()
                 hint = f"; {MAY_STILL}"
             if isinstance(error, (ConnectionLost, LinkTimeout, WrongPeer)):

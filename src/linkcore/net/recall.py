@@ -18,10 +18,12 @@ import threading
 import weakref
 from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Generic, Protocol, TypeVar
 
 from .. import clock
 from ..errors import Closed, LinkError, LinkTimeout, LocalError
+from ..pending_call import on_give_up
 from ..threads import started
 
 #: How the error of a command ends that was sent and not answered.
@@ -66,6 +68,8 @@ class Recall:
     def __init__(self, name: str) -> None:
         self._name = name
         self._pending: dict[str, TakeBack[Any]] = {}
+        #: the last command of each name that was answered and can be undone
+        self._answered: weakref.WeakValueDictionary[str, TakeBack[Any]] = weakref.WeakValueDictionary()
         self._thread: threading.Thread | None = None
         self._client: _Closeable | None = None
         self._lock = threading.RLock()  # a signal handler may give up another one
@@ -138,6 +142,10 @@ class Recall:
             )
         yield lambda: None if take_back is None else self._add(name, take_back)
         self._remove(name)
+        if take_back is not None:
+            # The task that awaits this call might have been cancelled in the moment in which the answer came.
+            self._answered[name] = take_back
+            on_give_up(partial(self._add_answered, name, take_back))
 
     def settle(self, timeout: float) -> bool:
         """Wait until nothing is pending; False if that takes longer."""
@@ -151,6 +159,7 @@ class Recall:
 
     def drop(self) -> None:
         """Something newer has been sent that supersedes all of it."""
+        self._answered.clear()
         self._remove(*self._pending)
 
     def close(self, user: object = None) -> None:
@@ -192,6 +201,11 @@ class Recall:
                 _owed.add(self)
             _log.warning("%s: %r was given up; %s, and is taken back at the next contact", self._name, name, MAY_STILL)
             self._start()
+
+    def _add_answered(self, name: str, take_back: TakeBack[Any]) -> None:
+        """Add a command that was answered, unless a newer one has superseded it."""
+        if self._answered.get(name) is take_back:
+            self._add(name, take_back)
 
     def _remove(self, *names: str) -> None:
         with self._lock:

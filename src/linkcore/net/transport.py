@@ -28,12 +28,13 @@ import sys
 import time
 import weakref
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any, Protocol
 
 from .. import clock
 from ..clock import Stamp
 from ..errors import ConnectFailed, ConnectionLost, LinkTimeout, RemoteError, unraised
-from ..pending_call import check_wanted
+from ..pending_call import check_wanted, interruptible
 
 if sys.platform == "linux":
     import fcntl
@@ -123,6 +124,7 @@ class TcpTransport:
         Raises:
             ConnectFailed: refused, unreachable, or no such host.
             LinkTimeout: no answer in time.
+            Cancelled: as `send_some`.
         """
         self.abort()
         try:
@@ -259,6 +261,7 @@ class TcpTransport:
 
         Raises:
             ConnectionLost: the connection is gone.
+            Cancelled: as `send_some`.
         """
         until = clock.now() + timeout
         while (connection := self._socket) is not None:
@@ -270,6 +273,7 @@ class TcpTransport:
                 raise mapped(error, f"sending to {self.name}", timeout, ConnectionLost) from error
             if left <= _SLICE:
                 return False
+            check_wanted()
         raise ConnectionLost(f"sending to {self.name}: closed here")
 
     def abort(self) -> None:
@@ -364,7 +368,8 @@ def _connected(host: str, port: int, timeout: float) -> tuple[socket.socket, flo
             connection = socket.socket(family, kind, protocol)
             connection.settimeout(max(left, 1e-3))
             began = clock.now()
-            connection.connect(address)
+            with interruptible(partial(_interrupt, connection)):
+                connection.connect(address)
             round_trip = clock.now() - began
         except OSError as error:
             failure = unraised(error)
@@ -380,6 +385,12 @@ def _connected(host: str, port: int, timeout: float) -> tuple[socket.socket, flo
         raise failure or OSError(f"{host} has no address")
     finally:
         failure = None  # the error refers to this frame
+
+
+def _interrupt(connection: socket.socket) -> None:
+    """End the wait of another thread that connects this socket; outside Linux the wait may last until its timeout."""
+    with contextlib.suppress(OSError):
+        connection.shutdown(socket.SHUT_RDWR)
 
 
 #: struct linger: is it on, seconds. Two ints, but two shorts on Windows (winsock2.h).

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Generator, Iterator, Sequence
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from .. import clock
 from ..arguments import check_callable, check_seconds
 from ..errors import BadValue, Closed, LinkTimeout
+from ..pending_call import interruptible, pending_call
 from ..wire.packet import State
 from .connection import Connection
 from .connection_life import ConnectionEvent, ConnectionState
 from .history import History
-from .packet_queue import Policy, block, check_lifespan, check_policy, drop_oldest, latest
+from .packet_queue import PacketQueue, Policy, block, check_lifespan, check_policy, drop_oldest, latest
 from .subscription import Subscription, check_deadline
 
 if TYPE_CHECKING:
@@ -85,13 +86,14 @@ class Feed(Generic[T]):
         connection, kind = self._connection, self._kind
         connection.refuse_to_wait("wait_until()")
         queue = connection.open_queue(kind, drop_oldest(LAGGARD))
+        take = _taking(queue)
         looked_at = 0
         try:
             # After the queue was opened, so that no packet is missed between the two; it may come twice.
             newest = None if self._has_events else connection.fan_out.newest(kind)
             if newest is not None and condition(newest):
                 return newest
-            while (packet := queue.next(clock.left(end))) is not None:
+            while (packet := take(clock.left(end))) is not None:
                 for each in connection.fan_out.expand(kind, packet):
                     looked_at += 1
                     if condition(each):
@@ -134,7 +136,7 @@ class Feed(Generic[T]):
         connection, kind = self._connection, self._kind
         expand = connection.fan_out.expander(kind)
         queue = connection.open_queue(kind, policy, lifespan)
-        take = queue.next
+        take = _taking(queue)
         if is_loop:
             connection.counters.loop_began(queue)
         try:
@@ -309,3 +311,15 @@ class Feed(Generic[T]):
 
     def __repr__(self) -> str:
         return f"<Feed of {self._kind.__name__} from {self._connection.name}>"
+
+
+def _taking(queue: PacketQueue) -> Callable[[float | None], Any]:
+    """`PacketQueue.next`; if this thread makes a pending call, abandoning the call ends the wait."""
+    if pending_call() is None:
+        return queue.next
+
+    def take(timeout: float | None) -> Any:
+        with interruptible(queue.end):
+            return queue.next(timeout)
+
+    return take

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import re
+import shlex
 from collections.abc import Collection, Iterable
 
 from linkcore import clock
@@ -154,7 +155,7 @@ def _set(args: argparse.Namespace) -> int:
     *ADDRESS,
     argument("names", metavar="NAME", nargs="*", help="watch only these variables", trailing=True),
     argument("--period", type=seconds, metavar="S", help="seconds between syncs (every tick of the robot)"),
-    argument("--plain", action="store_true", help="plain lines, one a second, also on a terminal"),
+    argument("--plain", action="store_true", help="print one line per second, even on a terminal"),
     argument("--json", action="store_true", help="one JSON object a line, for each sync that set a variable"),
     argument("--count", type=positive_int, metavar="N", help="end after N lines (never)"),
     DURATION,
@@ -163,9 +164,10 @@ def _watch(args: argparse.Namespace) -> int:
     """Watch variables live: their words, their meaning if their names are conventional ones, and how often per
     second each is set. It connects as a reader, so the robot's master is not disturbed.
 
-    On a terminal the view is drawn ten times a second; elsewhere it is one line a second, as with --plain.
-    When the connection is lost the view says LOST, and goes on as soon as the robot is back. With --json each
-    sync that set a variable is one object: what was set, by name, and when it came.
+    On a terminal the view is drawn ten times a second; elsewhere it is one line a second, as with --plain. When
+    the connection is lost the view shows LOST, and continues when the robot is back. At the end a summary and a
+    next step are printed on stderr. With --json each sync that set a variable is one object: what was set, by
+    name, and when it came.
 
     examples:
       rhdlink watch localhost
@@ -211,6 +213,7 @@ def _views(robot: Variables, args: argparse.Namespace, interruption: Interruptio
     robot.subscribe(counter.on_update, *args.names)
     robot.subscribe_connection(counter.on_connection)
     sync_thread = robot.background(args.period)
+    begun = clock.now()
     with drawing(args.plain, tell, View.as_line, lambda view: view) as (draw, pause):
         # The first view comes after the first syncs; before them there are only the values of the handshake.
         interruption.wait(min(0.2, pause))
@@ -221,6 +224,10 @@ def _views(robot: Variables, args: argparse.Namespace, interruption: Interruptio
             if is_over or shown == args.count:
                 break
             interruption.wait(pause)
+    seconds = clock.now() - begun
+    rate = f" ({sync_thread.syncs / seconds:.1f}/s)" if seconds >= 1.0 else ""
+    tell(f"watched for {seconds:.1f} s; {sync_thread.syncs} syncs{rate}, {robot.reconnects} reconnects")
+    tell(f"next: rhdlink record {shlex.quote(args.address)} drive.urlog records what the robot sends")
 
 
 def _view(robot: Variables, counter: RateCounter, names: frozenset[str]) -> View:

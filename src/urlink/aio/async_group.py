@@ -11,7 +11,7 @@ from ..group import WAITING, Group
 from ..interfaces.realtime.packets import RealtimeState
 from ..motion.group_motion import GroupStream
 from .async_robot import AsyncRobot
-from .awaited import AwaitedHandle, AwaitedPart, attribute, awaited, block, motion
+from .awaited import AwaitedHandle, AwaitedPart, attribute, awaited, block, motion, stopping
 
 __all__ = ["AsyncGroup", "AsyncGroupStream"]
 
@@ -25,7 +25,7 @@ class AsyncGroupStream(AwaitedHandle[GroupStream]):
     __slots__ = ()
 
     append = awaited(GroupStream.append)
-    clear = awaited(GroupStream.clear)
+    clear = stopping(GroupStream.clear)
     replace = awaited(GroupStream.replace)
     wait = awaited(GroupStream.wait)
     wait_until_dry = awaited(GroupStream.wait_until_dry)
@@ -71,7 +71,7 @@ class AsyncGroup(AwaitedPart[Group]):
 
     follow = motion(Group.follow)
     move_joints = motion(Group.move_joints)
-    stop = awaited(Group.stop)
+    stop = stopping(Group.stop)
     stream = block(Group.stream, AsyncGroupStream)
 
     async def states(self, timeout: float | None = 5.0) -> AsyncIterator[tuple[RealtimeState, ...]]:

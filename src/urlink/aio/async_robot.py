@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 from linkcore.aio.async_stream import AsyncStream
 from linkcore.aio.loop_connection import LoopConnection
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout, LocalError, unraised
-from linkcore.event_loop import Opening, Workers, ended, finished, running_loop
+from linkcore.event_loop import Opening, Workers, finished, running_loop
 from linkcore.net.awaited import AwaitedTcp
 
 from .. import robot as threaded
@@ -54,6 +54,8 @@ T = TypeVar("T")
 
 #: Calls of one robot that can run at the same time.
 _CALLS = 16
+#: Threads that stop the robot, which are started with it. Two: leaving a block may wait for the arm to come to rest.
+_STOPS = 2
 
 
 def _teaching(teaching: Teaching, workers: Workers) -> AsyncTeaching:
@@ -246,7 +248,7 @@ class AsyncRobot(AwaitedPart[threaded.Robot]):
             Closed: the robot was closed.
             LocalError: the system has no thread left.
         """
-        return await self._workers.make(lambda: function(*arguments, **options))
+        return await self._workers.make(lambda: function(*arguments, **options), is_ordered=False)
 
     # -- its end -------------------------------------------------------------------------------------
 
@@ -263,9 +265,7 @@ class AsyncRobot(AwaitedPart[threaded.Robot]):
         robot, workers = self._part, self._workers
         try:
             if workers.is_used or robot._controller is not None:
-                closing = workers.submit(lambda: robot.close(timeout))
-                await ended(closing, asyncio.get_running_loop())
-                closing.result()
+                await workers.make_stop(lambda: robot.close(timeout))
             else:
                 await asyncio.gather(*(stream.close() for stream in self._streams.values()))
                 robot.close(0.0)
@@ -289,7 +289,7 @@ async def _connected(options: ConnectOptions) -> AsyncRobot:
     if isinstance(place, RecordingAddress):
         raise LocalError(f"{options.name} is a recording, which urlink.connect plays, and no event loop")
     loop = running_loop("connect_async")
-    workers = Workers(options.name, _CALLS)
+    workers = Workers(options.name, _CALLS, stopping=0 if options.read_only else _STOPS)
     controller = robot = None
     try:
         if isinstance(place, SimulatorAddress):
@@ -306,9 +306,9 @@ async def _connected(options: ConnectOptions) -> AsyncRobot:
         return AsyncRobot(robot, workers)
     except BaseException:
         if robot is not None:
-            workers.submit(robot.close)
+            workers.stop(robot.close)
         elif controller is not None:
-            workers.submit(controller.close)
+            workers.stop(controller.close)
         workers.close()
         raise
 

@@ -100,14 +100,28 @@ class AwaitedHandle(AwaitedPart[H]):
 def awaited(method: Callable[Concatenate[Any, P], T]) -> Callable[Concatenate[Any, P], Coroutine[Any, Any, T]]:
     """The method of a `AwaitedPart` that makes this call in a thread of the robot.
 
-    A task that is cancelled while it awaits this gives the call up: what has not been sent is not sent, and what it has
-    begun on the robot is cancelled. A call that waits goes on waiting in its thread, to its own timeout.
+    A task that is cancelled while it awaits this abandons the call: what has not been sent is not sent, what the call
+    has started on the robot is cancelled, and a wait in its thread ends.
     """
 
     @functools.wraps(method)
     async def call(part: AwaitedPart[Any], /, *arguments: P.args, **options: P.kwargs) -> T:
         running_loop("a command of a robot of connect_async")
         return await part._workers.make(lambda: method(part._part, *arguments, **options), _end)
+
+    return call
+
+
+def stopping(method: Callable[Concatenate[Any, P], T]) -> Callable[Concatenate[Any, P], Coroutine[Any, Any, T]]:
+    """As `awaited`, for a call that stops or closes something: it never queues behind a call that waits.
+
+    It is made even if its task is cancelled meanwhile; the task ends at once.
+    """
+
+    @functools.wraps(method)
+    async def call(part: AwaitedPart[Any], /, *arguments: P.args, **options: P.kwargs) -> T:
+        running_loop("a command of a robot of connect_async")
+        return await part._workers.make_stop(lambda: method(part._part, *arguments, **options))
 
     return call
 
@@ -169,13 +183,13 @@ class Block(Generic[T]):
         return self._given(self._entered, self._workers)
 
     async def __aexit__(self, *exc: object) -> None:
-        left = self._workers.submit(functools.partial(self._entered.__exit__, *exc))
+        left = self._workers.stop(functools.partial(self._entered.__exit__, *exc))
         leaving = ended(left, asyncio.get_running_loop())
         try:
             await asyncio.wait({leaving})
         except asyncio.CancelledError:
             if isinstance(self._entered, Handle):  # it waits for its program, for as long as that takes
-                self._workers.submit(self._entered.cancel)
+                self._workers.stop(self._entered.cancel)
             await asyncio.wait({leaving})
             raise
         try:

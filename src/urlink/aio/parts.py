@@ -20,7 +20,7 @@ from ..interfaces.rtde.recipes import Outputs
 from ..interfaces.tool_serial import ToolSerial
 from ..motion import Motions, PointStream, Teaching
 from ..rtde import Inputs, OutputStream, Registers, Rtde
-from .awaited import AwaitedHandle, AwaitedPart, Block, attribute, awaited, block, motion
+from .awaited import AwaitedHandle, AwaitedPart, Block, attribute, awaited, block, motion, stopping
 
 if TYPE_CHECKING:
     from ..rtde.client import Missing
@@ -57,7 +57,7 @@ class AsyncPointStream(AwaitedHandle[PointStream]):
     __slots__ = ()
 
     append = awaited(PointStream.append)
-    clear = awaited(PointStream.clear)
+    clear = stopping(PointStream.clear)
     replace = awaited(PointStream.replace)
     wait = awaited(PointStream.wait)
     wait_until_dry = awaited(PointStream.wait_until_dry)
@@ -85,7 +85,7 @@ class AsyncMotions(AwaitedPart[Motions]):
     speed_linear = motion(Motions.speed_linear)
     follow = motion(Motions.follow)
     until_contact = motion(Motions.until_contact)
-    stop = awaited(Motions.stop)
+    stop = stopping(Motions.stop)
     servo = block(Motions.servo)
     stream = block(Motions.stream, AsyncPointStream)
     jog = block(Motions.jog)
@@ -168,7 +168,7 @@ class AsyncDashboard(AwaitedPart[Dashboard]):
     add_to_log = awaited(Dashboard.add_to_log)
     brake_release = awaited(Dashboard.brake_release)
     clear_operational_mode = awaited(Dashboard.clear_operational_mode)
-    close = awaited(Dashboard.close)
+    close = stopping(Dashboard.close)
     close_popup = awaited(Dashboard.close_popup)
     close_safety_popup = awaited(Dashboard.close_safety_popup)
     download_program = awaited(Dashboard.download_program)
@@ -180,15 +180,15 @@ class AsyncDashboard(AwaitedPart[Dashboard]):
     load_installation = awaited(Dashboard.load_installation)
     loaded_program = awaited(Dashboard.loaded_program)
     operational_mode = awaited(Dashboard.operational_mode)
-    pause = awaited(Dashboard.pause)
+    pause = stopping(Dashboard.pause)
     play = awaited(Dashboard.play)
     polyscope_version = awaited(Dashboard.polyscope_version)
     popup = awaited(Dashboard.popup)
-    power_off = awaited(Dashboard.power_off)
+    power_off = stopping(Dashboard.power_off)
     power_on = awaited(Dashboard.power_on)
     program_state = awaited(Dashboard.program_state)
     programs = awaited(Dashboard.programs)
-    quit = awaited(Dashboard.quit)
+    quit = stopping(Dashboard.quit)
     restart_safety = awaited(Dashboard.restart_safety)
     robot_mode = awaited(Dashboard.robot_mode)
     robot_model = awaited(Dashboard.robot_model)
@@ -200,9 +200,9 @@ class AsyncDashboard(AwaitedPart[Dashboard]):
     serial_number = awaited(Dashboard.serial_number)
     set_operational_mode = awaited(Dashboard.set_operational_mode)
     set_user_role = awaited(Dashboard.set_user_role)
-    shutdown = awaited(Dashboard.shutdown)
+    shutdown = stopping(Dashboard.shutdown)
     start = awaited(Dashboard.start)
-    stop = awaited(Dashboard.stop)
+    stop = stopping(Dashboard.stop)
     unlock_protective_stop = awaited(Dashboard.unlock_protective_stop)
     upload_program = awaited(Dashboard.upload_program)
     user_role = awaited(Dashboard.user_role)
@@ -225,7 +225,7 @@ class AsyncGripper(AwaitedPart[Gripper]):
     position_of = staticmethod(Gripper.position_of)
     set = awaited(Gripper.set)
     status = awaited(Gripper.status)
-    stop = awaited(Gripper.stop)
+    stop = stopping(Gripper.stop)
     wait = awaited(Gripper.wait)
 
 
@@ -235,7 +235,7 @@ class AsyncToolSerial(AwaitedPart[ToolSerial]):
     __slots__ = ()
 
     ask = awaited(ToolSerial.ask)
-    close = awaited(ToolSerial.close)
+    close = stopping(ToolSerial.close)
     discard = awaited(ToolSerial.discard)
     read = awaited(ToolSerial.read)
     write = awaited(ToolSerial.write)
@@ -246,11 +246,11 @@ class AsyncInterpreter(AwaitedHandle[Interpreter]):
 
     __slots__ = ()
 
-    abort = awaited(Interpreter.abort)
+    abort = stopping(Interpreter.abort)
     clear = awaited(Interpreter.clear)
     end = awaited(Interpreter.end)
     execute = awaited(Interpreter.execute)
-    skip = awaited(Interpreter.skip)
+    skip = stopping(Interpreter.skip)
     wait = awaited(Interpreter.wait)
     wait_executed = awaited(Interpreter.wait_executed)
 
@@ -290,7 +290,7 @@ class AsyncInputs(AwaitedPart[Inputs]):
 
     __slots__ = ()
 
-    close = awaited(Inputs.close)
+    close = stopping(Inputs.close)
     send = awaited(Inputs.send)
 
     names = attribute(Inputs, lambda part: part.names)
@@ -325,7 +325,7 @@ class AsyncRtde(AwaitedPart[Rtde]):
 
     __slots__ = ()
 
-    close = awaited(Rtde.close)
+    close = stopping(Rtde.close)
     inputs = block(Rtde.inputs, AsyncInputs)
     missing = awaited(Rtde.missing)
     who_holds = awaited(Rtde.who_holds)

@@ -1,16 +1,18 @@
 """The robot of urx 0.11, over this library: its most used calls.
 
-Poses are lists of six numbers. Those that need math3d, and the monitors of urx, are not here.
+Poses are lists of six numbers, except those of `get_pose` and `set_pose`, which need math3d. The monitors and the
+reference frame (`csys`) of urx are not here.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from importlib import import_module
 from typing import Any
 
 import urlink
-from linkcore.errors import LinkError
+from linkcore.errors import BadValue, LinkError, LocalError
 from linkcore.handle import Motion
 from linkcore.streaming.feed import Feed
 from linkcore.threads import Closing
@@ -37,12 +39,13 @@ class Robot(Closing):
     Args:
         host: address of the robot, or any other that `urlink.connect` takes.
         use_rt: without effect: the real-time interface is used where it is needed.
+        urFirm: Without effect: the firmware is detected.
 
     Raises:
         RemoteError: the robot cannot be reached.
     """
 
-    def __init__(self, host: str, use_rt: bool = False) -> None:
+    def __init__(self, host: str, use_rt: bool = False, urFirm: float | None = None) -> None:
         self._robot = urlink.connect(host)
 
     def close(self) -> None:
@@ -61,6 +64,73 @@ class Robot(Closing):
     def getl(self, wait: bool = False, _log: bool = True) -> list[float]:
         """Pose of the tool in the base frame: m, and rotation vector in rad; with `wait`, of the next state."""
         return list(map(float, _newest(self._robot.realtime, wait).tool_vector_actual))
+
+    def get_pose(self, wait: bool = False, _log: bool = True) -> Any:
+        """Pose of the tool in the base frame, as a `math3d.Transform`; with `wait`, of the next state.
+
+        Raises:
+            LocalError: If math3d is not installed.
+        """
+        return _math3d().Transform(self.getl(wait))
+
+    @property
+    def x(self) -> float:
+        """Position of the tool along the x axis of the base, m. Setting it moves the tool, see `z`."""
+        return self.getl()[0]
+
+    @x.setter
+    def x(self, value: float) -> None:
+        self._move_along(0, value)
+
+    @property
+    def y(self) -> float:
+        """Position of the tool along the y axis of the base, m. Setting it moves the tool, see `z`."""
+        return self.getl()[1]
+
+    @y.setter
+    def y(self, value: float) -> None:
+        self._move_along(1, value)
+
+    @property
+    def z(self) -> float:
+        """Position of the tool along the z axis of the base, m.
+
+        Setting it moves the tool in a line, without turning it, at 0.01 m/s, and waits for the end.
+        """
+        return self.getl()[2]
+
+    @z.setter
+    def z(self, value: float) -> None:
+        self._move_along(2, value)
+
+    def _move_along(self, axis: int, value: float) -> None:
+        pose = self.getl()
+        pose[axis] = value
+        self.movel(pose)
+
+    def get_joint_temperature(self, wait: bool = False) -> list[float]:
+        """Temperatures of the joints, °C; with `wait`, of the next state."""
+        return list(map(float, _newest(self._robot.realtime, wait).motor_temperatures))
+
+    def get_joint_voltage(self, wait: bool = False) -> list[float]:
+        """Voltages of the joints, V; with `wait`, of the next state."""
+        return list(map(float, _newest(self._robot.realtime, wait).V_actual))
+
+    def get_joint_current(self, wait: bool = False) -> list[float]:
+        """Currents of the joints, A; with `wait`, of the next state."""
+        return list(map(float, _newest(self._robot.realtime, wait).I_actual))
+
+    def get_main_voltage(self, wait: bool = False) -> float:
+        """Voltage of the safety board, V; with `wait`, of the next state."""
+        return float(_newest(self._robot.realtime, wait).V_main)
+
+    def get_robot_voltage(self, wait: bool = False) -> float:
+        """Supply voltage of the robot, V; with `wait`, of the next state."""
+        return float(_newest(self._robot.realtime, wait).V_robot)
+
+    def get_robot_current(self, wait: bool = False) -> float:
+        """Supply current of the robot, A; with `wait`, of the next state."""
+        return float(_newest(self._robot.realtime, wait).I_robot)
 
     def get_tcp_force(self, wait: bool = True) -> list[float]:
         """Force at the tool, N and Nm."""
@@ -109,6 +179,30 @@ class Robot(Closing):
         """Move the tool in a line to a pose, or by each coordinate with `relative`. See `movej`."""
         goal = [a + b for a, b in zip(tpose, self.getl(), strict=True)] if relative else tpose
         return self._moved(lambda: self._robot.motion.move_linear(goal, vel, acc), wait, self.getl)
+
+    def set_pose(
+        self,
+        trans: Any,
+        acc: float = 0.01,
+        vel: float = 0.01,
+        wait: bool = True,
+        command: str = "movel",
+        threshold: float | None = None,
+    ) -> Any:
+        """Move the tool to a `math3d.Transform` in the base frame; if it waits, returns the transform at the end.
+
+        Args:
+            trans: Transform of the base frame to the tool.
+            command: "movel" or "movep". "movej" is rejected.
+
+        Raises:
+            BadValue: If `command` is another one.
+            LocalError: If math3d is not installed.
+        """
+        if command not in ("movel", "movep"):
+            raise BadValue(f"command is {command!r}; expected 'movel' or 'movep'")
+        pose = self.movel(list(map(float, trans.pose_vector)), acc, vel, wait)
+        return None if pose is None else _math3d().Transform(pose)
 
     def movep(
         self,
@@ -300,6 +394,18 @@ class Robot(Closing):
     def send_message(self, msg: str) -> None:
         """Show a text on the pendant."""
         self._robot.popup(msg)
+
+
+def _math3d() -> Any:
+    """The package of urx's poses.
+
+    Raises:
+        LocalError: If it is not installed.
+    """
+    try:
+        return import_module("math3d")
+    except ImportError as error:
+        raise LocalError("math3d is not installed; pip install math3d==3.0.3") from error
 
 
 def _newest(feed: Feed[Any], wait: bool) -> Any:

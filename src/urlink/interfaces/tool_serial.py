@@ -6,14 +6,16 @@ A URCap of the vendor ("RS485 daemon", on PolyScope X "Tool Comm Forwarder") cop
 
 from __future__ import annotations
 
+import contextlib
 import threading
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
 
 from linkcore import clock
 from linkcore.arguments import check_seconds
-from linkcore.errors import BadValue, Closed, ConnectionLost, LinkTimeout
+from linkcore.errors import BadValue, Cancelled, Closed, ConnectionLost, LinkTimeout
 from linkcore.net.recall import MAY_STILL
 from linkcore.net.transport import TcpTransport
+from linkcore.pending_call import interruptible
 from linkcore.threads import Closing, held
 
 #: The message where the port is refused.
@@ -102,9 +104,16 @@ class ToolSerial(Closing):
 
     # -- inside, by the thread that has its turn -----------------------------------------------------------
 
-    def _turn(self, timeout: float) -> AbstractContextManager[None]:
+    @contextlib.contextmanager
+    def _turn(self, timeout: float) -> Iterator[None]:
         otherwise = f"for {timeout:g} s another thread used the tool's serial line; nothing was sent"
-        return held(self._lock, timeout, otherwise)
+        with held(self._lock, timeout, otherwise):
+            try:
+                with interruptible(self._transport.abort):
+                    yield
+            except Cancelled:
+                self._disconnect()
+                raise
 
     def _check(self, timeout: float, *, request: bytes = b"\0", size: int = 1) -> float:
         if not isinstance(request, (bytes, bytearray)) or not request:

@@ -36,8 +36,9 @@ def test_input_bytes_reads_stdin_for_a_hyphen(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_text_without_hex_digits_is_kept_and_explained() -> None:
-    dump = b"00000000: 0000 0037  ...7"
-    assert from_hex(dump, "stdin") == dump
+    # Without its column of text, a dump consists of hex digits, and its offsets would be taken for data.
+    for dump in (b"00000000: 0000 0037", b"\t0x0000:  4500 0034", b"00000000: 0000 0037  ...7"):
+        assert from_hex(dump, "stdin") == dump
     assert "it is text that begins with '00000000: 0000 0037 '; expected hex digits" in text_hint(dump)
     assert text_hint(b"\x00" + dump) == ""
 

@@ -73,6 +73,7 @@ def test_stats_count_what_a_slow_loop_drops(stream: Stream[Count], transport: Sc
     transport.put(counts(8, 9), counts(10))
     until(lambda: stream.stats.received == 10)
     assert stream.stats.dropped == 4
+    assert stream._connection.counters._loops == ()
 
 
 def test_stats_count_what_expires_in_a_loop(stream: Stream[Count], transport: ScriptedTransport) -> None:

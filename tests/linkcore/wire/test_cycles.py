@@ -131,6 +131,17 @@ def test_duplicates_and_missing_cycles_in_one_chunk_do_not_cancel() -> None:
     assert (found.duplicates, found.missing.cycles) == (1, 1)
 
 
+def test_duplicates_of_past_connections_stay_counted() -> None:
+    stream = StreamCounters()
+    for connections in (1, 2):
+        cycles = MissedCycles(moment, (0.002,))
+        cycles.take([_TIME.pack(0.0)] * 3)
+        stream.connected(cast(PacketProtocol, Timed([], cycles)), 0.0)
+        assert stream.statistics.duplicates == 2 * connections
+        stream.disconnected()
+    assert stream.statistics.duplicates == 4
+
+
 def test_another_clock_is_no_gap() -> None:
     """It was started again, or jumped: no cycle of it is known to be missing."""
     assert counted([100.0, 100.002, 0.0, 0.002, 0.004], 0.002) == Missing()

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import signal
+import socket
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -9,6 +10,7 @@ import pytest
 
 import urlink
 from tests.waiting import until
+from urlink.address import RobotAddress, parse_address
 from urlink.packets import SafetyMode
 
 from .conftest import Run
@@ -140,6 +142,78 @@ def test_like_the_simulator_of_the_vendor(spawn: Spawn) -> None:
         assert robot.dashboard.is_in_remote_control() is False
         assert robot.dashboard.loaded_program() == "Default program"
         assert robot.dashboard.program_state().name == "Default program"
+
+
+@pytest.mark.slow
+def test_like_ursim_passes_the_vendors_dashboard_suite(spawn: Spawn) -> None:
+    # The sequence of commands, and what the tests of the UR Client Library expect of URSim for each.
+    process = spawn("sim", "--like", "ursim", "--firmware", "5.25", "--noise", "off")
+    assert process.stdout is not None
+    place = parse_address(process.stdout.readline().strip())
+    assert isinstance(place, RobotAddress)
+    ports = place.ports
+    with (
+        socket.create_connection(("127.0.0.1", ports["dashboard"]), timeout=20) as dashboard,
+        socket.create_connection(("127.0.0.1", ports["primary"]), timeout=20) as primary,
+        dashboard.makefile("rw", newline="\n") as lines,
+    ):
+
+        def ask(line: str) -> str:
+            lines.write(f"{line}\n")
+            lines.flush()
+            return lines.readline().strip()
+
+        assert lines.readline().startswith("Connected")
+        for line, reply in (
+            ("close safety popup", "closing safety popup"),
+            ("is in remote control", "false"),
+            ("load wait_program.urp", "Loading program: wait_program.urp"),
+            ("load /ursim/programs/wait_program.urp", "Loading program: /ursim/programs/wait_program.urp"),
+            ("load installation default.installation", "Loading installation: default.installation"),
+            ("power off", "Powering off"),
+        ):
+            assert ask(line) == reply
+        until(lambda: ask("robotmode") == "Robotmode: POWER_OFF")
+        assert ask("restart safety") == "Restarting safety"
+        assert ask("power on") == "Powering on"
+        until(lambda: ask("robotmode") == "Robotmode: IDLE")
+        assert ask("brake release") == "Brake releasing"
+        until(lambda: ask("robotmode") == "Robotmode: RUNNING")
+        assert ask("play") == "Starting program"
+        until(lambda: ask("running") == "Program running: true")
+        assert ask("programState") == "PLAYING wait_program.urp"
+        assert ask("pause") == "Pausing program"
+        until(lambda: ask("programState") == "PAUSED wait_program.urp")
+        assert ask("play") == "Starting program"
+        until(lambda: ask("programState") == "PLAYING wait_program.urp")
+        assert ask("stop") == "Stopped"
+        until(lambda: ask("programState") == "STOPPED wait_program.urp")
+        assert ask("running") == "Program running: false"
+        assert ask("isProgramSaved") == "true wait_program.urp"
+        for mode in ("AUTOMATIC", "MANUAL"):
+            assert ask(f"set operational mode {mode}") == f"Operational mode {mode} is set"
+            assert ask("get operational mode") == mode
+        assert ask("clear operational mode").startswith("No longer controlling the operational mode.")
+        assert ask("get operational mode") == "NONE"
+        assert ask("is in remote control") == "false"
+        assert ask("generate flight report").startswith("Flight Report generated with id:")
+        assert ask("generate support file .").startswith("Completed successfully:")
+        assert ask("saveLog") == "Log saved to disk"
+        # The suites without a program at the pendant send their scripts to the primary interface.
+        primary.sendall(b"protective_stop()\n")
+        until(lambda: ask("safetystatus") == "Safetystatus: PROTECTIVE_STOP")
+        until(lambda: ask("unlock protective stop") == "Protective stop releasing")
+        until(lambda: ask("safetymode") == "Safetymode: NORMAL")
+
+
+@pytest.mark.slow
+def test_like_ursim_in_local_control_refuses_commands(spawn: Spawn) -> None:
+    process = spawn("sim", "--like", "ursim", "--local-control")
+    assert process.stdout is not None
+    with urlink.connect(process.stdout.readline().strip()) as robot:
+        assert robot.dashboard.is_in_remote_control() is False
+        with pytest.raises(urlink.DashboardRefused, match="Remote Control"):
+            robot.dashboard.power_off()
 
 
 @pytest.mark.parametrize("option", ["pick.urp", "=x", "pick.urp=/nowhere/pick.script"])

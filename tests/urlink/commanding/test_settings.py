@@ -6,7 +6,6 @@ import math
 import threading
 from collections.abc import Callable, Iterator
 from decimal import Decimal
-from fractions import Fraction
 from typing import Any, cast
 
 import pytest
@@ -105,7 +104,7 @@ SHOWN: dict[str, Case] = {
         board(analog_output_0=0.011),
     ),
     "slider of another type of number": (
-        lambda r, c: r.settings.speed_slider(cast(Any, Fraction(1, 4)), c),
+        lambda r, c: r.settings.speed_slider(cast(Any, Decimal("0.25")), c),
         {"modes": {"target_speed_fraction": 0.25}},
         {"modes": {"target_speed_fraction": 0.26}},
     ),

@@ -247,6 +247,17 @@ def test_a_stop_and_after_it(
     assert control.moveJ(HOME, 2.0, 6.0)
 
 
+def test_reupload_script_allows_a_move_at_once(controller: Controller, control: RTDEControlInterface) -> None:
+    for _ in range(3):
+        assert control.reuploadScript()
+        assert control.moveJ(NEAR, 2.0, 6.0)
+        assert control.moveJ(HOME, 0.1, 6.0, True)
+        until(lambda: controller.arm.is_moving)
+    controller.call(controller.pendant.stop)
+    assert control.reuploadScript()
+    assert control.moveJ(NEAR, 2.0, 6.0)
+
+
 def test_what_is_not_offered(controller: Controller) -> None:
     with pytest.raises(NotOffered, match=r"servoC is not offered here; instead there is robot.motion.move_circular"):
         RTDEControlInterface.servoC([0.0] * 6)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
+from types import ModuleType
 
 import numpy as np
 import pytest
 
+from linkcore.errors import BadValue, LocalError
 from tests.waiting import until
 from urlink import poses
 from urlink.compat import urx
@@ -97,3 +100,58 @@ def test_one_movep_after_the_other_without_waiting(controller: Controller) -> No
             until(lambda axis=axis: abs(robot.getl(wait=True)[axis] - pose[axis]) < 0.05)  # type: ignore[misc]
         pose[1] -= 0.1
         assert near(robot.movep(pose, acc=2.0, vel=0.2, radius=0, wait=True), begin)
+
+
+def test_coordinates_of_the_tool_are_attributes(controller: Controller) -> None:
+    with urx.Robot(controller.address, use_rt=True, urFirm=3.4) as robot:
+        robot.movej(NEAR, acc=6.0, vel=2.0)
+        begin = robot.getl(wait=True)
+        assert near([robot.x, robot.y, robot.z], begin[:3])
+        robot.z += 0.02
+        robot.x -= 0.03
+        robot.y += 0.01
+        assert near(robot.getl(wait=True), [begin[0] - 0.03, begin[1] + 0.01, begin[2] + 0.02, *begin[3:]])
+
+
+def test_measurements_of_the_joints_and_the_supply(controller: Controller) -> None:
+    with urx.Robot(controller.address) as robot:
+        state = robot._robot.realtime.wait()
+        assert near(robot.get_joint_temperature(), state.motor_temperatures, 1.0)
+        assert near(robot.get_joint_voltage(wait=True), state.V_actual, 1.0)
+        assert near(robot.get_joint_current(), state.I_actual, 1.0)
+        assert near(
+            [robot.get_main_voltage(), robot.get_robot_voltage(), robot.get_robot_current()],
+            [state.V_main, state.V_robot, state.I_robot],
+            1.0,
+        )
+
+
+class Transform:
+    """The part of `math3d.Transform` that is used."""
+
+    def __init__(self, pose: list[float]) -> None:
+        self.pose_vector = np.array(pose)
+
+
+def test_poses_are_transforms_of_math3d(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
+    fake = ModuleType("math3d")
+    fake.Transform = Transform  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "math3d", fake)
+    with urx.Robot(controller.address) as robot:
+        robot.movej(NEAR, acc=6.0, vel=2.0)
+        pose = robot.get_pose(wait=True)
+        assert near(pose.pose_vector, robot.getl())
+        pose.pose_vector[1] += 0.01
+        there = robot.set_pose(pose, acc=2.0, vel=0.5)
+        assert near(there.pose_vector, pose.pose_vector)
+        pose.pose_vector[1] -= 0.01
+        assert robot.set_pose(pose, acc=2.0, vel=0.5, wait=False, command="movep") is None
+        until(lambda: near(robot.getl(wait=True), pose.pose_vector))
+        with pytest.raises(BadValue, match="command is 'movej'; expected 'movel' or 'movep'"):
+            robot.set_pose(pose, command="movej")
+
+
+def test_get_pose_names_math3d_when_it_is_missing(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "math3d", None)
+    with urx.Robot(controller.address) as robot, pytest.raises(LocalError, match="math3d is not installed"):
+        robot.get_pose()
