@@ -91,6 +91,7 @@ class Dashboard(Closing):
         timeout: seconds to connect, and for the reply to a command. Those that take longer have more: `COMMANDS` says
             how much.
         recall: of the commands to this controller; None to share that of everything in this process that commands it.
+        on_stop: Called before each command that stops or pauses the arm, with the reason, for messages.
 
     Raises:
         BadValue: the timeout is not positive.
@@ -105,7 +106,9 @@ class Dashboard(Closing):
         api_port: int | None = PORTS["robot_api"],
         timeout: float = 5.0,
         recall: Recall | None = None,
+        on_stop: Callable[[str], object] = lambda why: None,
     ) -> None:
+        self._on_stop = on_stop
         self._timeout = _positive(timeout)
         self._host = host
         self._firmware = firmware
@@ -168,6 +171,7 @@ class Dashboard(Closing):
 
     def power_off(self) -> None:
         """Begin to switch the arm off; it comes to rest first."""
+        self._on_stop("the dashboard switched the arm off")
         self._do("power off")
         self._switched_off = clock.now()
 
@@ -180,6 +184,7 @@ class Dashboard(Closing):
 
     def shutdown(self) -> None:
         """Shut the controller down and switch it off."""
+        self._on_stop("the dashboard shut the controller down")
         self._do("shutdown", is_last=True)
 
     # -- programs ------------------------------------------------------------------------------------
@@ -204,10 +209,12 @@ class Dashboard(Closing):
 
     def pause(self) -> None:
         """Pause the program that runs."""
+        self._on_stop("the dashboard paused the program")
         self._do("pause")
 
     def stop(self) -> None:
         """Stop the program that runs."""
+        self._on_stop("the dashboard stopped the program")
         self._do("stop")
 
     def running(self) -> bool:
