@@ -11,15 +11,17 @@ import socket
 import threading
 import time
 import weakref
-from collections.abc import Callable, Coroutine, Iterator
-from typing import Any, NamedTuple
+from collections.abc import Awaitable, Callable, Coroutine, Iterator
+from typing import Any, NamedTuple, TypeVar
 
 import pytest
 
 from linkcore.net.transport import TcpTransport
 from tests.waiting import until
 
-__all__ = ["Sent", "Trial", "run_cancelled", "turns"]
+__all__ = ["Sent", "Trial", "Turns", "run_cancelled", "turns"]
+
+T = TypeVar("T")
 
 #: Seconds for anything that has to come to an end.
 _SOON = 20.0
@@ -61,6 +63,42 @@ class Trial:
             if self.left == 0:
                 assert self.task is not None
                 self.task.cancel()
+
+
+class Turns:
+    """Counts the turns of a loop, and cancels a task at one of them."""
+
+    def __init__(self) -> None:
+        self._task: asyncio.Task[Any] | None = None
+        self._left = 0
+
+    def run(self, main: Coroutine[Any, Any, T]) -> T:
+        """As `asyncio.run`, in a loop whose turns are counted."""
+        loop = _Loop(self._turn)
+        try:
+            asyncio.set_event_loop(loop)
+            return loop.run_until_complete(main)
+        finally:
+            asyncio.set_event_loop(None)
+            loop.close()
+
+    async def cancel(self, use: Callable[[], Awaitable[object]], number: int) -> asyncio.Task[None]:
+        """A task that awaits `use()`, after its end; it is cancelled at this turn, from 1 on, if it still runs."""
+
+        async def work() -> None:
+            await use()
+
+        self._left = number
+        self._task = task = asyncio.create_task(work())
+        await asyncio.wait({task})
+        self._task = None
+        return task
+
+    def _turn(self) -> None:
+        if self._task is not None:
+            self._left -= 1
+            if self._left == 0:
+                self._task.cancel()
 
 
 class _Loop(asyncio.SelectorEventLoop):

@@ -108,7 +108,7 @@ class PendingCall:
         """
         self._undos.append(undo)
         if self.is_given_up:
-            undo()
+            regardless(undo)
 
     @contextlib.contextmanager
     def interruptible(self, wake: Callable[[], object]) -> Iterator[None]:

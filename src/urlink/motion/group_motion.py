@@ -13,7 +13,7 @@ from linkcore import clock
 from linkcore.arguments import check_number, check_seconds, check_wait
 from linkcore.errors import BadValue, Cancelled, LinkError, RemoteError, unraised
 from linkcore.handle import Lifecycle, Motion
-from linkcore.pending_call import starts_motion
+from linkcore.pending_call import on_give_up, starts_motion
 from linkcore.threads import CallbackThread
 
 from .point_stream import PointStream
@@ -211,6 +211,8 @@ class GroupStream(GroupMotion):
                     for stream, curve in zip(self.motions, curves, strict=True):
                         stream._check(begin, curve)
                     replaced = [stream._put(begin, curve) for stream, curve in zip(self.motions, curves, strict=True)]
+        if any(curves):
+            on_give_up(self._undo)
         times, refused = [], []
         for stream, name, each in zip(self.motions, self._names, replaced, strict=True):
             try:
@@ -224,6 +226,11 @@ class GroupStream(GroupMotion):
             self.clear()
             raise BadValue(f"all points of all arms were cleared: it came too late to {name}: {reason}") from reason
         raise reason
+
+    def _undo(self) -> None:
+        """Clear the stream, since the task that replaced its points was cancelled."""
+        with contextlib.suppress(LinkError):
+            self.clear()
 
     def wait_until_dry(self, timeout: float = 60.0) -> None:
         """Wait until all arms have come to the end of their points, and rest.

@@ -11,6 +11,7 @@ from typing import TypeVar
 from linkcore import clock
 from linkcore.arguments import check_number, check_seconds, check_wait
 from linkcore.errors import Closed, LinkError, LinkTimeout, LocalError
+from linkcore.pending_call import check_wanted, on_give_up
 
 from ..firmware import Firmware
 from ..urscript.buffering import buffering
@@ -177,7 +178,15 @@ class PointStream(LinkedBlock):
         """
         since = check_number(from_time, "from_time", 0.0, unit="s")
         with self._producing():
-            return self._answered(self._put(since, self._curve(points, since)))
+            replaced = self._put(since, self._curve(points, since))
+            on_give_up(partial(self._undo, replaced))
+            return self._answered(replaced)
+
+    def _undo(self, replaced: Future[float]) -> None:
+        """Clear the stream, since the task that replaced its points was cancelled; unless that has failed anyway."""
+        if not (replaced.done() and replaced.exception() is not None):
+            with contextlib.suppress(LinkError):
+                self.clear()
 
     def _curve(self, points: Points, since: float) -> list[Aim]:
         """What the points are replaced by."""
@@ -186,6 +195,8 @@ class PointStream(LinkedBlock):
     def _put(self, since: float, curve: Sequence[Aim]) -> Future[float]:
         """Have the points after a time replaced, by none too."""
         with self._context.section.lock:
+            if curve:
+                check_wanted()
             return self._feed.replace(since, curve)
 
     def _await_answer(self) -> None:

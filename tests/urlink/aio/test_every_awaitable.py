@@ -1,0 +1,152 @@
+"""Each awaitable of the asyncio face, cancelled at turns of the event loop: nothing moves, and its thread is free.
+
+The list comes from the face itself (`every_awaitable`), so a new method is tried without being added anywhere.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import itertools
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator
+from pathlib import Path
+
+import pytest
+
+import urlink
+from linkcore import clock
+from linkcore.errors import LinkError
+from rhdlink import Host
+from rhdlink.plugins.turtle import Turtle
+from rhdlink.world import World
+from tests.cancelling import Turns
+from tests.urlink.aio.every_awaitable import CHANGES, OPEN, PROGRAM, READY, Cell, awaitables, is_busy, lacking, use_of
+from urlink.simulator import Controller, Still
+
+pytestmark = pytest.mark.simulated_time
+
+#: Seconds within which a thread has to be free, and within which the arm has to be at rest.
+FREE, AT_REST = 0.2, 3.0
+#: Turns that are tried one by one, and the last turn; between the later ones the distance grows.
+EACH, MOST = 60, 2000
+#: Blocks in which a person may move the arm.
+BY_HAND = ("AsyncRobot.freedrive", "AsyncRobot.teach", "AsyncTeaching")
+
+
+class Bench:
+    """Two arms and a mobile robot."""
+
+    def __init__(self, host: str, files: Path) -> None:
+        self.host = host
+        self.files = files
+        self.controllers = [self._controller() for _ in range(2)]
+
+    def _controller(self) -> Controller:
+        program = f"def pick():\n  movej({[1.2, *READY[1:]]}, a=1, v=0.1)\nend\n"
+        return Controller("UR5e", "5.25", motion=Still(READY), files={PROGRAM: program}).start()
+
+    def renew(self) -> None:
+        """Other controllers, at which nothing was switched off."""
+        self.close()
+        self.controllers = [self._controller() for _ in range(2)]
+
+    def close(self) -> None:
+        for each in self.controllers:
+            each.close()
+
+    @contextlib.asynccontextmanager
+    async def cell(self) -> AsyncIterator[Cell]:
+        first, second = (urlink.connect_async(each.address, stale_after=10.0) for each in self.controllers)
+        async with first as robot, second as other:
+            await robot.realtime.wait()
+            await other.realtime.wait()
+            yield Cell(robot, other, self.host, self.files)
+
+    @property
+    def moves(self) -> bool:
+        return any(each.arm.is_moving for each in self.controllers)
+
+    @property
+    def runs(self) -> bool:
+        return any(each.is_running_program for each in self.controllers)
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    with Host([Turtle(World(1000.0))], period=0.02, port=0) as host:
+        bench = Bench(host.address, tmp_path)
+        yield bench
+        bench.close()
+
+
+async def _until(condition: Callable[[], bool], seconds: float, otherwise: str) -> None:
+    until = clock.now() + seconds
+    while not condition():
+        assert clock.now() < until, otherwise
+        await asyncio.sleep(0.01)
+
+
+async def _cancelled(turns: Turns, number: int, name: str, bench: Bench, cell: Cell) -> bool:
+    """Whether a name was cancelled at this turn, rather than over before; with everything that is checked after it."""
+    at = f"{name} at turn {number}"
+    async with OPEN[name.partition(".")[0]](cell) as part:
+        task = await turns.cancel(use_of(name, part, cell), number)
+        if not task.cancelled():
+            error = task.exception()
+            assert error is None or isinstance(error, LinkError), f"{at}: {error!r}"
+        else:
+            workers = [cell.robot._workers, cell.other._workers]
+            await _until(lambda: not any(map(is_busy, workers)), FREE, f"{at}: a thread is still busy")
+            if not name.startswith(BY_HAND):
+                await _until(lambda: not bench.moves, AT_REST, f"{at}: the arm moves")
+    if task.cancelled():
+        await _until(lambda: not bench.moves and not bench.runs, AT_REST, f"{at}: something is left on the robot")
+        await asyncio.sleep(0.3)
+        assert not bench.moves, f"{at}: the arm moves again"
+        assert not bench.runs, f"{at}: a program has started"
+    elif name not in CHANGES:
+        for robot in (cell.robot, cell.other):
+            await robot.motion.stop(wait=True)
+    return task.cancelled()
+
+
+def _try(names: Iterable[str], numbers: Callable[[str], Iterable[int]], bench: Bench) -> None:
+    """Try each name at these turns, up to the first one before which it is over."""
+
+    async def tried(name: str, left: Iterator[int], turns: Turns) -> bool:
+        """Whether it is to be tried at a later turn, with another robot."""
+        async with bench.cell() as cell:
+            for number in left:
+                if not await _cancelled(turns, number, name, bench, cell):
+                    return False
+                if name in CHANGES:
+                    return True
+        return False
+
+    for name in names:
+        turns, left = Turns(), iter(numbers(name))
+        while turns.run(tried(name, left, turns)):
+            bench.renew()
+        if name in CHANGES:
+            bench.renew()
+
+
+def _by_class() -> dict[str, list[str]]:
+    return {kind: list(names) for kind, names in itertools.groupby(awaitables(), lambda name: name.partition(".")[0])}
+
+
+def test_every_awaitable_can_be_tried() -> None:
+    assert not lacking(), "\n" + "\n".join(lacking())
+
+
+@pytest.mark.parametrize("kind", _by_class())
+def test_cancel_leaves_nothing_at_a_turn(kind: str, bench: Bench) -> None:
+    names = _by_class()[kind]
+    _try(names, lambda name: (2 + 7 * names.index(name) % 16,), bench)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", awaitables())
+def test_cancel_leaves_nothing_at_every_turn(name: str, bench: Bench) -> None:
+    later = itertools.takewhile(lambda turn: turn < MOST, (int(EACH * 1.3**n) for n in itertools.count()))
+    _try([name], lambda name: itertools.chain(range(1, EACH), later), bench)
