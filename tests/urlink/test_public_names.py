@@ -177,9 +177,9 @@ SURFACES = {
     "urlink.Trajectory.from_arrays([0, 1], [[0] * 6] * 2)": """at check duration from_arrays from_csv from_poses
         has_velocities is_quintic plot points q qd qdd retimed sample time to_csv""",
     "robot.controller": """address arm call close counters cycle dashboard faults fieldbus firmware flags
-        follow greeting gripper has_local_control host is_running_program is_serving is_up modbus model modes passing pendant
-        ports program_name push realtime_packet received registers remote_control robot_api rtde schedule
-        serial signals speed_fraction start state_package step stopped_since take take_messages teach_button
+        follow greeting gripper has_local_control host is_running_program is_serving is_up modbus model modes
+        passing pendant ports program_name push realtime_packet received registers remote_control robot_api rtde
+        schedule serial signals speed_fraction start state_package step stopped_since take take_messages teach_button
         time tool_serial world""",
     "robot.controller.world": """add carry clear contacts force_limit is_empty joint_torques load push push_joints
         remove scene wrench""",
