@@ -27,6 +27,7 @@ from concurrent.futures import CancelledError, Future
 from concurrent.futures import TimeoutError as FutureTimeout
 from typing import NamedTuple, Protocol, TypeVar
 
+from .attributes import StrictAttributes
 from .errors import LinkTimeout
 
 T = TypeVar("T")
@@ -193,7 +194,7 @@ class Stamp(NamedTuple):
 _HELD_UP = 2.0
 
 
-class Expiry:
+class Expiry(StrictAttributes):
     """Whether this process was held up so lately that a command may have been given up: for servers of a robot.
 
     Args:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arguments import check_choice
+from ..attributes import StrictAttributes
 from ..errors import BadValue
 from ..lazy import needs
 from ..wire.cycles import Gap, Missing, gaps_of
@@ -39,7 +40,7 @@ class PeerClock(NamedTuple):
     periods: tuple[float, ...]
 
 
-class Table:
+class Table(StrictAttributes):
     """Columns of one kind of packet: ``table["q_actual"]`` is an (n, 6) array of float64 in the byte order of this
     machine.
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 
 from .. import clock
 from ..arguments import check_callable, check_seconds
+from ..attributes import StrictAttributes
 from ..errors import BadValue, Closed, LinkTimeout
 from ..wire.packet import State
 from .connection import Connection
@@ -25,7 +26,7 @@ T = TypeVar("T")
 LAGGARD = 1024
 
 
-class Feed(Generic[T]):
+class Feed(StrictAttributes, Generic[T]):
     """The packets of one class on a stream: iterate, subscribe, look at the newest, wait for the next.
 
     Made by `Stream.of`; a stream is the feed of its main class.
@@ -36,6 +37,12 @@ class Feed(Generic[T]):
         self._kind = kind
         self._lossless = lossless
         self._owner = owner  # keeps the stream from being collected as long as one of its feeds is held
+
+    def _hint(self, name: str) -> str | None:
+        return self._field_hint(name) if hasattr(self._kind, name) else None
+
+    def _field_hint(self, name: str) -> str:
+        return f"; its packets have it: wait().{name} of the next one, latest.{name} of the newest one"
 
     @property
     def latest(self) -> T | None:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from .. import clock
+from ..attributes import StrictAttributes
 from ..errors import BadValue
 from ..threads import Closing
 from ..wire.packet import State
@@ -22,7 +23,7 @@ from .subscription import Subscription
 _WHEN = ("received", "received_wall")
 
 
-class History(Closing):
+class History(StrictAttributes, Closing):
     """The states of the last seconds; made by `Feed.history`. A context manager: close it, or it goes on.
 
     States of before a reconnect to another firmware, whose fields differ, are dropped.

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadRecording, LocalError, WrongPeer
 from linkcore.plotting import Curves, Plot
 from linkcore.recording.columns import PacketColumns, is_continuous
@@ -54,7 +55,7 @@ def load(path: str | os.PathLike[str], *, progress: Progress | None = None) -> R
     return Recording(path, progress=progress)
 
 
-class Recording:
+class Recording(StrictAttributes):
     """What was recorded of a robot, as arrays; made by `load`.
 
     Attributes:
