@@ -58,7 +58,7 @@ class StrictAttributes:
 
         def __setattr__(self, name: str, value: object) -> None:
             if name[:1] != "_" and not _is_settable(self, name, value, sys._getframe(1).f_globals.get("__name__")):
-                raise _unknown(self, name)
+                raise _unknown(self, name, is_set=True)
             object.__setattr__(self, name, value)
 
 
@@ -74,10 +74,10 @@ class Elsewhere:
 
     def __init__(self, name: str, own: str) -> None:
         self._name = name
-        self._own = own
+        self.own = own
 
     def __get__(self, held: object, kind: type) -> NoReturn:
-        message = f"{kind.__name__} has no {self._name!r}; here it is: {self._own}"
+        message = f"{kind.__name__} has no {self._name!r}; here it is: {self.own}"
         raise AttributeError(message, name=self._name, obj=None)
 
 
@@ -96,22 +96,30 @@ def foreign_hint(package: str, name: str) -> str | None:
     return None
 
 
-def _unknown(held: StrictAttributes, name: str) -> AttributeError:
+def _unknown(held: StrictAttributes, name: str, *, is_set: bool = False) -> AttributeError:
+    """The error for a name that an object does not have, or that cannot be set."""
     kind = type(held)
-    what = f"attribute {name!r}"
-    if not name.startswith("_"):
-        from .text import similar  # imported here: importing the library stays cheap
-
+    what, hint = f"attribute {name!r}", "" if name.startswith("_") else None
+    if is_set and hasattr(kind, name):
+        what += " that can be set"
+        instead = f"; {name}() is a method" if _is_method(kind, name) else ""
+        hint = f"; use set_{name}()" if hasattr(kind, f"set_{name}") else instead
+    if hint is None:
         hint = held._hint(name)
-        own = None if hint is not None else foreign_hint(kind.__module__.partition(".")[0], name)
+    if hint is None:
+        own = foreign_hint(kind.__module__.partition(".")[0], name)
         if own is not None:
             what, hint = repr(name), f"; here it is: {own}"
-        if hint is None and callable(getattr(kind, name, None)):
-            what = f"attribute {name!r} to set"
-            hint = f"; {name}() is a method"
-        what += similar(name, (each for each in dir(held) if each[0] != "_")) if hint is None else hint
+    if hint is None:
+        from .text import similar  # imported here: importing the library stays cheap
+
+        hint = similar(name, (each for each in dir(held) if each[0] != "_" and each != name))
     # Of no object, or Python adds a suggestion of its own to a traceback.
-    return AttributeError(f"{kind.__name__} has no {what}", name=name, obj=None)
+    return AttributeError(f"{kind.__name__} has no {what}{hint}", name=name, obj=None)
+
+
+def _is_method(kind: type, name: str) -> bool:
+    return callable(getattr(kind, name))
 
 
 @functools.cache
@@ -125,10 +133,11 @@ def _is_settable(held: object, name: str, value: object, module: str | None) -> 
     kind = type(held)
     if module is not None and module.partition(".")[0] in _packages(cast("Hashable", kind)):
         return True
-    for each in kind.__mro__:
-        if name in vars(each):
-            is_method = not hasattr(vars(each)[name], "__set__") and callable(getattr(kind, name))
-            return not is_method or callable(value)
+    found = next((vars(each)[name] for each in kind.__mro__ if name in vars(each)), None)
+    if isinstance(found, property):
+        return found.fset is not None
+    if found is not None:
+        return callable(value) or not _is_method(kind, name)
     return bool(kind.__dictoffset__) and name in vars(held)
 
 
@@ -162,7 +171,7 @@ def _explaining_arguments(method: Callable[..., Any]) -> Callable[..., Any]:
             if unknown is None:
                 raise
             hint = _argument_hint(unknown, known)
-        raise TypeError(f"{method.__qualname__}() has no argument {unknown!r}{hint}")
+        raise TypeError(f"{method.__qualname__.removesuffix('.__init__')}() has no argument {unknown!r}{hint}")
 
     return call
 

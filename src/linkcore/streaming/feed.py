@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 
 from .. import clock
 from ..arguments import check_callable, check_seconds
-from ..attributes import StrictAttributes
+from ..attributes import Elsewhere, StrictAttributes
 from ..errors import BadValue, Closed, LinkTimeout
 from ..wire.packet import State
 from .connection import Connection
@@ -39,7 +39,11 @@ class Feed(StrictAttributes, Generic[T]):
         self._owner = owner  # keeps the stream from being collected as long as one of its feeds is held
 
     def _hint(self, name: str) -> str | None:
-        return self._field_hint(name) if hasattr(self._kind, name) else None
+        from inspect import getattr_static  # imported here: importing the library stays cheap
+
+        field = getattr_static(self._kind, name, None)
+        own = field.own if isinstance(field, Elsewhere) else None if field is None else name
+        return None if own is None else self._field_hint(own)
 
     def _field_hint(self, name: str) -> str:
         return f"; its packets have it: wait().{name} of the next one, latest.{name} of the newest one"

@@ -97,10 +97,10 @@ class OutputStream(Stream[T], Closing):
         self._transport = transport
 
     def _hint(self, name: str) -> str | None:
-        own = name if name in self.names else name_on("rtde", name)
+        own = name if name in self._plan.outputs else name_on("rtde", name)
         if own is None:
             return super()._hint(name)
-        return self._field_hint(own) if own in self.names else f"; ask for it: robot.rtde.outputs({own!r})"
+        return self._field_hint(own) if own in self._plan.outputs else f"; ask for it: robot.rtde.outputs({own!r})"
 
     @property
     def _dialogue(self) -> RtdeProtocol | None:
