@@ -54,11 +54,11 @@ class StrictAttributes:
     if not TYPE_CHECKING:  # type checkers must not take it for an object with any attribute
 
         def __getattr__(self, name: str) -> object:
-            raise _unknown(self, name)
+            raise unknown_attribute(self, name)
 
         def __setattr__(self, name: str, value: object) -> None:
             if name[:1] != "_" and not _is_settable(self, name, value, sys._getframe(1).f_globals.get("__name__")):
-                raise _unknown(self, name, is_set=True)
+                raise unknown_attribute(self, name, is_set=True)
             object.__setattr__(self, name, value)
 
 
@@ -96,7 +96,7 @@ def foreign_hint(package: str, name: str) -> str | None:
     return None
 
 
-def _unknown(held: StrictAttributes, name: str, *, is_set: bool = False) -> AttributeError:
+def unknown_attribute(held: StrictAttributes, name: str, *, is_set: bool = False) -> AttributeError:
     """The error for a name that an object does not have, or that cannot be set."""
     kind = type(held)
     what, hint = f"attribute {name!r}", "" if name.startswith("_") else None

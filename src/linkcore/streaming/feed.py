@@ -7,7 +7,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from .. import clock
-from ..arguments import check_callable, check_seconds
+from ..arguments import check_callable, check_seconds, element_of
 from ..attributes import Elsewhere, StrictAttributes
 from ..errors import BadValue, Closed, LinkTimeout
 from ..wire.packet import State
@@ -280,7 +280,10 @@ class Feed(StrictAttributes, Generic[T]):
             states = history.array(*fields)
             if len(states):
                 when = states["received"] - clock.now()  # after the last state has been received
-                curves = [Curves(name, units.get(name, ""), when, states[name]) for name in fields]
+                curves = [
+                    Curves(name, units.get(name) or units.get((element_of(name) or ("",))[0], ""), when, states[name])
+                    for name in fields
+                ]
                 yield Plot(curves, self._connection.name)
             elif not is_over:
                 yield None
