@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from linkcore import clock
 from linkcore.arguments import check_choice, check_seconds
+from linkcore.attributes import StrictAttributes
 from linkcore.clock import Stamp
 from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError, RemoteError
 from linkcore.net.transport import TcpTransport
@@ -110,7 +111,7 @@ def connect(
     return robot
 
 
-class Variables(Declarations, Closing):
+class Variables(StrictAttributes, Declarations, Closing):
     """A robot: its variables, in step with it by `sync`. A context manager that closes itself.
 
     Derive from it to declare variables as properties, see `Read` and `Write`; every variable of the

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from linkcore import clock
 from linkcore.arguments import check_choice, check_number
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue, Closed, LinkTimeout
 from linkcore.handle import Lifecycle, Motion
 from linkcore.threads import CallbackThread, Closing, ReentrantEvent, started
@@ -144,7 +145,7 @@ class _Motions:
             current.life.fail(error)
 
 
-class Drive(Closing):
+class Drive(StrictAttributes, Closing):
     """Drives a robot by motions; a context manager that closes itself::
 
         with rhdlink.Drive(robot) as drive:

@@ -11,6 +11,7 @@ from typing import Any
 
 from linkcore import clock
 from linkcore.arguments import check_callable, check_seconds
+from linkcore.attributes import StrictAttributes
 from linkcore.clock import Stamp
 from linkcore.errors import BadValue, Closed, RemoteError
 from linkcore.streaming.connection_life import Backoff
@@ -23,7 +24,7 @@ from .variables.snapshot import Change, Update
 _log = logging.getLogger(__name__)
 
 
-class SyncThread(Closing):
+class SyncThread(StrictAttributes, Closing):
     """Syncs from a thread of its own until closed; a context manager that closes itself.
 
     Made by `Variables.background`. It does not keep the robot alive: when the program drops its last reference to the

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from linkcore import clock
 from linkcore.arguments import check_callable, check_choice
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue, Closed, LocalError
 from linkcore.net.recall import Recall
 from linkcore.streaming.stream import Stream
@@ -20,7 +21,6 @@ from linkcore.threads import Closing, MadeOnce
 from .address import RecordingAddress, RobotAddress, SimulatorAddress
 from .connect_options import ConnectOptions, takes_connect_options
 from .firmware import Firmware
-from .foreign_names import AnswersForeignNames
 from .identity import Identity, KnownIdentity
 from .interfaces.primary.robot_state import RobotState
 from .interfaces.realtime.packets import RealtimeState
@@ -178,7 +178,7 @@ def take_back(robot: Robot, timeout: float) -> None:
     robot._commanded().settle(timeout)
 
 
-class Robot(AnswersForeignNames, Closing):
+class Robot(StrictAttributes, Closing):
     """A robot: its streams, and what it is. A context manager that closes itself; made by `connect`.
 
     Attributes:

@@ -8,8 +8,9 @@ from typing import Any
 import pytest
 
 import urlink
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import LinkError, LocalError
-from urlink.foreign_names import _OWN, AnswersForeignNames, own_name
+from urlink.foreign_names import _OWN, own_name
 from urlink.simulator import Controller, Still
 
 Q = [0, -1.57, 1.57, -1.57, -1.57, 0]
@@ -113,7 +114,7 @@ MISTAKES: list[tuple[Try, type[Exception], str]] = [
 @pytest.mark.parametrize("name", ["movej", "moton"])
 def test_python_adds_no_guess_of_its_own_to_an_unknown_name(name: str) -> None:
     with pytest.raises(AttributeError) as caught:
-        getattr(AnswersForeignNames(), name)
+        getattr(StrictAttributes(), name)
     assert (caught.value.name, caught.value.obj) == (name, None)
 
 
@@ -137,7 +138,7 @@ def test_what_is_told_of_another_name_is_there(robot: Any) -> None:
             value = robot if owner == "robot" else urlink
             if parts == ["realtime", "wait"]:
                 value = value.realtime.wait(5)
-                parts = [part for part in advice.partition("wait().")[2].split()[:1] if part]
+                parts = [part.rstrip(",") for part in advice.partition("wait().")[2].split()[:1]]
             for part in parts:
                 value = getattr(value, part)
     assert own_name("no_such_name") is None

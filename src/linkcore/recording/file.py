@@ -28,6 +28,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
+from ..attributes import StrictAttributes
 from ..clock import Stamp
 from ..errors import BadRecording, BadValue, Closed
 from ..streaming.connection_life import Chunk, ConnectionEvent
@@ -102,7 +103,7 @@ def new_file(path: Path, *, buffering: int = -1) -> IO[bytes]:
         raise BadRecording(f"cannot write {path}: {_reason(error)}") from error
 
 
-class RecordingWriter:
+class RecordingWriter(StrictAttributes):
     """Appends records to a new file; may be called from several threads.
 
     Raises:

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 
 from linkcore import clock
 from linkcore.arguments import check_seconds
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue, Cancelled, Closed, ConnectionLost, LinkTimeout
 from linkcore.net.recall import MAY_STILL
 from linkcore.net.transport import TcpTransport
@@ -25,7 +26,7 @@ _NEEDED = (
 )
 
 
-class ToolSerial(Closing):
+class ToolSerial(StrictAttributes, Closing):
     """The bytes of the RS485 line in the tool connector. Connects when it is first used; threads take turns.
 
     The line is set by `robot.io.set_tool_communication`. Nothing of it is interlocked: what is mounted there does what

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from linkcore import clock
 from linkcore.arguments import check_whole
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue, Closed, ConnectionLost, LinkTimeout
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import ConnectionState
@@ -221,7 +222,7 @@ class BriefClaims:
         self.give_back(timeout)
 
 
-class Registers:
+class Registers(StrictAttributes):
     """The general-purpose registers of a controller, by number; `robot.registers`.
 
     They are what a program on the controller and a client send each other. A client writes input registers, which the

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from linkcore.arguments import check_whole
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue, Closed, ConnectionLost
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import ConnectionState
@@ -97,7 +98,7 @@ def checked(name: str, type: str, value: Any) -> Any:
     return numbers[0] if count is None else numbers
 
 
-class Inputs(Closing):
+class Inputs(StrictAttributes, Closing):
     """Variables that are claimed for as long as this is open. A context manager; made by `Rtde.inputs`.
 
     They are claimed again when the connection was lost and made again; what was sent before is not sent again. A

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, get_args
 import numpy as np
 
 from linkcore import clock
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue, LinkError
 from linkcore.plotting import element_names
 from linkcore.text import similar
@@ -45,7 +46,7 @@ _NAMES = {
 }
 
 
-class ArmView(Closing):
+class ArmView(StrictAttributes, Closing):
     """An arm on a page: where it is and where it is wanted, the trail of its TCP, the force on it, and its state.
 
     A notebook shows it in the cell. A context manager.

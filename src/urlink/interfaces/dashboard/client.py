@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Literal
 
 from linkcore import clock
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError, PacketError
 from linkcore.net.dialogue import Dialogue
 from linkcore.net.http_client import HttpClient
@@ -55,7 +56,7 @@ _OFF_WITHIN = 5.0
 _NOT_ALLOWED = NOT_IN_REMOTE_CONTROL.partition(" due to ")[0].casefold()
 
 
-class Dashboard(Closing):
+class Dashboard(StrictAttributes, Closing):
     """A client of the dashboard server of one controller, or of the Robot API of PolyScope X.
 
     Both have the same methods, as far as the firmware supports them. The Robot API has a connection for each request;
