@@ -76,10 +76,14 @@ def locks() -> dict[str, list[str]]:
     for path in sorted(SRC.rglob("*.py")):
         module = ".".join(path.relative_to(SRC).with_suffix("").parts).removesuffix(".__init__")
         if not module.startswith(SIMULATORS):
-            tree = ast.parse(path.read_text(encoding="utf-8"))
+            text = path.read_text(encoding="utf-8")
+            if not any(each.rpartition(".")[2] in text for each in (*NOT_REENTRANT, "Condition")):
+                continue
+            tree = ast.parse(text)
+            imported = _imported(tree)
             for statement in tree.body:
                 name = getattr(statement, "name", "") if hasattr(statement, "body") else ""
-                for line in _made(statement, _imported(tree)):
+                for line in _made(statement, imported):
                     found.setdefault(f"{module}:{name}", []).append(f"{path.relative_to(SRC.parent)}:{line}")
     return found
 
