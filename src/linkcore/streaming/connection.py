@@ -19,7 +19,7 @@ from ..errors import Cancelled, Closed, ConnectionLost, LinkTimeout, LocalError,
 from ..net.transport import Finished, Transport
 from ..process import HomeProcess
 from ..text import printable
-from ..threads import alone
+from ..threads import alone, is_mine
 from ..wire.framing import PacketProtocol
 from .connection_life import (
     STATES,
@@ -77,7 +77,8 @@ class Connection(abc.ABC):
         self._home = HomeProcess(name)
         # What follows changes under this condition. Its lock is re-entrant: a signal handler, or the collection of a
         # stream that nobody holds any more, can come between any two instructions of the thread that has it.
-        self._changed = threading.Condition()
+        self._lock = threading.RLock()
+        self._changed = threading.Condition(self._lock)
         self._life = ConnectionLife(name, backoff or Backoff())
         self._sending = threading.RLock()
 
@@ -157,9 +158,14 @@ class Connection(abc.ABC):
             Closed: it was closed.
         """
         self._home.check()  # without the lock, which a thread of the parent may have held as it forked
+        is_again = is_mine(self._lock)
         with self._changed:
             if self._life.is_ending or not self._is_settled:
                 self.refuse_to_wait("connecting")
+                if is_again:  # the interrupted thread has to go on first
+                    raise LinkTimeout(
+                        f"{self.name} is being connected by the call that this signal handler interrupted"
+                    )
             # A reader that ends closes its subscriptions: one that begins now belongs to the next reader.
             self._changed.wait_for(lambda: not self._life.is_ending, self._timeout)
             if self._life.is_closed:
