@@ -166,7 +166,7 @@ class Interlock:
 
     def has_reported_since(self, since: float) -> bool:
         """Every source has reported after that time, and there is one."""
-        return bool(self._sources) and all(known.reported_at > since for known in self._sources.values())
+        return bool(self._sources) and all(known.reported_at > since for known in list(self._sources.values()))
 
     @property
     def statuses(self) -> list[Status]:
@@ -178,7 +178,7 @@ class Interlock:
     def cause(self) -> str | None:
         """The stop that holds, as text, or None."""
         # Each status is read once: a signal handler may close the robot between two reads.
-        statuses = [known.status for known in self._sources.values()]
+        statuses = [known.status for known in list(self._sources.values())]
         return next((cause for status in statuses if status and (cause := status.cause)), None)
 
     def absence(self, now: float) -> NotRunning | None:
@@ -212,7 +212,7 @@ class Interlock:
         if not self._sources:
             return NotRunning("nothing has been received from the robot yet; nothing was sent")
         modes: list[RobotMode | RobotModeCB2] = []
-        for name, known in self._sources.items():
+        for name, known in list(self._sources.items()):
             if known.absence is not None:
                 return NotRunning(known.absence)
             status = known.status
@@ -229,7 +229,7 @@ class Interlock:
         return None
 
     def _staleness(self, now: float) -> NotRunning | None:
-        for name, known in self._sources.items():
+        for name, known in list(self._sources.items()):
             age = now - known.reported_at
             if age > self.stale_after:
                 return NotRunning(
