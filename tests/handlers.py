@@ -75,13 +75,16 @@ def _self(frame: FrameType) -> object:
     return frame.f_locals.get("self") if frame.f_code.co_varnames[:1] == ("self",) else None
 
 
-def at_every_line(scenario: Callable[[Interruption], object], *, step: int = 1, first: int = 1) -> int:
+def at_every_line(
+    scenario: Callable[[Interruption], object], *, step: int = 1, first: int = 1, is_threaded: bool = True
+) -> int:
     """Run a scenario once for each line at which its handler can come, until it comes no more.
 
     Args:
         scenario: Sets everything up, makes a call in a block of `Interruption.by`, and checks what has become of it.
         step: Every how many lines.
         first: Number of the first line.
+        is_threaded: Run each round in a thread with a deadline; not for simulated time, which finds what hangs.
 
     Returns:
         How often the handler came.
@@ -92,7 +95,10 @@ def at_every_line(scenario: Callable[[Interruption], object], *, step: int = 1, 
     count = 0
     while True:
         interruption = Interruption(first + count * step)
-        _finish(scenario, interruption)
+        if is_threaded:
+            _finish(scenario, interruption)
+        else:
+            scenario(interruption)
         if interruption.where is None:
             return count
         count += 1

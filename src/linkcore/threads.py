@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import os
 import threading
 import weakref
 from abc import ABC, abstractmethod
@@ -22,6 +21,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from . import clock
 from .arguments import check_seconds
 from .errors import Closed, LinkTimeout, LocalError
+from .process import HomeProcess
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -269,7 +269,7 @@ class Runnable(Closing, ABC):
         self._close_timeout = close_timeout
         self._holds = holds
         self._thread: threading.Thread | None = None
-        self._process = os.getpid()
+        self._home = HomeProcess(kind)
         self._is_stopping = False
         self._is_used = False
         self._ended = ReentrantEvent()
@@ -387,7 +387,7 @@ class Runnable(Closing, ABC):
         Raises:
             LinkTimeout: it does not end.
         """
-        if os.getpid() != self._process:
+        if not self._home.is_here:
             return
         self.stop()
         thread = self._thread

@@ -17,6 +17,7 @@ from linkcore.attributes import StrictAttributes
 from linkcore.clock import Stamp
 from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError, RemoteError
 from linkcore.net.transport import TcpTransport
+from linkcore.process import HomeProcess
 from linkcore.streaming.connection_life import Backoff, ConnectionEvent, ConnectionState
 from linkcore.streaming.packet_queue import Policy, drop_oldest
 from linkcore.streaming.subscription import Subscription
@@ -151,7 +152,7 @@ class Variables(StrictAttributes, Declarations, Closing):
         self._transport = transport
         self._options = options
         self._timeout = timeout
-        self._process = os.getpid()
+        self._home = HomeProcess(address)
         self._replica = Replica(address, unsent, type(self))
         self._exchange = threading.RLock()  # held by the thread that uses the connection
         self._subscribers = Subscribers(address)
@@ -299,8 +300,7 @@ class Variables(StrictAttributes, Declarations, Closing):
         seconds = self._timeout
         if timeout is not None:
             seconds = check_seconds(timeout, "timeout", positive=True, finite=True)
-        if os.getpid() != self._process:
-            raise LocalError(f"{self._address} was connected to by the parent process; connect again in this one")
+        self._home.check()
         # One deadline for everything: waiting for another thread, connecting, and each receive take what is left of it.
         until = clock.now() + seconds
         otherwise = f"{self.address}: another thread has been in sync() for {seconds:g} s"
@@ -395,7 +395,7 @@ class Variables(StrictAttributes, Declarations, Closing):
         Raises:
             BadRecording: the disk failed while it was recorded.
         """
-        if self._transport is None:
+        if self._transport is None or not self._home.is_here:
             return
         timeout = check_seconds(timeout, "timeout")
         until = clock.now() + timeout
@@ -412,7 +412,7 @@ class Variables(StrictAttributes, Declarations, Closing):
 
     def __del__(self) -> None:
         # A connection that was never made, or was closed in a parent process, needs no warning.
-        if self._connection is not None and not self._closing.is_set() and os.getpid() == self._process:
+        if self._connection is not None and not self._closing.is_set() and self._home.is_here:
             try:
                 warnings.warn(f"{self!r} was dropped without close()", ResourceWarning, source=self, stacklevel=2)
             finally:
