@@ -126,6 +126,11 @@ class Dialogue:
                 raise
         return answer
 
+    @property
+    def is_busy(self) -> bool:
+        """A thread has its turn."""
+        return self._lock.locked()
+
     def close(self) -> None:
         """Disconnect for good; what waits in another thread ends with `Closed`. Idempotent."""
         self.is_closed = True

@@ -278,25 +278,28 @@ def test_cancelled_wait_of_a_stream_cancels_it(controller: Controller) -> None:
 
 # -- waits that end ------------------------------------------------------------------------------------
 
-_WAITS: dict[str, Callable[[urlink.AsyncRobot], Awaitable[object]]] = {
-    "wait_digital_in": lambda robot: robot.io.wait_digital_in(0, True, timeout=15.0),
-    "wait_for_stop": lambda robot: robot.safety.wait_for_stop(15.0),
-    "set_payload": lambda robot: robot.set_payload(0.3),
-    "dashboard": lambda robot: robot.dashboard.generate_flight_report(),
-    "tool_serial": lambda robot: robot.tool_serial.read(5, timeout=15.0),
-    "gripper": lambda robot: robot.gripper.wait(),
-    "call": lambda robot: robot.call(clock.sleep, 15.0),
+_WAITS: dict[str, tuple[float, Callable[[urlink.AsyncRobot], Awaitable[object]]]] = {
+    "wait_digital_in": (0.5, lambda robot: robot.io.wait_digital_in(0, True, timeout=15.0)),
+    "wait_for_stop": (0.5, lambda robot: robot.safety.wait_for_stop(15.0)),
+    "set_payload": (0.03, lambda robot: robot.set_payload(0.3)),
+    "dashboard": (0.03, lambda robot: robot.dashboard.generate_flight_report()),
+    "connecting": (0.03, lambda robot: robot.tool_serial.read(5, timeout=15.0)),
+    "tool_serial": (0.5, lambda robot: robot.tool_serial.read(5, timeout=15.0)),
+    "gripper": (0.03, lambda robot: robot.gripper.wait()),
+    "call": (0.5, lambda robot: robot.call(clock.sleep, 15.0)),
 }
 
 
 @pytest.mark.parametrize("name", _WAITS)
 def test_cancelled_wait_frees_its_thread(name: str, controller: Controller) -> None:
+    after, wait = _WAITS[name]
+
     async def main() -> None:
         async def use() -> None:
-            await _WAITS[name](robot)
+            await wait(robot)
 
         async with connected(controller) as robot:
-            assert await cancelled(use(), 0.03)
+            assert await cancelled(use(), after)
             await asyncio.sleep(0.06)
             assert not is_busy(robot._workers)
 
