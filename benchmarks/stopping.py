@@ -28,7 +28,7 @@ from linkcore.net.transport import TcpTransport
 from urlink.simulator import Controller
 
 #: Seconds below which two times count as the same.
-RESOLUTION = 1e-5
+RESOLUTION = 1e-6
 #: Seconds between the cancellation of the waits and the stop, and for a motion to begin.
 PAUSE, BEGIN = 0.05, 0.3
 SIMULATED = "192.168.0.100"

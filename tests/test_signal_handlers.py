@@ -65,6 +65,9 @@ REASONS = {
     "urlink.acceptance.logbook:Logbook": "`urlink accept` alone uses it, whose handler only raises",
     "urlink.view.page:": "is held while a page is made, and no handler makes one",
     "rhdlink.client:Variables": "is acquired without waiting",
+    "linkcore.clock:sleep": "belongs to one wait of a worker thread, in which no signal handler runs",
+    "linkcore.clock:is_done": "belongs to one wait of a worker thread, in which no signal handler runs",
+    "linkcore.cli.progress:_Screen": "is set when a command has ended; a handler of the command line only raises",
     "rhdlink.cli.view:RateCounter": "`rhdlink view` alone uses it, whose handler only raises",
 }
 

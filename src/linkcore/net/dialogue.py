@@ -135,6 +135,11 @@ class Dialogue:
                 self._asker = None
         return answer
 
+    @property
+    def is_busy(self) -> bool:
+        """Whether a thread waits for an answer."""
+        return self._asker is not None
+
     def _ask_beside(
         self,
         text: str,

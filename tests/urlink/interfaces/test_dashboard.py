@@ -29,7 +29,7 @@ from linkcore.errors import (
 from tests.fakes.dashboard import FIRMWARES, TIMEOUT, ScriptedDashboard, play, protective_stop, stepped, wait
 from urlink.firmware import Firmware
 from urlink.interfaces.dashboard.client import Dashboard
-from urlink.interfaces.dashboard.commands import COMMANDS, NOT_IN_REMOTE_CONTROL, DashboardRefused
+from urlink.interfaces.dashboard.commands import COMMANDS, GREETING, NOT_IN_REMOTE_CONTROL, DashboardRefused
 from urlink.interfaces.dashboard.protocol import ProgramStatus, SavedProgram
 from urlink.interfaces.enums import ProgramState, RobotMode, RobotModeCB2, SafetyMode
 from urlink.simulator import Controller
@@ -692,3 +692,39 @@ def test_any_bytes_are_a_value_or_a_documented_error(data: bytes) -> None:
                     call(dashboard)
     finally:
         desk.close()
+
+
+def test_stop_does_not_wait_for_another_reply() -> None:
+    """A report takes minutes, and another thread waits for it."""
+    asked = threading.Event()
+
+    def talk(connection: socket.socket) -> None:
+        with connection, contextlib.suppress(OSError):
+            connection.sendall(GREETING.encode() + b"\n")
+            while line := connection.recv(1000):
+                if line.startswith(b"generate"):
+                    asked.set()
+                else:
+                    connection.sendall(b"Stopped\n")
+
+    def serve() -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                threading.Thread(target=talk, args=(listener.accept()[0],), daemon=True).start()
+
+    def report() -> None:
+        with contextlib.suppress(Closed):
+            dashboard.generate_flight_report()
+
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        threading.Thread(target=serve, daemon=True).start()
+        dashboard = Dashboard("127.0.0.1", listener.getsockname()[1], lambda: Firmware.parse("5.11"), timeout=TIMEOUT)
+        waiting = threading.Thread(target=report)
+        waiting.start()
+        assert asked.wait(TIMEOUT)
+        dashboard.stop()
+        assert waiting.is_alive()
+        dashboard.close()
+        waiting.join(TIMEOUT)
+        assert not waiting.is_alive()
+        listener.shutdown(socket.SHUT_RDWR)

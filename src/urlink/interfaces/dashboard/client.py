@@ -51,6 +51,8 @@ from .stored_programs import StoredProgram
 _POLL = 0.2
 #: Seconds within which an arm no longer runs after the command to switch off.
 _OFF_WITHIN = 5.0
+#: Commands that do not wait while another thread waits for its reply.
+_STOPS = ("stop", "pause", "power off")
 
 # The beginning of the reply after which a controller wants to be connected to anew.
 _NOT_ALLOWED = NOT_IN_REMOTE_CONTROL.partition(" due to ")[0].casefold()
@@ -65,7 +67,8 @@ class Dashboard(StrictAttributes, Closing):
     Connects at first use, and again where a connection was lost between two commands. A command that may have reached
     the controller is never sent a second time: where the reply does not come, the connection is closed, a
     `LinkTimeout` or `ConnectionLost` is raised, and the next command begins on a new connection. A new one is also made
-    after the refusal in local mode, since the controller requires it. Threads may share it; they take turns.
+    after the refusal in local mode, since the controller requires it. Threads may share it; they take turns. If another
+    thread waits for its reply, `stop`, `pause` and `power_off` use a second connection, and do not wait.
 
     **A command that failed so may still be carried out**, when a controller that hung goes on; the error says so. Of
     these, `play` is taken back, by `stop`, at the first contact and before another command is sent, unless another
@@ -124,6 +127,9 @@ class Dashboard(StrictAttributes, Closing):
         self._transport = TcpTransport(host, port or 0, silence=timeout, refused=refused)
         self._name = f"the dashboard server at {self._transport.name}"
         self._dialogue = Dialogue(self._transport, DashboardProtocol, self._name, timeout)
+        # Another connection for what must not wait for the reply to another command; made if it is needed.
+        stopping = TcpTransport(host, port or 0, silence=timeout, refused=refused)
+        self._stopping = Dialogue(stopping, DashboardProtocol, self._name, timeout)
         self._shares_recall = recall is None
         service = service_of(host, (api_port or 0) if port is None else port)
         self._recall = Recall.of(service, self._name, self) if recall is None else recall
@@ -398,6 +404,7 @@ class Dashboard(StrictAttributes, Closing):
             self._recall.close(self)
         self._http.close()
         self._dialogue.close()
+        self._stopping.close()
 
     def __repr__(self) -> str:
         return f"<Dashboard {self._transport.name}>"
@@ -444,7 +451,8 @@ class Dashboard(StrictAttributes, Closing):
             return not is_last if command.match(reply) else command.is_refusal(reply)
 
         with self._command(name, command.only_asks) as given_up:
-            reply = self._dialogue.ask(line, max(self._timeout, command.slow), stays, given_up=given_up)
+            dialogue = self._stopping if name in _STOPS and self._dialogue.is_busy else self._dialogue
+            reply = dialogue.ask(line, max(self._timeout, command.slow), stays, given_up=given_up)
         if command.match(reply) is None:
             raise DashboardRefused(line, reply)
         return reply
