@@ -12,8 +12,7 @@ from importlib import import_module
 from types import FunctionType
 from typing import TYPE_CHECKING, Any, NoReturn, cast
 
-#: package -> its module with the names of other libraries. It has `own_name(name)`, which returns None or the own name.
-foreign_names: dict[str, str] = {}
+from .lazy import foreign_names
 
 #: argument here -> what other libraries call it
 _KEYWORDS = {

@@ -8,7 +8,8 @@ from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
 from typing import Any
 
-from .attributes import foreign_hint, foreign_names
+#: package -> its module with the names of other libraries. It has `own_name(name)`, which returns None or the own name.
+foreign_names: dict[str, str] = {}
 
 
 def lazy_names(
@@ -36,7 +37,7 @@ def lazy_names(
             imported by name. They are not in `__all__`.
         moved: module -> names, separated by blanks, that were public here before and are that module's now. Asking for
             one raises an AttributeError that names the new place.
-        foreign: the package's module with the names of other libraries; see `linkcore.attributes.foreign_names`.
+        foreign: the package's module with the names of other libraries; see `foreign_names`.
 
     Returns:
         The package's `__getattr__`, `__dir__` and `__all__`.
@@ -62,7 +63,8 @@ def lazy_names(
         if name in elsewhere:
             raise AttributeError(f"{package}.{name} is {elsewhere[name]}.{name}")
         if name not in home:
-            from .text import similar  # a package is imported without it
+            from .attributes import foreign_hint  # a package is imported without these
+            from .text import similar
 
             own = None if name.startswith("_") else foreign_hint(package, name)
             if own is not None:

@@ -83,7 +83,7 @@ _NAMES = {
     "robot.gripper.move(position)": "grippermove",
     "robot.gripper.close()": "closegripper grip",
     "robot.gripper.open()": "opengripper",
-    "robot.controller.faults.emergency_stop() of a simulated robot": "estop",
+    "controller.faults.emergency_stop() of a simulated robot": "estop",
     "urlink.connect(address)": "robotinterface rtdecontrolinterface rtdereceiveinterface urrobot",
     "urlink.connect('sim://ur5e')": "simulator simulate ursim",
     "robot.realtime.wait(), or robot.realtime.latest": "state getstate rtdereceive",
