@@ -55,7 +55,7 @@ def schema_text(title: str, schema: Any) -> str:
     """A line with the name and the size of a packet, then one line for each field."""
     size = _size(schema)
     lines = [_Line(None, "field", "type", "unit"), *_lines(schema, 0, "")]
-    widths = [max(len(line[column]) for line in lines) for column in (1, 2)]
+    widths = [max(len(str(line[column])) for line in lines) for column in (1, 2)]
     rows = []
     for number, line in enumerate(lines):
         offset = "" if line.offset is None else str(line.offset)
@@ -108,7 +108,7 @@ def _repeated(schema: Any) -> Any:
 
 def _type(schema: Any) -> str:
     if id(schema) in _NAMES:
-        return _NAMES[id(schema)]
+        return str(_NAMES[id(schema)])
     if isinstance(schema, construct.Const):
         return f"{_type(schema.subcon)} = {schema.value!r}"
     if isinstance(schema, construct.Array):
