@@ -58,7 +58,8 @@ THREADS = {
 #: Part of a package -> the parts of it that it may import; the parts that are not named may import all but the cli.
 BELOW: dict[str, dict[str, set[str]]] = {
     "urlink": {
-        "interfaces": {"interfaces", "firmware", "ports"},
+        "interfaces": {"interfaces", "firmware", "foreign_names", "ports"},
+        "foreign_names": {"foreign_names"},
         "ports": {"ports", "firmware"},
         "firmware": {"firmware"},
         "bounds": {"bounds", "parameters", "vectors"},

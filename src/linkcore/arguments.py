@@ -128,6 +128,29 @@ def check_choice(value: Any, name: str, choices: Sequence[Any]) -> None:
         raise BadValue(f"{name}={value!r}; expected {' or '.join(map(repr, choices))}")
 
 
+def check_fields(fields: Sequence[Any]) -> None:
+    """Check the names of fields that a call takes one by one.
+
+    Raises:
+        BadValue: If one of them is not a string, such as a list of names.
+    """
+    for field in fields:
+        if not isinstance(field, str):
+            raise BadValue(
+                f"field {field!r} is not a string; expected names one by one, such as 'q_actual', 'q_target'"
+            )
+
+
+def element_of(name: str) -> tuple[str, int] | None:
+    """The field and the index of an element that is named as in exported files; None if it is not named so.
+
+    >>> element_of("q_actual_3"), element_of("q_actual")
+    (('q_actual', 3), None)
+    """
+    field, _, index = name.rpartition("_")
+    return (field, int(index)) if field and index.isdecimal() and index.isascii() else None
+
+
 def check_callable(value: Any, name: str) -> None:
     """Raise `BadValue` unless `value` can be called."""
     if not callable(value):

@@ -27,6 +27,7 @@ from concurrent.futures import CancelledError, Future
 from concurrent.futures import TimeoutError as FutureTimeout
 from typing import NamedTuple, TypeVar, cast
 
+from .attributes import StrictAttributes
 from .errors import LinkTimeout
 from .pending_call import check_wanted, interruptible, pending_call
 
@@ -232,7 +233,7 @@ class Stamp(NamedTuple):
 _HELD_UP = 2.0
 
 
-class Expiry:
+class Expiry(StrictAttributes):
     """Whether this process was held up so lately that a command may have been given up: for servers of a robot.
 
     Args:

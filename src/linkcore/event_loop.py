@@ -16,6 +16,7 @@ from functools import partial
 from typing import Any, Generic, Protocol, TypeVar
 
 from . import clock
+from .attributes import StrictAttributes
 from .errors import Closed, LocalError
 from .pending_call import PendingCall
 from .threads import started
@@ -30,7 +31,7 @@ class _Closing(Protocol):
 C = TypeVar("C", bound=_Closing)
 
 
-class Opening(Generic[C]):
+class Opening(StrictAttributes, Generic[C]):
     """What `connect_async` returns: ``robot = await opening``, or ``async with opening as robot``, which closes it.
 
     Args:
@@ -42,6 +43,10 @@ class Opening(Generic[C]):
     def __init__(self, open: Callable[[], Coroutine[Any, Any, C]]) -> None:
         self._open = open
         self._opened: C | None = None
+
+    def _hint(self, name: str) -> str:
+        how = "'async with connect_async(...) as robot:' or 'robot = await connect_async(...)'"
+        return f"; it is not connected yet, write {how}"
 
     def __await__(self) -> Generator[Any, None, C]:
         return self._open().__await__()

@@ -43,6 +43,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from . import clock
 from .arguments import check_callable, check_seconds
+from .attributes import StrictAttributes
 from .errors import Cancelled, LinkError, LinkTimeout, unraised
 from .pending_call import current_call, has_started, next_order, pending_call, regardless
 from .threads import CallbackThread
@@ -307,7 +308,7 @@ def _drain(waiting: deque[Callable[[], object]], use: Callable[[Callable[[], obj
         use(each)
 
 
-class Handle:
+class Handle(StrictAttributes):
     """Something that was begun on a robot.
 
     Wait for it, await it, or leave it alone: it goes on all the same. **An interrupted wait cancels it**, and the robot

@@ -8,9 +8,16 @@ from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
 from typing import Any
 
+#: package -> its module with the names of other libraries. It has `own_name(name)`, which returns None or the own name.
+foreign_names: dict[str, str] = {}
+
 
 def lazy_names(
-    package: str, homes: Mapping[str, str], modules: str = "", moved: Mapping[str, str] | None = None
+    package: str,
+    homes: Mapping[str, str],
+    modules: str = "",
+    moved: Mapping[str, str] | None = None,
+    foreign: str | None = None,
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """What makes the public names of a package, so that a program pays for the modules which it uses and no others.
 
@@ -30,6 +37,7 @@ def lazy_names(
             imported by name. They are not in `__all__`.
         moved: module -> names, separated by blanks, that were public here before and are that module's now. Asking for
             one raises an AttributeError that names the new place.
+        foreign: the package's module with the names of other libraries; see `foreign_names`.
 
     Returns:
         The package's `__getattr__`, `__dir__` and `__all__`.
@@ -38,6 +46,9 @@ def lazy_names(
     public = sorted(home)
     of_package = modules.split()
     elsewhere = {name: module for module, names in (moved or {}).items() for name in names.split()}
+
+    if foreign is not None:
+        foreign_names[package] = f"{package}{foreign}"
 
     def imported(module: str) -> Any:
         try:
@@ -52,8 +63,12 @@ def lazy_names(
         if name in elsewhere:
             raise AttributeError(f"{package}.{name} is {elsewhere[name]}.{name}")
         if name not in home:
-            from .text import similar  # a package is imported without it
+            from .attributes import foreign_hint  # a package is imported without these
+            from .text import similar
 
+            own = None if name.startswith("_") else foreign_hint(package, name)
+            if own is not None:
+                raise AttributeError(f"module {package!r} has no {name!r}; here it is: {own}")
             hint = "" if name.startswith("_") else similar(name, [*public, *of_package])
             raise AttributeError(f"module {package!r} has no attribute {name!r}{hint}")
         value = getattr(imported(home[name]), name)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import clock
+from .attributes import StrictAttributes
 from .errors import BadRecording, BadValue
 from .lazy import needs
 
@@ -60,7 +61,7 @@ def element_names(unit: str, count: int) -> tuple[str, ...]:
     return tuple(map(str, range(count)))
 
 
-class Plot:
+class Plot(StrictAttributes):
     """A picture of fields over time: save it, show it in a window, or let a notebook show it.
 
     Args:

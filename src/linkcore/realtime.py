@@ -52,7 +52,9 @@ class _Threads:
     """The threads that must not be late, and what they are given."""
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
+        self._lock = (
+            threading.RLock()
+        )  # re-entrant: a signal handler may enter a block, and leaves it before it returns
         self._numbers: dict[int, int] = {}  # of the system -> how often it was entered
         self._options = _Options()
 
@@ -68,9 +70,9 @@ class _Threads:
             yield
         finally:
             with self._lock:
-                self._numbers[number] -= 1
-                if not self._numbers[number]:
-                    del self._numbers[number]
+                left = self._numbers[number] = self._numbers[number] - 1
+                if not left:
+                    self._numbers.pop(number, None)  # a signal handler may have done so just now
                     if self._options != _Options():
                         _give(number, _Options())
 
@@ -81,7 +83,7 @@ class _Threads:
             self._options = _Options(
                 None if "priority" in refused else options.priority, None if "cpu" in refused else options.cpus
             )
-            for number in self._numbers:
+            for number in list(self._numbers):
                 _give(number, self._options)
         return refused
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import os
 import threading
 import weakref
 from abc import ABC, abstractmethod
@@ -22,6 +21,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from . import clock
 from .arguments import check_seconds
 from .errors import Closed, LinkTimeout, LocalError
+from .process import HomeProcess
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -74,6 +74,60 @@ def held(lock: threading.Lock | threading.RLock, timeout: float, otherwise: str)
         yield
 
 
+@contextlib.contextmanager
+def alone(lock: threading.RLock, timeout: float, otherwise: str) -> Iterator[None]:
+    """As `held`, for a block that waits for a peer and must not be entered again by a signal handler.
+
+    A handler runs in the thread that it has interrupted. If that thread is in the block, waiting for it is in vain.
+
+    Raises:
+        LinkTimeout: See `held`. At once, if the current thread is in the block already.
+    """
+    if is_mine(lock):
+        raise LinkTimeout(f"{otherwise} (the call that this signal handler has interrupted)")
+    with held(lock, timeout, otherwise):
+        yield
+
+
+def is_mine(lock: threading.RLock) -> bool:
+    """Whether the current thread holds the lock."""
+    is_owned: Callable[[], bool] = lock._is_owned  # type: ignore[attr-defined]  # `threading.Condition` relies on it
+    return is_owned()
+
+
+class ReentrantEvent:
+    """As `threading.Event`, but a signal handler can use it while its own thread is in one of its methods.
+
+    The lock of `threading.Event` is not re-entrant. A handler that sets an event while the interrupted thread sets it
+    too, or begins to wait for it, would wait forever.
+    """
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._is_set = False
+
+    def is_set(self) -> bool:
+        """Whether it was set, and not cleared since."""
+        return self._is_set
+
+    def set(self) -> None:
+        """Set it, and wake the threads that wait for it."""
+        with self._changed:
+            self._is_set = True
+            self._changed.notify_all()
+
+    def clear(self) -> None:
+        """Undo `set`."""
+        self._is_set = False
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait until it is set; False if that takes longer than `timeout` seconds."""
+        if self._is_set:
+            return True
+        with self._changed:
+            return self._changed.wait_for(self.is_set, timeout)
+
+
 _log = logging.getLogger(__name__)
 
 T = TypeVar("T")
@@ -119,7 +173,7 @@ class CallbackThread:
         self._calls: _Calls = SimpleQueue()
         self._is_closed = False
         # With the event of its end: a thread that another one is just starting cannot be joined yet.
-        self._thread: MadeOnce[tuple[threading.Thread, threading.Event]] = MadeOnce()
+        self._thread: MadeOnce[tuple[threading.Thread, ReentrantEvent]] = MadeOnce()
         weakref.finalize(self, self._calls.put, None)
 
     def start(self) -> None:
@@ -141,7 +195,7 @@ class CallbackThread:
 
     def _has_thread(self, function: Callable[..., object]) -> bool:
         if self._thread.made is None:
-            has_ended = threading.Event()
+            has_ended = ReentrantEvent()
             made = threading.Thread(target=_run, args=(self._calls, has_ended), name=self._name, daemon=True), has_ended
             if self._thread.keep(made) is made:
                 try:
@@ -169,7 +223,7 @@ class CallbackThread:
             thread.join()
 
 
-def _run(calls: _Calls, has_ended: threading.Event) -> None:
+def _run(calls: _Calls, has_ended: ReentrantEvent) -> None:
     try:
         while (call := calls.get()) is not None:
             function, arguments = call
@@ -215,10 +269,10 @@ class Runnable(Closing, ABC):
         self._close_timeout = close_timeout
         self._holds = holds
         self._thread: threading.Thread | None = None
-        self._process = os.getpid()
+        self._home = HomeProcess(kind)
         self._is_stopping = False
         self._is_used = False
-        self._ended = threading.Event()
+        self._ended = ReentrantEvent()
 
     # -- what it does ----------------------------------------------------------------------------------
 
@@ -333,7 +387,7 @@ class Runnable(Closing, ABC):
         Raises:
             LinkTimeout: it does not end.
         """
-        if os.getpid() != self._process:
+        if not self._home.is_here:
             return
         self.stop()
         thread = self._thread

@@ -19,6 +19,7 @@ import os
 from collections.abc import AsyncIterator
 from typing import TYPE_CHECKING, Any, Generic, Literal, TypedDict
 
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import Closed
 from linkcore.event_loop import Opening, Workers, finished, running_loop
 
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from .wire.decoder import Limits
 
 
-class AsyncRobot(Generic[R]):
+class AsyncRobot(StrictAttributes, Generic[R]):
     """A connected robot. An asynchronous context manager that closes itself. Made by `connect_async`.
 
     Attributes:

@@ -13,14 +13,16 @@ from numpy.typing import ArrayLike
 
 from linkcore import clock
 from linkcore.arguments import check_choice, check_seconds
+from linkcore.attributes import StrictAttributes
 from linkcore.clock import Stamp
 from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError, RemoteError
 from linkcore.net.transport import TcpTransport
+from linkcore.process import HomeProcess
 from linkcore.streaming.connection_life import Backoff, ConnectionEvent, ConnectionState
 from linkcore.streaming.packet_queue import Policy, drop_oldest
 from linkcore.streaming.subscription import Subscription
 from linkcore.text import similar
-from linkcore.threads import Closing, held
+from linkcore.threads import Closing, ReentrantEvent, alone
 
 from .address import parse_address
 from .connection import Connection, Transport
@@ -110,7 +112,7 @@ def connect(
     return robot
 
 
-class Variables(Declarations, Closing):
+class Variables(StrictAttributes, Declarations, Closing):
     """A robot: its variables, in step with it by `sync`. A context manager that closes itself.
 
     Derive from it to declare variables as properties, see `Read` and `Write`; every variable of the
@@ -150,11 +152,11 @@ class Variables(Declarations, Closing):
         self._transport = transport
         self._options = options
         self._timeout = timeout
-        self._process = os.getpid()
+        self._home = HomeProcess(address)
         self._replica = Replica(address, unsent, type(self))
         self._exchange = threading.RLock()  # held by the thread that uses the connection
         self._subscribers = Subscribers(address)
-        self._closing = threading.Event()
+        self._closing = ReentrantEvent()
         self._background = threading.Lock()  # held by the thread that begins to keep it in sync
         self._sync_thread: SyncThread | None = None
         self._connections = 0
@@ -287,7 +289,8 @@ class Variables(Declarations, Closing):
 
         Raises:
             LinkTimeout: no answer in time. The connection stays; the answer is waited for by the
-                next sync.
+                next sync. At once, if a signal handler calls it and has interrupted another sync of its own thread;
+                what was set is sent by the next sync.
             ConnectionLost, PacketError: the connection has ended; the next sync makes another.
             AccessDenied, WrongVariables, ConnectFailed, WrongPeer: it could not be made again.
             Closed: after `close`.
@@ -297,12 +300,11 @@ class Variables(Declarations, Closing):
         seconds = self._timeout
         if timeout is not None:
             seconds = check_seconds(timeout, "timeout", positive=True, finite=True)
-        if os.getpid() != self._process:
-            raise LocalError(f"{self._address} was connected to by the parent process; connect again in this one")
+        self._home.check()
         # One deadline for everything: waiting for another thread, connecting, and each receive take what is left of it.
         until = clock.now() + seconds
         otherwise = f"{self.address}: another thread has been in sync() for {seconds:g} s"
-        with held(self._exchange, seconds, otherwise):
+        with alone(self._exchange, seconds, otherwise):
             if self._closing.is_set():
                 raise Closed(f"{self._address} was closed")
             self._sync(replica, until)
@@ -393,7 +395,7 @@ class Variables(Declarations, Closing):
         Raises:
             BadRecording: the disk failed while it was recorded.
         """
-        if self._transport is None:
+        if self._transport is None or not self._home.is_here:
             return
         timeout = check_seconds(timeout, "timeout")
         until = clock.now() + timeout
@@ -410,7 +412,7 @@ class Variables(Declarations, Closing):
 
     def __del__(self) -> None:
         # A connection that was never made, or was closed in a parent process, needs no warning.
-        if self._connection is not None and not self._closing.is_set() and os.getpid() == self._process:
+        if self._connection is not None and not self._closing.is_set() and self._home.is_here:
             try:
                 warnings.warn(f"{self!r} was dropped without close()", ResourceWarning, source=self, stacklevel=2)
             finally:

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import math
 import os
 import threading
+from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
 from linkcore import clock
 from linkcore.arguments import check_choice, check_number
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue, Closed, LinkTimeout
 from linkcore.handle import Lifecycle, Motion
-from linkcore.threads import CallbackThread, Closing, started
+from linkcore.threads import CallbackThread, Closing, ReentrantEvent, started
 
 from .smrcl.controller import MissionController
 from .smrcl.execution import Callbacks, MissionExecution, leaving_at_exit
@@ -45,9 +49,11 @@ class _Command(NamedTuple):
     """A motion that was requested.
 
     Attributes:
+        number: Number of the request, in the order in which motions were requested.
         begin: is called in the thread that drives, before the motion begins.
     """
 
+    number: int
     motion: ControlledMotion
     life: Lifecycle
     begin: Callable[[], object]
@@ -61,32 +67,52 @@ class _Motions:
 
     def __init__(self, control: MotionControl) -> None:
         self._control = control
-        self._lock = threading.Lock()
-        self._next: _Command | None = None
+        # Without a lock, since a signal handler may stop the robot while its own thread requests a motion.
+        self._requested: deque[_Command] = deque()
+        self._numbers = itertools.count(1)
+        self._newest = 0  # number of the newest motion that was begun, or preempted
         self._current: _Command | None = None
         self._error: Exception | None = None
 
     @property
     def is_idle(self) -> bool:
         """No motion is requested, and none is under way."""
-        return self._next is None and self._current is None
+        return not self._requested and self._current is None
+
+    def number(self) -> int:
+        """The number of a request, to be taken when its call is entered."""
+        return next(self._numbers)
 
     def put(self, command: _Command) -> None:
-        """Begin a motion in the next cycle; it preempts the present one."""
-        with self._lock:
-            error, before = self._error, self._next
-            if error is None:
-                self._next = command
-        if error is not None:
-            command.life.fail(error)
-        elif before is not None:
-            before.life.cancel("preempted by another motion")
+        """Begin a motion in the next cycle; it preempts those that were requested before it, and no later one."""
+        self._requested.append(command)
+        for each in list(self._requested):
+            if each.number < command.number:
+                each.life.cancel("preempted by another motion")
+        if self._error is not None:
+            self._refuse(self._error)
+
+    def _refuse(self, error: Exception) -> None:
+        while self._requested:
+            with contextlib.suppress(IndexError):  # another thread was quicker
+                self._requested.popleft().life.fail(error)
+
+    def _next(self) -> _Command | None:
+        """The newest request, if it is newer than the motion under way; the others are cancelled."""
+        requested = [self._requested.popleft() for _ in range(len(self._requested))]
+        new = max(requested, key=lambda each: each.number, default=None)
+        if new is not None and new.number < self._newest:
+            new = None
+        for each in requested:
+            if each is not new:
+                each.life.cancel("preempted by another motion")
+        if new is not None:
+            self._newest = new.number
+        return new
 
     def step(self) -> bool:
         """One cycle; False, since there is always another motion to come."""
-        with self._lock:
-            new, self._next = self._next, None
-        current = self._current
+        new, current = self._next(), self._current
         if new is not None:
             self._current = None
             if current is not None:
@@ -112,15 +138,14 @@ class _Motions:
 
     def end(self, error: Exception) -> None:
         """End the motion under way, and refuse those that are requested later."""
-        with self._lock:
-            self._error = self._error or error
-            ended, self._next, self._current = [self._next, self._current], None, None
-        for command in ended:
-            if command is not None:
-                command.life.fail(error)
+        self._error = self._error or error
+        self._refuse(self._error)
+        current, self._current = self._current, None
+        if current is not None:
+            current.life.fail(error)
 
 
-class Drive(Closing):
+class Drive(StrictAttributes, Closing):
     """Drives a robot by motions; a context manager that closes itself::
 
         with rhdlink.Drive(robot) as drive:
@@ -161,8 +186,8 @@ class Drive(Closing):
         self._speed = _positive("speed", speed, _FASTEST, "m/s")
         self._acceleration = _positive("acceleration", acceleration, _STRONGEST, "m/s²")
         chosen = find_profile(compat)
-        self._wake = threading.Event()
-        self._closing = threading.Event()
+        self._wake = ReentrantEvent()
+        self._closing = ReentrantEvent()
         self._error: Exception | None = None
         self._link = link = open_link(robot)
         self._owned = None if link is robot else link
@@ -252,6 +277,7 @@ class Drive(Closing):
     def _begin(
         self, name: str, motion: ControlledMotion, speed: float | None, begin: Callable[[], object] = lambda: None
     ) -> Motion:
+        number = self._motions.number()
         if self._closing.is_set() or self._error is not None:
             raise Closed(f"{self._link.name} is not driven any more") from self._error
         wanted = self._speed if speed is None else _positive("speed", speed, _FASTEST, "m/s")
@@ -264,7 +290,7 @@ class Drive(Closing):
         life = Lifecycle(name, self._callbacks)
         life.brake = self._wake.set
         handle = Motion(life, lambda: motion.progress(control) if control.motion is motion else 0.0)
-        self._motions.put(_Command(motion, life, prepare))
+        self._motions.put(_Command(number, motion, life, prepare))
         self._wake.set()
         return handle
 

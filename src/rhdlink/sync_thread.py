@@ -5,24 +5,26 @@ from __future__ import annotations
 import logging
 import threading
 import weakref
+from collections import deque
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 from linkcore import clock
 from linkcore.arguments import check_callable, check_seconds
+from linkcore.attributes import StrictAttributes
 from linkcore.clock import Stamp
 from linkcore.errors import BadValue, Closed, RemoteError
 from linkcore.streaming.connection_life import Backoff
 from linkcore.streaming.packet_queue import PacketQueue, Policy, check_lifespan, check_policy
-from linkcore.streaming.subscription import Delivery, Subscription, ThreadedDelivery, check_deadline
-from linkcore.threads import Closing, started
+from linkcore.streaming.subscription import Subscription, ThreadedDelivery, check_deadline
+from linkcore.threads import Closing, ReentrantEvent, started
 
 from .variables.snapshot import Change, Update
 
 _log = logging.getLogger(__name__)
 
 
-class SyncThread(Closing):
+class SyncThread(StrictAttributes, Closing):
     """Syncs from a thread of its own until closed; a context manager that closes itself.
 
     Made by `Variables.background`. It does not keep the robot alive: when the program drops its last reference to the
@@ -52,7 +54,7 @@ class SyncThread(Closing):
         self._sync = weakref.WeakMethod(sync)
         self._period = period
         self._backoff = backoff or Backoff()
-        self._closing = threading.Event()
+        self._closing = ReentrantEvent()
         # Known before it runs: it may fail, and say who it is, before `started` returns.
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         started(self._thread)
@@ -115,17 +117,40 @@ class SyncThread(Closing):
                 clock.wait(self._closing.wait, due - clock.now())
 
 
-class _Subscriber(NamedTuple):
-    event_type: type  # of what its callback gets
-    queue: PacketQueue
-    names: frozenset[str] | None
-    delivery: ThreadedDelivery
-    turn: threading.Lock
+class _Subscriber:
+    """A callback, and the events that it is to get.
+
+    Args:
+        event_type: Class of the events.
+        queue: Queue of the callback.
+        names: Variables that it wants; None for all.
+        delivery: Calls the callback.
+    """
+
+    def __init__(
+        self, event_type: type, queue: PacketQueue, names: frozenset[str] | None, delivery: ThreadedDelivery
+    ) -> None:
+        self.event_type, self.queue, self.names, self.delivery = event_type, queue, names, delivery
+        # A queue takes from one thread at a time, and any thread may sync or close.
+        self._turn = threading.RLock()
+        self._waiting: deque[object] = deque()
+        self._is_offering = False
 
     def offer(self, event: object) -> None:
-        # A queue takes from one thread at a time, and any thread may sync or close.
-        with self.turn:
-            self.queue.offer((event,))
+        """Put an event into the queue.
+
+        A signal handler that comes while its own thread is in the queue leaves its event to that thread.
+        """
+        with self._turn:
+            self._waiting.append(event)
+            if self._is_offering:
+                return
+            self._is_offering = True
+            try:
+                while self._waiting:
+                    self.queue.offer((self._waiting.popleft(),))
+            finally:
+                self._is_offering = False
 
 
 class Subscribers:
@@ -137,8 +162,9 @@ class Subscribers:
 
     def __init__(self, name: str) -> None:
         self._name = name
-        self._lock = threading.Lock()
-        self._subscribers: tuple[_Subscriber, ...] = ()  # replaced, never changed: read without the lock
+        # Without a lock, since a signal handler may subscribe or close in the middle of a change of its own thread: an
+        # entry is added or removed in one step.
+        self._by_queue: dict[PacketQueue, _Subscriber] = {}
         self._is_closed = False
 
     def subscribe(
@@ -166,17 +192,18 @@ class Subscribers:
         deadline = check_deadline(deadline, on_deadline)
         queue = PacketQueue(policy, check_lifespan(lifespan))
 
-        def detach(delivery: Delivery) -> None:
-            with self._lock:
-                self._subscribers = tuple(each for each in self._subscribers if each.queue is not delivery.sink)
+        name = f"{self._name} {event_type.__name__}"
+        delivery = ThreadedDelivery(queue, callback, name=name, deadline=deadline, on_deadline=on_deadline)
+        self._by_queue[queue] = _Subscriber(event_type, queue, names, delivery)
+        if self._is_closed:  # looked at last: a `close` that has not seen the callback is seen here
+            delivery.close(0.0)
+            self._by_queue.pop(queue, None)
+            raise Closed(f"{self._name} was closed")
+        return Subscription(delivery, lambda delivery: self._by_queue.pop(delivery.sink, None), owner)
 
-        with self._lock:
-            if self._is_closed:
-                raise Closed(f"{self._name} was closed")
-            name = f"{self._name} {event_type.__name__}"
-            delivery = ThreadedDelivery(queue, callback, name=name, deadline=deadline, on_deadline=on_deadline)
-            self._subscribers = (*self._subscribers, _Subscriber(event_type, queue, names, delivery, threading.Lock()))
-        return Subscription(delivery, detach, owner)
+    @property
+    def _subscribers(self) -> tuple[_Subscriber, ...]:
+        return tuple(self._by_queue.values())
 
     def tell(self, event: object) -> None:
         """Hand out an event to those who subscribed to its type."""
@@ -205,8 +232,6 @@ class Subscribers:
 
     def close(self, until: float) -> None:
         """Deliver what waits, until then by `linkcore.clock.now`, and nothing more."""
-        with self._lock:
-            self._is_closed = True
-            subscribers = self._subscribers
-        for each in subscribers:
+        self._is_closed = True
+        for each in self._subscribers:
             each.delivery.finish(clock.left(until))

@@ -171,4 +171,5 @@ else:
             """,
             "urlink.aio.parts": "AsyncFeed AsyncStream",
         },
+        foreign=".foreign_names",
     )

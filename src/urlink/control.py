@@ -104,7 +104,10 @@ class Control:
 
         def dashboard(timeout: float) -> Dashboard:
             known, api_port = lambda: who.identity.firmware, ports.get("robot_api")
-            return Dashboard(host, ports.get("dashboard"), known, api_port=api_port, timeout=timeout, recall=recall)
+            dashboard_port, on_stop = ports.get("dashboard"), monitor.overtake
+            return Dashboard(
+                host, dashboard_port, known, api_port=api_port, timeout=timeout, recall=recall, on_stop=on_stop
+            )
 
         def is_remote() -> bool | None:
             """Whether the robot is in remote control, asked on a connection of its own; None if that is not known."""

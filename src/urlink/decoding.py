@@ -134,7 +134,8 @@ def schema(packet: type[State] | Recipe, version: str | Firmware | None = None) 
     ``parse`` takes one whole packet, or a stream that begins with one. It raises `construct.ConstructError` where the
     size in the header is not that of the layout, where there are fewer bytes than that, and where the type is another
     packet's. Vectors are lists, codes their enums; what a controller sends joint by joint is a list of structs.
-    ``build`` takes the same names, and fills in size and type.
+    ``build`` takes the same names, and fills in size and type. ``print`` shows the fields with offsets, types and
+    units.
 
     Args:
         packet: a packet class, such as `RealtimeState` or `JointData`; `RobotState`, whose `packages` have a `type` and
@@ -182,6 +183,7 @@ def _robot_state(version: Firmware | None) -> Any:
     import construct
 
     from linkcore.wire.schema import checked_fields, sized
+    from linkcore.wire.schema_text import PacketStruct
 
     fields: dict[int, Any] = {}
     for kind, classes in SUB_PACKAGES.items():
@@ -190,7 +192,7 @@ def _robot_state(version: Firmware | None) -> Any:
                 layout = _layout(each, version)
             except PacketError:
                 continue
-            fields.setdefault(kind, construct.Struct(*checked_fields(layout), construct.Terminated))
+            fields.setdefault(kind, PacketStruct(each.__name__, *checked_fields(layout), construct.Terminated))
     kind = construct.Int8ub
     part = construct.Struct(
         "type" / kind, "fields" / construct.Switch(construct.this.type, fields, construct.GreedyBytes)
@@ -198,7 +200,7 @@ def _robot_state(version: Firmware | None) -> Any:
     # A sub-package that fits no layout ends the row, and what is left of the package is an error.
     parts = construct.Struct(
         "type" / construct.Const(ROBOT_STATE, kind),
-        "packages" / construct.GreedyRange(sized(PACKAGE, part)),
+        "packages" / construct.GreedyRange(sized("sub-package", PACKAGE, part)),
         construct.Terminated,
     )
-    return sized(PACKAGE, parts)
+    return sized("RobotState", PACKAGE, parts)

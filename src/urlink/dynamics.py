@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from linkcore.arguments import check_number
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue
 
 from . import rigid
@@ -48,7 +49,7 @@ _Inertia = tuple[Number, Number, Number, Number, Number, Number, Number, Number,
 _Spatial = tuple[Number, Number, Number, Number, Number, Number]
 
 
-class Dynamics:
+class Dynamics(StrictAttributes):
     """The masses of one arm and of what it carries.
 
     Every method takes one row of six, or any number of rows in an array (..., 6).

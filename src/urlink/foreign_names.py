@@ -1,10 +1,16 @@
-"""Names of URScript, ur_rtde and urx, and what they are called here, for those who try them on a robot."""
+"""Names of URScript, ur_rtde, urx and the other interfaces of a controller, and what they are called here.
+
+`linkcore.attributes` asks this module about a name that a public object does not have.
+"""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from linkcore.text import similar
+from linkcore.attributes import Elsewhere
+
+if TYPE_CHECKING:
+    from linkcore.wire.packet import State
 
 #: what does it here -> the names of it there, in small letters and without underscores
 _NAMES = {
@@ -44,19 +50,22 @@ _NAMES = {
     "robot.realtime.stats, or urlink.ConnectionEvent": "isconnected",
     "robot.close()": "disconnect",
     "nothing: connections that were lost come back by themselves": "reconnect",
-    "robot.kinematics.forward(q)": "getforwardkin getforwardkinematics",
-    "robot.kinematics.inverse(pose, near)": "getinversekin getinversekinematics",
+    "robot.kinematics.forward(q)": "getforwardkin getforwardkinematics fk",
+    "robot.kinematics.inverse(pose, near)": "getinversekin getinversekinematics ik",
     "urlink.poses.compose(p_from, p_from_to)": "posetrans",
     "urlink.poses.invert(pose)": "poseinv",
     "robot.set_tcp(pose)": "settcp",
-    "robot.set_payload(mass, cog)": "setpayload",
+    "robot.realtime.wait().tool_vector_actual, or robot.set_tcp(pose)": "tcp tcppose",
+    "robot.set_payload(mass, cog)": "setpayload payload",
     "robot.set_payload(mass, cog, inertia)": "settargetpayload",
     "robot.set_speed_slider(fraction)": "setspeedslider",
+    "robot.set_speed_slider(fraction), or the argument speed of a motion": "speed velocity",
+    "the argument acceleration of a motion": "acceleration",
     "robot.zero_force_sensor()": "zeroftsensor",
     "robot.popup(text), or textmsg in a text for robot.script.run": "textmsg",
     "robot.popup(text)": "popup sendmessage",
     "time.sleep(seconds)": "sleep",
-    "robot.script.run(text)": "sendprogram sendcustomscript sendcustomscriptfunction run",
+    "robot.script.run(text)": "sendprogram sendscript sendcustomscript sendcustomscriptfunction run",
     "robot.io.set_digital_out(number, on)": "setdigitalout setstandarddigitalout",
     "robot.io.set_configurable_digital_out(number, on)": "setconfigurabledigitalout",
     "robot.io.set_tool_digital_out(number, on)": "settooldigitalout",
@@ -67,40 +76,104 @@ _NAMES = {
     "robot.dashboard.power_on(), or robot.dashboard.start()": "poweron",
     "robot.dashboard.power_off()": "poweroff",
     "robot.dashboard.brake_release(), or robot.dashboard.start()": "brakerelease",
-    "robot.dashboard.unlock_protective_stop()": "unlockprotectivestop",
+    "robot.dashboard.unlock_protective_stop()": "unlockprotectivestop reset",
     "robot.dashboard.play()": "play",
     "robot.motion.move_joints(q), or robot.motion.move_linear(pose)": "moveto move",
     "robot.motion.move_joints(q), with the joint positions that are home to you": "home",
     "robot.gripper.move(position)": "grippermove",
-    "robot.gripper.close()": "closegripper",
+    "robot.gripper.close()": "closegripper grip",
     "robot.gripper.open()": "opengripper",
+    "controller.faults.emergency_stop() of a simulated robot": "estop",
+    "urlink.connect(address)": "robotinterface rtdecontrolinterface rtdereceiveinterface urrobot",
+    "urlink.connect('sim://ur5e')": "simulator simulate ursim",
+    "robot.realtime.wait(), or robot.realtime.latest": "state getstate rtdereceive",
+    "robot.realtime.wait()": "wait",
 }
 _OWN = {name: own for own, names in _NAMES.items() for name in names.split()}
 
+#: The names of one quantity on the real-time interface, in RTDE, and on the primary interface.
+_QUANTITIES = """
+    q_actual                actual_q                    joint_data.q_actual
+    q_target                target_q                    joint_data.q_target
+    qd_actual               actual_qd                   joint_data.qd_actual
+    qd_target               target_qd                   -
+    qdd_target              target_qdd                  -
+    I_target                target_current              -
+    I_actual                actual_current              joint_data.I_actual
+    I_control               joint_control_output        -
+    M_target                target_moment               -
+    V_actual                actual_joint_voltage        joint_data.V_actual
+    motor_temperatures      joint_temperatures          joint_data.T_motor
+    joint_modes             joint_mode                  joint_data.joint_modes
+    tool_vector_actual      actual_TCP_pose             cartesian_info.X
+    tool_vector_target      target_TCP_pose             -
+    tcp_speed_actual        actual_TCP_speed            -
+    tcp_speed_target        target_TCP_speed            -
+    tcp_force               actual_TCP_force            force_mode_data.Fx
+    tool_accelerometer      actual_tool_accelerometer   -
+    time                    timestamp                   robot_mode_data.timestamp
+    controller_timer        actual_execution_time       -
+    robot_mode              robot_mode                  robot_mode_data.robot_mode
+    safety_mode             safety_mode                 masterboard_data.safety_mode
+    speed_scaling           speed_scaling               robot_mode_data.speed_scaling
+    linear_momentum_norm    actual_momentum             -
+    digital_input_bits      actual_digital_input_bits   masterboard_data.digital_input_bits
+    digital_output_bits     actual_digital_output_bits  masterboard_data.digital_output_bits
+    V_main                  actual_main_voltage         -
+    V_robot                 actual_robot_voltage        masterboard_data.robot_voltage_48V
+    I_robot                 actual_robot_current        masterboard_data.robot_current
+    program_state           runtime_state               -
+    payload_mass            payload                     -
+    payload_cog             payload_cog                 -
+    payload_inertia         payload_inertia             -
+    elbow_position          elbow_position              -
+    elbow_velocity          elbow_velocity              -
+"""
+INTERFACES = ("realtime", "rtde", "primary")
+_ROWS = tuple(tuple(line.split()) for line in _QUANTITIES.strip().splitlines())
+#: Short names that other libraries and programs use for a quantity of the real-time interface.
+_SHORT = {"q": "q_actual", "qd": "qd_actual", "tcp": "tool_vector_actual", "pose": "tool_vector_actual"}
+
 
 def own_name(name: str) -> str | None:
-    """What does here what a name of URScript, ur_rtde or urx does there; None if it is none of these.
+    """What a name of URScript, ur_rtde, urx or one of the interfaces is called here; None if it is none of these.
 
     >>> own_name("moveJ"), own_name("get_actual_q"), own_name("spin")
     ('robot.motion.move_joints(q)', 'robot.realtime.wait().q_actual', None)
+    >>> own_name("actual_q")
+    "robot.realtime.wait().q_actual, or robot.rtde.outputs('actual_q')"
     """
-    return _OWN.get(name.replace("_", "").lower())
+    own = _OWN.get(name.replace("_", "").lower())
+    return own or next((_places(row) for row in _ROWS if name in (*row[:2], row[2].rpartition(".")[2])), None)
 
 
-class AnswersForeignNames:
-    """What a user holds: an attribute that it does not have is an error that names what does it here."""
+def _places(row: tuple[str, ...]) -> str:
+    """Where one quantity is read."""
+    return f"robot.realtime.wait().{row[0]}, or robot.rtde.outputs({row[1]!r})"
 
-    __slots__ = ()
 
-    if not TYPE_CHECKING:  # type checkers must not take it for an object with any attribute
+def name_on(interface: str, name: str) -> str | None:
+    """The name on one interface of a quantity that has another name on other interfaces; None if none is known.
 
-        def __getattr__(self, name: str) -> object:
-            kind = type(self).__name__
-            known = None if name.startswith("_") else own_name(name)
-            if known is not None:
-                what = f"{name!r}; here it is: {known}"
-            else:
-                hint = "" if name.startswith("_") else similar(name, (each for each in dir(self) if each[0] != "_"))
-                what = f"attribute {name!r}{hint}"
-            # Of no object, or Python adds a suggestion of its own to a traceback.
-            raise AttributeError(f"{kind} has no {what}", name=name, obj=None)
+    >>> name_on("realtime", "actual_q"), name_on("rtde", "q_actual"), name_on("primary", "actual_q")
+    ('q_actual', 'actual_q', 'joint_data.q_actual')
+
+    Args:
+        interface: One of `INTERFACES`.
+        name: The name there.
+    """
+    at = INTERFACES.index(interface)
+    for row in _ROWS:
+        if name in (*row, row[2].rpartition(".")[2]) or _SHORT.get(name) == row[0]:
+            return None if row[at] == "-" else row[at]
+    return None
+
+
+def hint_other_interfaces(kind: type[State], interface: str) -> None:
+    """Have a packet class answer the names of its quantities on other interfaces with a hint."""
+    for name in {*_SHORT, *(part for row in _ROWS for part in (*row[:2], row[2].rpartition(".")[2]))}:
+        own = name_on(interface, name)
+        field = None if own is None else own.rpartition(".")[2] if kind.FIELDS else own
+        is_there = not kind.FIELDS or interface == "rtde" or field in kind.FIELDS
+        if field not in (None, name) and is_there and not hasattr(kind, name):
+            setattr(kind, name, Elsewhere(name, str(field)))

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from linkcore.arguments import Default, check_number, check_overridden, check_wait
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue, LinkError, LocalError
 from linkcore.handle import Lifecycle, Motion, waited
 from linkcore.pending_call import starts_motion
@@ -41,7 +42,7 @@ _SHORTEST = 0.1
 WAITING = 64
 
 
-class Group:
+class Group(StrictAttributes):
     """Arms that move together::
 
         with urlink.connect(LEFT) as left, urlink.connect(RIGHT) as right:

@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from linkcore import clock
 from linkcore.arguments import check_callable, check_choice
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue, Closed, LocalError
 from linkcore.net.recall import Recall
+from linkcore.process import HomeProcess
 from linkcore.streaming.stream import Stream
 from linkcore.text import html_table
 from linkcore.threads import Closing, MadeOnce
@@ -20,7 +22,6 @@ from linkcore.threads import Closing, MadeOnce
 from .address import RecordingAddress, RobotAddress, SimulatorAddress
 from .connect_options import ConnectOptions, takes_connect_options
 from .firmware import Firmware
-from .foreign_names import AnswersForeignNames
 from .identity import Identity, KnownIdentity
 from .interfaces.primary.robot_state import RobotState
 from .interfaces.realtime.packets import RealtimeState
@@ -178,7 +179,7 @@ def take_back(robot: Robot, timeout: float) -> None:
     robot._commanded().settle(timeout)
 
 
-class Robot(AnswersForeignNames, Closing):
+class Robot(StrictAttributes, Closing):
     """A robot: its streams, and what it is. A context manager that closes itself; made by `connect`.
 
     Attributes:
@@ -206,6 +207,7 @@ class Robot(AnswersForeignNames, Closing):
         self._streams: dict[str, Stream[Any]] = {}
         self._rtde: MadeOnce[Rtde] = MadeOnce()
         self._registers: MadeOnce[Registers] = MadeOnce()
+        self._home = HomeProcess(address)
         self._is_closed = False
 
     # -- what it says ------------------------------------------------------------------------------
@@ -600,7 +602,12 @@ class Robot(AnswersForeignNames, Closing):
     # -- its end -------------------------------------------------------------------------------------
 
     def close(self, timeout: float = 2.0) -> None:
-        """End motions, close every stream, and the simulator if there is one; in `timeout` seconds. Idempotent."""
+        """End motions, close every stream, and the simulator if there is one; in `timeout` seconds. Idempotent.
+
+        In a forked process this does nothing: motions and connections are its parent's.
+        """
+        if not self._home.is_here:
+            return
         until = clock.now() + timeout
         self._is_closed = True
         if (control := self._control.made) is not None:

@@ -7,6 +7,7 @@ the time in a state until it sends it; that it is one cycle is a guess (`state_l
 from __future__ import annotations
 
 from linkcore import clock
+from linkcore.attributes import StrictAttributes
 from linkcore.streaming.peer_clock import ClockEstimator, ClockRelation
 from linkcore.streaming.stream import Stream
 
@@ -15,7 +16,7 @@ from .interfaces.realtime.packets import RealtimeState
 from .parameters import number
 
 
-class RobotClock:
+class RobotClock(StrictAttributes):
     """The clock of a controller, and this computer's monotonic clock; made by `Robot.clock`.
 
     The controller's is that of `RealtimeState.time`, and of ``timestamp`` in RTDE: seconds since it was started. This

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -117,6 +119,28 @@ def test_the_sync_thread_takes_its_time() -> None:
         for period in (0, -1, float("inf")):
             with pytest.raises(BadValue, match="expected a positive number"):
                 robot.background(period)
+
+
+class Timed:
+    """Notes when it is synced; each sync takes as many seconds as the test says."""
+
+    def __init__(self, *durations: float) -> None:
+        self.times: list[float] = []
+        self._durations = iter(durations)
+
+    def sync(self) -> None:
+        self.times.append(time.monotonic())
+        time.sleep(next(self._durations, 0.0))
+
+
+@pytest.mark.parametrize("late", [0.015, 0.055, 1.0])
+def test_sync_thread_does_not_make_up_for_missed_periods(late: float) -> None:
+    """After a sync that took longer than its period the next one follows at once, and then one for each period."""
+    timed = Timed(0.0, 0.0, late)
+    with SyncThread(timed.sync, 0.01, name="sync"):
+        until(lambda: len(timed.times) >= 12)
+    gaps = [after - before for before, after in itertools.pairwise(timed.times[:12])]
+    assert gaps == pytest.approx([0.01, 0.01, late, *[0.01] * 8], abs=1e-3)
 
 
 def test_after_a_success_the_back_off_begins_anew() -> None:

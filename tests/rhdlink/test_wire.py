@@ -555,3 +555,18 @@ def test_many_entries_of_a_package_cut_anywhere(data: st.DataObject) -> None:
         request = stream.take_request()
         assert request is not None
         assert request.data[0].ids.tolist() == ids
+
+
+def test_printed_schema_shows_the_fields_of_a_package() -> None:
+    lines = str(schema("data", "server", lengths=[1, 3])).splitlines()
+    assert lines[0] == "data, size varies"
+    assert [line.split()[1:3] for line in lines[2:5]] == [
+        ["letter", "Bytes[1]"],
+        ["second", "Bytes[1]"],
+        ["items", "Struct[...],"],
+    ]
+    assert [line.split()[:2] for line in lines[5:]] == [
+        ["id", "Int32sb"],
+        ["stamp", "Int32ub[2]"],
+        ["data", "Int32sb[...]"],
+    ]

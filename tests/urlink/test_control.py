@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -95,6 +96,18 @@ def test_a_stop_of_the_controller(controller: Controller, robot: urlink.Robot) -
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("name", ["stop", "pause", "power_off"])
+def test_dashboard_stop_overtakes_a_motion(robot: urlink.Robot, name: str) -> None:
+    robot.realtime.wait()
+    call = urlink.PendingCall()
+    with contextlib.suppress(urlink.LinkError):
+        getattr(robot.dashboard, name)()
+    with pytest.raises(urlink.LinkError):
+        call.make(lambda: robot.motion.move_joints([0.5, -1.57, 1.57, -1.57, -1.57, 0]))
+    assert isinstance(call.make(lambda: robot.safety.refusal), urlink.LinkError)
+    assert robot.motion.current is None
+
+
 def test_moved_as_soon_as_it_is_switched_on() -> None:
     """What the primary interface said last may be a tenth of a second old."""
     with urlink.connect("sim://ur5e?firmware=5.11") as robot:

@@ -72,7 +72,9 @@ def test_move_joints() -> None:
         "urlink.urscript.commands",  # the text
         "urlink.urscript.wrapping",  # what is put around it
         "linkcore.handle",  # the one state machine of its life
-        "linkcore.pending_call",  # does the task for which this thread makes it still want it?
+        "linkcore.pending_call",  # the order of calls and stops; whether the task that awaits this was cancelled
+        "linkcore.attributes",  # no attribute is set that the object does not have
+        "linkcore.process",  # this is the process that has connected
         "urlink.commanding.programs",  # the registry
         "urlink.commanding.channel",  # the one way out
         "linkcore.net.recall",  # is anything given up before that may still be carried out?
@@ -112,6 +114,7 @@ def test_a_script_on_the_simulated_arm() -> None:
     packets = {name for name in met if name.startswith("linkcore.wire.")}
     assert met - language - packets - EVERY_CYCLE - LOOKED_UP - {"urlink.kinematics.arm"} == {
         "urlink.simulator.controller",
+        "linkcore.attributes",  # no attribute is set that the object does not have
         "urlink.simulator.programs.loader",  # whole programs, in their turn; the compiler is called from here
         "urlink.simulator.programs.runner",  # runs them
         "urlink.simulator.programs.program_world",  # what they call; their sockets are closed with them

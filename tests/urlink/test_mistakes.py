@@ -8,8 +8,11 @@ from typing import Any
 import pytest
 
 import urlink
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import LinkError, LocalError
-from urlink.foreign_names import _OWN, AnswersForeignNames, own_name
+from urlink.foreign_names import _OWN, _ROWS, own_name
+from urlink.interfaces.primary.robot_state import SUB_PACKAGES, snake_case
+from urlink.interfaces.rtde.variables import OUTPUTS
 from urlink.simulator import Controller, Still
 
 Q = [0, -1.57, 1.57, -1.57, -1.57, 0]
@@ -96,6 +99,8 @@ MISTAKES: list[tuple[Try, type[Exception], str]] = [
     (lambda r: r.script.run(""), LocalError, "program"),
     (lambda r: r.script.run("movej(["), LocalError, "ends in the middle of a statement"),
     (lambda r: r.script.run(None), LocalError, "program"),
+    (lambda r: r.script.run("pick.script"), LocalError, "name of a file"),
+    (lambda r: r.script.run("programs/my pick.script"), LocalError, "pass pathlib.Path"),
     (lambda r: r.realtime.wait(timeout=True), LocalError, "timeout=True; expected a number of seconds"),
     (lambda r: r.realtime.wait("5"), LocalError, "timeout='5'; expected a number of seconds"),
     (lambda r: r.realtime.subscribe("print"), LocalError, "expected a function"),
@@ -113,7 +118,7 @@ MISTAKES: list[tuple[Try, type[Exception], str]] = [
 @pytest.mark.parametrize("name", ["movej", "moton"])
 def test_python_adds_no_guess_of_its_own_to_an_unknown_name(name: str) -> None:
     with pytest.raises(AttributeError) as caught:
-        getattr(AnswersForeignNames(), name)
+        getattr(StrictAttributes(), name)
     assert (caught.value.name, caught.value.obj) == (name, None)
 
 
@@ -137,10 +142,51 @@ def test_what_is_told_of_another_name_is_there(robot: Any) -> None:
             value = robot if owner == "robot" else urlink
             if parts == ["realtime", "wait"]:
                 value = value.realtime.wait(5)
-                parts = [part for part in advice.partition("wait().")[2].split()[:1] if part]
+                parts = [part.rstrip(",") for part in advice.partition("wait().")[2].split()[:1]]
             for part in parts:
                 value = getattr(value, part)
     assert own_name("no_such_name") is None
+
+
+def test_each_quantity_has_these_names_on_the_interfaces() -> None:
+    parts = {snake_case(kind.__name__): kind for kinds in SUB_PACKAGES.values() for kind in kinds}
+    for realtime, rtde, primary in _ROWS:
+        assert realtime in urlink.RealtimeState.FIELDS, f"{realtime}: not real-time; correct it in foreign_names.py"
+        assert rtde in OUTPUTS, f"{rtde}: not a variable of RTDE; correct it in foreign_names.py"
+        if primary != "-":
+            part, _, field = primary.partition(".")
+            assert field in parts[part].FIELDS, f"{primary}: not a field; correct it in foreign_names.py"
+
+
+@pytest.mark.simulated_time
+def test_other_interfaces_names_are_answered() -> None:
+    with urlink.connect("sim://") as robot:
+        held: Any = robot
+        outputs: Any = held.rtde.outputs("actual_q")
+        realtime, primary = held.realtime.wait(), held.primary.wait()
+        for owner, name, hint in (
+            (realtime, "actual_q", "RealtimeState has no 'actual_q'; here it is: q_actual"),
+            (realtime, "actual_TCP_pose", "here it is: tool_vector_actual"),
+            (realtime, "T_motor", "here it is: motor_temperatures"),
+            (realtime, "tcp", "here it is: tool_vector_actual"),
+            (primary, "q_actual", "RobotState has no 'q_actual'; here it is: joint_data.q_actual"),
+            (primary.joint_data, "actual_q", "JointData has no 'actual_q'; here it is: q_actual"),
+            (outputs.wait(), "q_actual", "Outputs has no 'q_actual'; here it is: actual_q"),
+            (outputs, "q_actual", r"its packets have it: wait\(\).actual_q"),
+            (outputs, "qd_actual", r"ask for it: robot.rtde.outputs\('actual_qd'\)"),
+            (held.realtime, "q_actual", r"its packets have it: wait\(\).q_actual"),
+            (held.realtime, "actual_q", r"its packets have it: wait\(\).q_actual"),
+            (held.primary, "q_actual", r"its packets have it: wait\(\).joint_data.q_actual"),
+            (held, "actual_q", r"robot.realtime.wait\(\).q_actual, or robot.rtde.outputs\('actual_q'\)"),
+            (held.dashboard, "poweron", r"robot.dashboard.power_on\(\)"),
+            (held.kinematics, "ik", "robot.kinematics.inverse"),
+            (urlink, "Simulator", r"urlink.connect\('sim://ur5e'\)"),
+            (urlink, "movej", "robot.motion.move_joints"),
+        ):
+            assert not hasattr(owner, name)
+            assert name not in dir(owner)
+            with pytest.raises(AttributeError, match=hint):
+                getattr(owner, name)
 
 
 @pytest.mark.real_time

@@ -20,7 +20,6 @@ from linkcore.streaming.packet_queue import PacketQueue
 from linkcore.streaming.subscription import InlineDelivery
 from rhdlink.drive import _Motions
 from rhdlink.replica import Replica
-from rhdlink.sync_thread import Subscribers
 from urlink.motion.common_time import CommonPace, CommonTime
 from urlink.motion.jog import _Holding
 from urlink.rtde.client import Rtde
@@ -31,11 +30,10 @@ __all__ = ["ATTRIBUTES", "METHODS", "guards", "watching"]
 
 #: Attributes that are assigned only under a lock once their object was made: by class, the lock and the attributes.
 ATTRIBUTES: Mapping[type, tuple[str, frozenset[str]]] = {
-    FanOut: ("_lock", frozenset({"deliveries", "_routes"})),
+    FanOut: ("_lock", frozenset({"_offers", "taps"})),
     PacketQueue: ("_discarding", frozenset({"_discarded"})),
     InlineDelivery: ("_closing", frozenset({"_is_closed"})),
     _Motions: ("_lock", frozenset({"_error", "_next"})),
-    Subscribers: ("_lock", frozenset({"_is_closed", "_subscribers"})),
     CommonTime: ("_lock", frozenset({"_local", "_time", "began", "rate"})),
     CommonPace: ("_lock", frozenset({"_holds", "_local", "_rate", "_wanted"})),
     Rtde: ("_lock", frozenset({"_is_closed", "_open"})),
@@ -43,7 +41,7 @@ ATTRIBUTES: Mapping[type, tuple[str, frozenset[str]]] = {
 }
 #: Methods that are called only under a lock of their object.
 METHODS: Mapping[type, tuple[str, tuple[str, ...]]] = {
-    FanOut: ("_lock", ("_set_routes",)),
+    FanOut: ("_lock", ("_update",)),
     Connection: ("_changed", ("_begin",)),
     Replica: ("lock", ("_note_discarded",)),
 }

@@ -112,7 +112,7 @@ class Promises:
         if state is None or jog.done or is_told_anew or jog.timeout < 0.25:
             return
         along = direction(jog, speeds, state)
-        if along is not None and along < 0.7:
+        if along is not None and along < 0.2:
             self._fault(f"a jog in frame {jog.frame} moves at {along:.2f} of the direction that it was told")
 
     def _says(self, say: Callable[..., None]) -> Callable[..., None]:

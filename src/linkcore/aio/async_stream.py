@@ -8,6 +8,7 @@ from typing import Any, Generic, TypeVar
 
 from .. import clock
 from ..arguments import check_callable, check_seconds
+from ..attributes import StrictAttributes
 from ..streaming.connection_life import ConnectionState
 from ..streaming.feed import LAGGARD, Feed
 from ..streaming.history import History
@@ -25,7 +26,7 @@ K = TypeVar("K")
 _EVENTS = 1e-3
 
 
-class AsyncFeed(Generic[T]):
+class AsyncFeed(StrictAttributes, Generic[T]):
     """The packets of one class on a stream: iterate, wait for the next, look at the newest, be called back.
 
     Made by `AsyncStream.of`; a stream is the feed of its main class. For tasks of the loop that reads the stream.
@@ -41,6 +42,9 @@ class AsyncFeed(Generic[T]):
         self._feed = feed
         self._loop_connection = feed._connection
         self._kind = feed._kind
+
+    def _hint(self, name: str) -> str | None:
+        return self._feed._hint(name)
 
     @property
     def latest(self) -> T | None:

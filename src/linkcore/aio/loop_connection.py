@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -24,6 +23,7 @@ from ..net.awaited import AwaitedTransport, watch
 from ..realtime import urgent
 from ..streaming.connection import Connection
 from ..streaming.receiver import Receiver
+from ..threads import ReentrantEvent
 
 #: Seconds that another thread leaves to the loop to close a socket. After that it does so itself: what was given up
 #: must not be sent, also where the loop is held up.
@@ -52,7 +52,7 @@ class LoopConnection(Connection):
         self._opening: asyncio.Task[None] | None = None
         self._settled: asyncio.Future[None] = loop.create_future()
         self._closing: asyncio.Future[None] = loop.create_future()
-        self._has_ended = threading.Event()
+        self._has_ended = ReentrantEvent()
         self._has_ended.set()
         # Of the present connection.
         self._receiver: Receiver | None = None
@@ -195,7 +195,7 @@ class LoopConnection(Connection):
             self._abort_here()
             return
         # The loop has to forget the descriptor before its number can be given to another socket.
-        done = threading.Event()
+        done = ReentrantEvent()
 
         def abort() -> None:
             self._abort_here()

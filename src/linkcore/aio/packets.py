@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
+from ..attributes import StrictAttributes
 from ..errors import LocalError
 from ..streaming.feed import Feed
 from ..streaming.packet_queue import Policy, is_older
@@ -147,7 +148,7 @@ class LoopQueue:
         return packet
 
 
-class Packets(Generic[T]):
+class Packets(StrictAttributes, Generic[T]):
     """Packets of one class, one after the other; made by `AsyncFeed.iterate`, for one ``async for``.
 
     It begins with the first step, and ends with the loop, or with `aclose`. A task that is cancelled while it waits

@@ -3,6 +3,8 @@
 An answer does not say which question it belongs to: only the order tells. So threads take turns, and a
 connection on which an exchange failed is closed, since a late answer on it would be taken for the answer to the next
 question. The next one begins on a new connection. A question that may have reached the peer is never asked again.
+
+A signal handler that asks while its own thread waits for an answer uses a connection of its own.
 """
 
 from __future__ import annotations
@@ -62,7 +64,8 @@ class Dialogue:
         self._make = protocol
         self._name = name
         self._timeout = timeout
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
+        self._asker: int | None = None  # the thread that waits for an answer
         self._protocol: DialogueProtocol | None = None
 
     def ask(
@@ -90,6 +93,9 @@ class Dialogue:
             Cancelled: the task that awaits this call was cancelled.
             LinkError: whatever the protocol or the gate raises.
         """
+        if self._asker == threading.get_ident():
+            # A signal handler, and the thread that it keeps waits for an answer on the connection.
+            return self._ask_beside(text, timeout, gate, given_up)
         until = clock.now() + timeout
         busy = f"{self._name}: {text!r} was not sent, since for {timeout:g} s another thread waited for its own reply"
         is_sent, answer = False, None
@@ -104,6 +110,7 @@ class Dialogue:
 
         with held(self._lock, timeout, busy):
             try:
+                self._asker = threading.get_ident()
                 with interruptible(self._transport.abort):
                     protocol = self._connected(min(until, clock.now() + self._timeout))
                     gate(send)
@@ -124,12 +131,30 @@ class Dialogue:
                 if isinstance(error, (ConnectionLost, LinkTimeout, WrongPeer)):
                     error.args = (f"{error}{hint}",)
                 raise
+            finally:
+                self._asker = None
         return answer
 
     @property
     def is_busy(self) -> bool:
-        """A thread has its turn."""
-        return self._lock.locked()
+        """Whether a thread waits for an answer."""
+        return self._asker is not None
+
+    def _ask_beside(
+        self,
+        text: str,
+        timeout: float,
+        gate: Callable[[Callable[[], object]], object],
+        given_up: Callable[[], object] | None,
+    ) -> str:
+        """Ask on a new connection, which is closed afterwards."""
+        if self.is_closed:
+            raise Closed(f"{self._name} was closed")
+        beside = Dialogue(self._transport.another(), self._make, self._name, self._timeout)
+        try:
+            return beside.ask(text, timeout, gate=gate, given_up=given_up)
+        finally:
+            beside.close()
 
     def close(self) -> None:
         """Disconnect for good; what waits in another thread ends with `Closed`. Idempotent."""

@@ -17,6 +17,7 @@ from typing import Any
 from .. import clock, errors
 from ..clock import Stamp
 from ..errors import ConnectionLost, LinkTimeout, LocalError, RemoteError
+from ..process import HomeProcess
 from .isolated_reader import CONNECTED, DATA, LOST, HandedOver, Records, Slot
 
 _PROGRAM = (
@@ -55,6 +56,7 @@ class IsolatedTransport:
         self.name = f"{host}:{port}"
         self.round_trip = math.inf
         self._arguments = {"host": host, "port": port, "silence": silence, "boundary": boundary}
+        self._home = HomeProcess(self.name)
         self._silence = silence
         self._decode = decode
         self._lock = threading.RLock()  # re-entrant, for signal handlers
@@ -97,8 +99,9 @@ class IsolatedTransport:
 
         Raises:
             ConnectFailed, LinkTimeout: as `TcpTransport.open`.
-            LocalError: no process could be started.
+            LocalError: no process could be started; or this one was forked from the one which made the transport.
         """
+        self._home.check()
         self.abort()
         slot = Slot()
         arguments = {**self._arguments, "parent": os.getpid(), "timeout": timeout, "slot": slot.descriptor}
@@ -132,6 +135,7 @@ class IsolatedTransport:
         return record.payload, record.stamp
 
     def _next(self, timeout: float, kind: bytes) -> HandedOver:
+        self._home.check()
         until = clock.now() + timeout
         while not self._waiting:
             data = self._read(clock.left(until))
@@ -189,6 +193,8 @@ class IsolatedTransport:
 
     def abort(self) -> None:
         """End the process, and with it the connection. Idempotent, from any thread."""
+        if not self._home.is_here:  # the process that reads is the parent's
+            return
         with self._lock:
             process, self._process = self._process, None
             slot, self._slot = self._slot, None

@@ -13,9 +13,12 @@ Host names are decided once, for every port that this project opens:
 from __future__ import annotations
 
 import contextlib
+import os
 import socket
+import weakref
 
 from ..errors import BadAddress, ConnectFailed, ConnectionLost, LinkTimeout
+from ..process import HomeProcess
 from .transport import TcpTransport, mapped
 
 #: Seconds without a byte after which a connection that was accepted counts as silent.
@@ -93,6 +96,8 @@ class TcpListener:
         self._socket: socket.socket | None = listener
         bound = listener.getsockname()
         self.address: tuple[str, int] = (bound[0], bound[1])
+        self._home = HomeProcess(f"{self.address[0]}:{self.address[1]}")
+        _listeners.add(self)
 
     def accept(self, timeout: float) -> TcpTransport:
         """The next connection, made within `timeout` seconds; 0 takes one that is there already.
@@ -101,7 +106,9 @@ class TcpListener:
             LinkTimeout: no connection came.
             ConnectFailed: the listener was closed.
             ConnectionLost: the peer that connected has disconnected again.
+            LocalError: in a process that was forked from the one which listens.
         """
+        self._home.check()
         listener = self._socket
         where = f"{self.address[0]}:{self.address[1]}"
         if listener is None:
@@ -135,6 +142,22 @@ class TcpListener:
 
     def __exit__(self, *exc: object) -> None:
         self.close()
+
+
+#: The listeners of this process.
+_listeners: weakref.WeakSet[TcpListener] = weakref.WeakSet()
+
+
+def _leave_to_parent() -> None:
+    """Run in a forked child: close its copies, so that nothing it calls takes or refuses the parent's connections."""
+    for each in list(_listeners):
+        listener, each._socket = each._socket, None
+        if listener is not None:
+            listener.close()
+
+
+if hasattr(os, "register_at_fork"):  # not on Windows, which cannot fork
+    os.register_at_fork(after_in_child=_leave_to_parent)
 
 
 def addresses(host: str) -> frozenset[str]:

@@ -438,7 +438,7 @@ class SelectorLoop:
         self.ports: list[ListeningPort] = []
         self.failures = 0
         self._owner: int | None = None
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # re-entrant, for signal handlers
         self._is_closed = False
         self._calls: deque[tuple[Callable[[], object], Future[None]]] = deque()
         self._lost: deque[tuple[Connection, str, bool]] = deque()

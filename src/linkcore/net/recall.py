@@ -24,7 +24,7 @@ from typing import Any, Generic, Protocol, TypeVar
 from .. import clock
 from ..errors import Closed, LinkError, LinkTimeout, LocalError
 from ..pending_call import on_give_up
-from ..threads import started
+from ..threads import ReentrantEvent, started
 
 #: How the error of a command ends that was sent and not answered.
 MAY_STILL = "it may still be carried out"
@@ -73,7 +73,7 @@ class Recall:
         self._thread: threading.Thread | None = None
         self._client: _Closeable | None = None
         self._lock = threading.RLock()  # a signal handler may give up another one
-        self._closed = threading.Event()
+        self._closed = ReentrantEvent()
         #: who uses it; None for one that belongs to whoever made it, and is forgotten when it is closed
         self._users: weakref.WeakSet[object] | None = None
 

@@ -33,8 +33,9 @@ from typing import Any, Protocol
 
 from .. import clock
 from ..clock import Stamp
-from ..errors import ConnectFailed, ConnectionLost, LinkTimeout, RemoteError, unraised
+from ..errors import ConnectFailed, ConnectionLost, LinkError, LinkTimeout, LocalError, RemoteError, unraised
 from ..pending_call import check_wanted, interruptible
+from ..process import HomeProcess
 
 if sys.platform == "linux":
     import fcntl
@@ -115,8 +116,13 @@ class TcpTransport:
         self.name = f"{host}:{port}"
         self.round_trip = math.inf
         self._refused = refused
+        self._home = HomeProcess(self.name)
         self._socket: socket.socket | None = None
         self._receive_timeout = silence  # that of the socket
+
+    def another(self) -> TcpTransport:
+        """A transport to the same port, which is not connected."""
+        return TcpTransport(self.host, self.port, silence=self.silence, refused=self._refused)
 
     def open(self, timeout: float) -> None:
         """Connect within `timeout` seconds.
@@ -124,8 +130,10 @@ class TcpTransport:
         Raises:
             ConnectFailed: refused, unreachable, or no such host.
             LinkTimeout: no answer in time.
+            LocalError: in a process that was forked from the one which made the transport. So is every other use there.
             Cancelled: as `send_some`.
         """
+        self._home.check()
         self.abort()
         try:
             connection, self.round_trip = _connected(self.host, self.port, timeout)
@@ -167,7 +175,7 @@ class TcpTransport:
         """
         connection = self._socket
         if connection is None:
-            raise ConnectionLost(f"{self.name} is not connected")
+            raise self._unconnected()
         if timeout is None:
             timeout = self.silence
         try:
@@ -195,7 +203,7 @@ class TcpTransport:
         """
         connection = self._socket
         if connection is None:
-            raise ConnectionLost(f"{self.name} is not connected")
+            raise self._unconnected()
         try:
             if sys.platform == "win32":
                 connection.settimeout(0)
@@ -208,6 +216,13 @@ class TcpTransport:
         if not data:
             raise self._ended(connection)
         return data, _new_stamp(Stamp, (clock.now(), time.time()))
+
+    def _unconnected(self) -> LinkError:
+        try:
+            self._home.check()
+        except LocalError as error:
+            return error
+        return ConnectionLost(f"{self.name} is not connected")
 
     def _set_receive_timeout(self, connection: socket.socket, timeout: float) -> None:
         # One percent more is not worth a system call for each packet, where the timeout is what a deadline leaves.
@@ -243,7 +258,7 @@ class TcpTransport:
         """
         connection = self._socket
         if connection is None:
-            raise ConnectionLost(f"{self.name} is not connected")
+            raise self._unconnected()
         check_wanted()
         # The socket blocks, for the sake of `receive`: where a send has no flag for not waiting, ask for room first.
         flags = getattr(socket, "MSG_DONTWAIT", 0)
@@ -274,6 +289,7 @@ class TcpTransport:
             if left <= _SLICE:
                 return False
             check_wanted()
+        self._home.check()
         raise ConnectionLost(f"sending to {self.name}: closed here")
 
     def abort(self) -> None:

@@ -28,6 +28,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
+from ..attributes import StrictAttributes
 from ..clock import Stamp
 from ..errors import BadRecording, BadValue, Closed
 from ..streaming.connection_life import Chunk, ConnectionEvent
@@ -102,7 +103,7 @@ def new_file(path: Path, *, buffering: int = -1) -> IO[bytes]:
         raise BadRecording(f"cannot write {path}: {_reason(error)}") from error
 
 
-class RecordingWriter:
+class RecordingWriter(StrictAttributes):
     """Appends records to a new file; may be called from several threads.
 
     Raises:
@@ -113,7 +114,8 @@ class RecordingWriter:
         self.path = Path(path)
         # Unbuffered: bytes that write() has taken are kept by the operating system, also when this process dies.
         self._file = new_file(self.path, buffering=0)
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # re-entrant: a signal handler may close the robot
+        self._is_closing = False
         self._channels = 0
         #: The first error of the file, in words; nothing is written after it.
         self.failure: str | None = None
@@ -177,8 +179,9 @@ class RecordingWriter:
             BadRecording: the end record could not be written.
         """
         with self._lock:
-            if self._file.closed:
+            if self._is_closing:  # also by the call that a signal handler has interrupted
                 return
+            self._is_closing = True
             try:
                 if complete and self.failure is None:
                     self._append(pack(Kind.END, 0, Stamp.now(), b""))
@@ -192,6 +195,8 @@ class RecordingWriter:
                 if written != len(data):
                     # A full disk may take half a record. Readers stop before it, so nothing may be written after it.
                     self.failure = f"{self.path}: only {written} of {len(data)} bytes were taken; is the disk full?"
+            except ValueError:  # closed by a signal handler just now
+                raise Closed(f"{self.path} is closed") from None
             except OSError as error:
                 self.failure = f"cannot write {self.path}: {_reason(error)}"
         if self.failure is not None:

@@ -11,6 +11,7 @@ from .. import clock
 from ..clock import Stamp
 from ..errors import BadValue, ConnectFailed, ConnectionLost, LinkTimeout
 from ..net.transport import Finished
+from ..threads import ReentrantEvent
 from .file import Kind, Record, RecordingFile
 
 
@@ -26,7 +27,7 @@ class ReplayClock:
         if not 0 <= rate < float("inf"):
             raise BadValue(f"rate is {rate}; expected 0 (as fast as possible) or a positive number")
         self.rate = rate
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
         self._started: float | None = None
         first = next((record for record in recording if record.kind is Kind.BYTES), None)
         self._first = 0.0 if first is None else first.stamp.monotonic
@@ -59,7 +60,7 @@ class ReplayTransport:
         self._records: Iterator[Record] = (record for record in recording if record.channel == number)
         self._next: Record | None = None  # read, but not yet due
         self._was_open = False
-        self._closed = threading.Event()
+        self._closed = ReentrantEvent()
 
     def open(self, timeout: float) -> None:
         """Start; after a lost connection, wait until the recorded one was made again.

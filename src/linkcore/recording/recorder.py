@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from .. import clock
+from ..attributes import StrictAttributes
 from ..errors import BadRecording, LinkTimeout
 from ..streaming.connection_life import Traffic
 from ..streaming.packet_queue import block
@@ -20,7 +21,7 @@ from .file import RecordingWriter
 _GATHER = 0.02
 
 
-class Recorder(Closing):
+class Recorder(StrictAttributes, Closing):
     """Records streams into one file, from now until closed; a context manager.
 
     The reader only puts bytes into a queue; the recorder writes the file in its own threads. Nothing is

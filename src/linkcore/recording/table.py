@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import difflib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arguments import check_choice
+from ..arguments import check_choice, element_of
+from ..attributes import StrictAttributes
 from ..errors import BadValue
 from ..lazy import needs
 from ..wire.cycles import Gap, Missing, gaps_of
@@ -39,7 +40,7 @@ class PeerClock(NamedTuple):
     periods: tuple[float, ...]
 
 
-class Table:
+class Table(StrictAttributes):
     """Columns of one kind of packet: ``table["q_actual"]`` is an (n, 6) array of float64 in the byte order of this
     machine.
 
@@ -135,10 +136,32 @@ class Table:
         return len(self._time)
 
     def __contains__(self, name: object) -> bool:
-        return name in self._columns.known
+        return isinstance(name, str) and self._found(name) is not None
+
+    def _found(self, name: str) -> tuple[str, int | None] | None:
+        """The field of a name, and the index if it names one element of it; None if there is no such field."""
+        if name in self._columns.known:
+            return name, None
+        element = element_of(name) if isinstance(name, str) else None
+        column = None if element is None else self._columns.known.get(element[0])
+        return element if element and column and element[1] < (column.width or 0) else None
+
+    def _fields_of(self, names: Iterable[str]) -> list[str]:
+        """The fields that these names are of, each once.
+
+        Raises:
+            BadValue: If there is no such field.
+        """
+        fields = []
+        for name in names:
+            found = self._found(name)
+            if found is None:
+                raise BadValue(self._complaint(name))
+            fields.append(found[0])
+        return list(dict.fromkeys(fields))
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        """One column, with a row for each packet.
+        """One column, with a row for each packet; ``table["q_actual_3"]`` is one element of ``table["q_actual"]``.
 
         Raises:
             BadValue: no such field; the message suggests similar names.
@@ -152,14 +175,20 @@ class Table:
             BadValue: no such field; the message suggests similar names.
         """
         wanted = list(names or self._columns.known)
-        for name in wanted:
-            if name not in self._columns.known:
-                raise BadValue(self._complaint(name))
-        lacking = [name for name in wanted if name not in self._made]
+        lacking = [field for field in self._fields_of(wanted) if field not in self._made]
         if lacking:
             made = self._columns.read(lacking, *self._rows)
             self._made.update((name, _frozen(column)) for name, column in made.items())
-        return {name: self._made[name] for name in wanted}
+        return {name: self._column(name) for name in wanted}
+
+    def _column(self, name: str) -> NDArray[Any]:
+        if name in self._columns.known:
+            return self._made[name]
+        field, _, index = name.rpartition("_")
+        return self._made[field][:, int(index)]
+
+    def _hint(self, name: str) -> str | None:
+        return f"; it is a column, write table[{name!r}]" if name in self else None
 
     def _complaint(self, name: str) -> str:
         known = self._columns.known
@@ -189,7 +218,11 @@ class Table:
             BadValue: no such field; the message suggests similar names.
         """
         arrays = self.arrays(*names)
-        known = {name: self._columns.known[name] for name in arrays}
+        known = {}
+        for name in arrays:
+            (field,) = self._fields_of([name])
+            column = self._columns.known[field]
+            known[name] = column if name == field else column._replace(name=name, width=None)
         return Table(
             self.name, ArrayColumns(known, arrays), self._time, self._wall, self._begins, self._missing, self._clock
         )

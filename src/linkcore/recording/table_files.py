@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from ..arguments import check_fields
 from ..errors import BadRecording, BadValue
 from ..lazy import needs
 from .file import Progress, unseen
@@ -65,15 +66,18 @@ def chosen(
 
     Args:
         tables: by name.
-        fields: names. A field that several tables have is taken from the first; ``rtde.actual_q`` is taken from the
-            table ``rtde``. None for all fields of all tables.
+        fields: Names, or one name as a string; ``q_actual_3`` is one element of a field. A field that several tables
+            have is taken from the first; ``rtde.actual_q`` is taken from the table ``rtde``. None for all fields of all
+            tables.
         rate: rows per second to resample to; None for the rows as they came.
 
     Raises:
         BadValue: no table has such a field, or `rate` is not a positive number.
     """
+    names = [fields] if isinstance(fields, str) else list(fields or ())
+    check_fields(names)
     found: dict[str, list[str]] = {}
-    for field in fields or ():
+    for field in names:
         first, _, rest = field.partition(".")
         if first in tables and rest in tables[first]:
             found.setdefault(first, []).append(rest)
@@ -86,11 +90,14 @@ def chosen(
             first_table.arrays(field)  # raises; the message suggests similar names
         else:
             found.setdefault(table, []).append(field)
-    kept = {name: table.with_fields(*found[name]) for name, table in tables.items() if name in found}
-    kept = kept if fields else dict(tables)
+    kept = {name: tables[name] for name in tables if name in found} if names else dict(tables)
     if rate is not None:
-        kept = {name: table.resampled(rate) for name, table in kept.items() if len(table)}
-    return kept
+        # Whole fields are resampled: one element of a rotation vector cannot be interpolated alone.
+        whole = {
+            name: table.with_fields(*table._fields_of(found[name])) if names else table for name, table in kept.items()
+        }
+        kept = {name: table.resampled(rate) for name, table in whole.items() if len(table)}
+    return {name: table.with_fields(*found[name]) if names else table for name, table in kept.items()}
 
 
 #: Rows that are written at once.

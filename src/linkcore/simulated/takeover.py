@@ -23,6 +23,7 @@ from concurrent.futures import thread as _pool
 from types import ModuleType
 from typing import Any
 
+from ..attributes import StrictAttributes
 from ..errors import BadValue, LocalError
 from . import primitives
 from .network import Computer, Network, Route
@@ -63,7 +64,7 @@ _FAULT = re.compile(r"(\w+)=([\w.-]+)@(\d+(?:\.\d*)?)")
 _names: dict[str, tuple[int, tuple[str, ...]]] = {}
 
 
-class Simulation:
+class Simulation(StrictAttributes):
     """What goes on in a `simulated_time` block.
 
     Attributes:

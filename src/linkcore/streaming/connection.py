@@ -18,7 +18,9 @@ from .. import clock
 from ..clock import Stamp
 from ..errors import Cancelled, Closed, ConnectionLost, LinkTimeout, LocalError, RemoteError, unraised
 from ..net.transport import Finished, Transport
+from ..process import HomeProcess
 from ..text import printable
+from ..threads import alone, is_mine
 from ..wire.framing import PacketProtocol
 from .connection_life import (
     STATES,
@@ -73,11 +75,13 @@ class Connection(abc.ABC):
         self._transport = transport
         self._protocol = protocol
         self._timeout = timeout
+        self._home = HomeProcess(name)
         # What follows changes under this condition. Its lock is re-entrant: a signal handler, or the collection of a
         # stream that nobody holds any more, can come between any two instructions of the thread that has it.
-        self._changed = threading.Condition()
+        self._lock = threading.RLock()
+        self._changed = threading.Condition(self._lock)
         self._life = ConnectionLife(name, backoff or Backoff())
-        self._sending = threading.Lock()
+        self._sending = threading.RLock()
 
     @property
     def state(self) -> ConnectionState:
@@ -150,12 +154,19 @@ class Connection(abc.ABC):
 
         Raises:
             RemoteError: the connection could not be made; the next use tries again.
-            LocalError: the system has no thread left, or this is the reader itself, which is not connected.
+            LocalError: the system has no thread left, or this is the reader itself, which is not connected, or a
+                process that was forked from the one which made the connection.
             Closed: it was closed.
         """
+        self._home.check()  # without the lock, which a thread of the parent may have held as it forked
+        is_again = is_mine(self._lock)
         with self._changed:
             if self._life.is_ending or not self._is_settled:
                 self.refuse_to_wait("connecting")
+                if is_again:  # the interrupted thread has to go on first
+                    raise LinkTimeout(
+                        f"{self.name} is being connected by the call that this signal handler interrupted"
+                    )
             # A reader that ends closes its subscriptions: one that begins now belongs to the next reader.
             clock.wait(partial(self._changed.wait_for, lambda: not self._life.is_ending), self._timeout)
             if self._life.is_closed:
@@ -199,7 +210,12 @@ class Connection(abc.ABC):
         return all(delivery.join(clock.left(until)) for delivery in self.fan_out.deliveries)
 
     def close(self, timeout: float) -> None:
-        """Disconnect and end every queue and callback; within `timeout` seconds. Idempotent, from any thread."""
+        """Disconnect and end every queue and callback; within `timeout` seconds. Idempotent, from any thread.
+
+        In a forked process this does nothing: the connection is its parent's, and its threads do not exist here.
+        """
+        if not self._home.is_here:
+            return
         until = clock.now() + timeout
         self._stop()
         self.fan_out.close(all=False)
@@ -213,7 +229,9 @@ class Connection(abc.ABC):
             self.fan_out.close(all=True)
 
     def abandon(self) -> None:
-        """End everything without waiting for anything."""
+        """End everything without waiting for anything; nothing in a forked process."""
+        if not self._home.is_here:
+            return
         self._stop()
         self._transport.abort()
 
@@ -232,13 +250,15 @@ class Connection(abc.ABC):
         the connection is given up, since whatever followed would be read as its rest.
 
         Raises:
-            LinkTimeout: the peer did not take it within `timeout` seconds.
+            LinkTimeout: the peer did not take it within `timeout` seconds. Or this is a signal handler that has
+                interrupted another call of `send`, whose bytes may have been sent in part.
             RemoteError, LocalError, Closed: as `start` and `send_some`.
         """
         self.start()
         until = clock.now() + timeout
         rest = memoryview(data)
-        with self._sending:
+        otherwise = f"{self.name}: other bytes were not sent within {timeout:g} s"
+        with alone(self._sending, timeout, otherwise):
             while rest:
                 try:
                     sent = self.send_some(rest)

@@ -17,6 +17,7 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from ..arguments import check_seconds
+from ..attributes import StrictAttributes
 from ..clock import Stamp
 from ..errors import BadValue, WrongPeer, unraised
 
@@ -47,7 +48,7 @@ class ConnectionEvent(NamedTuple):
     received: Stamp
 
 
-class Traffic:
+class Traffic(StrictAttributes):
     """Base class of `Chunk` and `ConnectionEvent`: a subscription to it gets both, in order."""
 
     IS_EVENT = True

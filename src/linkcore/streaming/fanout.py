@@ -62,7 +62,6 @@ class FanOut:
     Attributes:
         kinds: classes of packet and of part that can come, the main one first.
         taps: subscribers to the bytes as they were received.
-        deliveries: the callbacks.
     """
 
     def __init__(
@@ -79,8 +78,10 @@ class FanOut:
         self._ahead = ahead
         # Re-entrant: a stream that is collected in the middle of a change ends its fan-out from here.
         self._lock = threading.RLock()
-        self._routes: tuple[_Route, ...] = ()
-        self.deliveries: tuple[Delivery, ...] = ()
+        # Dictionaries, of which one step adds or removes an entry: a signal handler that subscribes or closes in the
+        # middle of a change of its own thread is neither undone by it nor lost. In the order of subscribing.
+        self._routes: dict[_Route, None] = {}
+        self._deliveries: dict[Delivery, None] = {}
         # What the reader looks at, made from the routes: all, those of the queues, and those of the inline callbacks.
         self._offers: tuple[tuple[_Offer, ...], tuple[_Offer, ...], tuple[_Offer, ...]] = ((), (), ())
         self.taps: tuple[Sink, ...] = ()
@@ -123,7 +124,7 @@ class FanOut:
 
     def tell(self, event: ConnectionEvent) -> None:
         """A change of the connection."""
-        for route in self._routes:
+        for route in self._now():
             if route.group is not object:
                 route.offer((event,))
 
@@ -135,8 +136,10 @@ class FanOut:
     def end(self) -> None:
         """No more will come; what waits is still delivered."""
         with self._lock:
-            routes = self._routes
-            self._set_routes(())
+            routes = self._now()
+            for route in routes:
+                self._routes.pop(route, None)
+            self._update()
         for route in routes:
             route.sink.end()
 
@@ -183,7 +186,8 @@ class FanOut:
         elif kind is not self._kind or self._parts is not None:
             offer = self._filtered(kind, sink)
         with self._lock:
-            self._set_routes((*self._routes, _Route(sink, group, offer)))
+            self._routes[_Route(sink, group, offer)] = None
+            self._update()
 
     def _filtered(self, kind: type, sink: Sink) -> _Offer:
         expand = self.expand
@@ -198,34 +202,48 @@ class FanOut:
     def remove(self, sink: Sink) -> None:
         """Offer to `sink` no more; what waits in it can still be taken."""
         with self._lock:
-            self._set_routes(tuple(route for route in self._routes if route.sink is not sink))
+            for route in self._now():
+                if route.sink is sink:
+                    self._routes.pop(route, None)
+            self._update()
 
-    def _set_routes(self, routes: tuple[_Route, ...]) -> None:
+    def _now(self) -> list[_Route]:
         # Inline callbacks come last: one that is slow then keeps no queue waiting.
-        self._routes = tuple(sorted(routes, key=lambda route: route.sink.is_inline))
-        offered = [route for route in self._routes if route.group is object]
-        queues, callbacks = (
-            tuple(route.offer for route in offered if route.sink.is_inline is is_inline) for is_inline in (False, True)
-        )
-        self._offers = (queues + callbacks, queues, callbacks)
-        self.taps = tuple(route.sink for route in self._routes if route.group is Traffic)
+        return sorted(self._routes, key=lambda route: route.sink.is_inline)
+
+    def _update(self) -> None:
+        """Make what the reader looks at from the routes; again if a signal handler changes them meanwhile."""
+        routes: list[_Route] | None = None
+        while routes != (routes := self._now()):
+            offered = [route for route in routes if route.group is object]
+            queues, callbacks = (
+                tuple(route.offer for route in offered if route.sink.is_inline is is_inline)
+                for is_inline in (False, True)
+            )
+            self._offers = (queues + callbacks, queues, callbacks)
+            self.taps = tuple(route.sink for route in routes if route.group is Traffic)
 
     # -- callbacks -------------------------------------------------------------------------------
+
+    @property
+    def deliveries(self) -> tuple[Delivery, ...]:
+        """The callbacks."""
+        return tuple(self._deliveries)
 
     def add_delivery(self, delivery: Delivery) -> None:
         """Remember a callback, so that closing the stream can wait for it."""
         with self._lock:
-            self.deliveries = (*self.deliveries, delivery)
+            self._deliveries[delivery] = None
 
     def remove_delivery(self, delivery: Delivery) -> None:
         """Offer to a callback no more, and forget it."""
         with self._lock:
             self.remove(delivery.sink)
-            self.deliveries = tuple(each for each in self.deliveries if each is not delivery)
+            self._deliveries.pop(delivery, None)
 
     def close(self, *, all: bool) -> None:
         """Close what promised nothing, or the callers wait in themselves; or all of it."""
         callers = [delivery.sink for delivery in self.deliveries if delivery.runs_here()]
-        for route in self._routes:
+        for route in self._now():
             if all or route.sink.evicts or route.sink in callers:
                 route.sink.close()

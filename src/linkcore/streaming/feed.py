@@ -7,7 +7,8 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from .. import clock
-from ..arguments import check_callable, check_seconds
+from ..arguments import check_callable, check_seconds, element_of
+from ..attributes import Elsewhere, StrictAttributes
 from ..errors import BadValue, Closed, LinkTimeout
 from ..pending_call import interruptible, pending_call
 from ..wire.packet import State
@@ -26,7 +27,7 @@ T = TypeVar("T")
 LAGGARD = 1024
 
 
-class Feed(Generic[T]):
+class Feed(StrictAttributes, Generic[T]):
     """The packets of one class on a stream: iterate, subscribe, look at the newest, wait for the next.
 
     Made by `Stream.of`; a stream is the feed of its main class.
@@ -37,6 +38,16 @@ class Feed(Generic[T]):
         self._kind = kind
         self._lossless = lossless
         self._owner = owner  # keeps the stream from being collected as long as one of its feeds is held
+
+    def _hint(self, name: str) -> str | None:
+        from inspect import getattr_static  # imported here: importing the library stays cheap
+
+        field = getattr_static(self._kind, name, None)
+        own = field.own if isinstance(field, Elsewhere) else None if field is None else name
+        return None if own is None else self._field_hint(own)
+
+    def _field_hint(self, name: str) -> str:
+        return f"; its packets have it: wait().{name} of the next one, latest.{name} of the newest one"
 
     @property
     def latest(self) -> T | None:
@@ -271,7 +282,10 @@ class Feed(Generic[T]):
             states = history.array(*fields)
             if len(states):
                 when = states["received"] - clock.now()  # after the last state has been received
-                curves = [Curves(name, units.get(name, ""), when, states[name]) for name in fields]
+                curves = [
+                    Curves(name, units.get(name) or units.get((element_of(name) or ("",))[0], ""), when, states[name])
+                    for name in fields
+                ]
                 yield Plot(curves, self._connection.name)
             elif not is_over:
                 yield None

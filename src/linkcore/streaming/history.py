@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from .. import clock
+from ..arguments import check_fields, element_of
+from ..attributes import StrictAttributes
 from ..errors import BadValue
 from ..threads import Closing
 from ..wire.packet import State
@@ -22,7 +24,7 @@ from .subscription import Subscription
 _WHEN = ("received", "received_wall")
 
 
-class History(Closing):
+class History(StrictAttributes, Closing):
     """The states of the last seconds; made by `Feed.history`. A context manager: close it, or it goes on.
 
     States of before a reconnect to another firmware, whose fields differ, are dropped.
@@ -57,7 +59,8 @@ class History(Closing):
         """The states as a structured array, oldest first.
 
         Args:
-            fields: names of fields; without any, all that this firmware sends and that are numbers.
+            fields: Names of fields, or of one element, such as ``"q_actual_3"``. Without any, all fields that this
+                firmware sends and that are numbers.
 
         Returns:
             (n,) with one column for each field, in the order asked for, of its shape: ``array["q_actual"]`` is (n, 6).
@@ -69,13 +72,19 @@ class History(Closing):
         """
         # In one step: the reader goes on.
         states = [state for _, state in self._states.copy()]
-        for name in fields:
-            if name not in self._kind.FIELDS:
+        check_fields(fields)
+        places: dict[str, tuple[str, int | None]] = {}
+        for name in dict.fromkeys(fields or self._kind.FIELDS):
+            place = self._found(name)
+            if place is None:
                 known = ", ".join(self._kind.FIELDS)
                 raise BadValue(f"{self._kind.__name__} has no field {name!r}; expected one of {known}")
+            places[name] = place
         columns: dict[str, NDArray[Any]] = {}
-        for name in dict.fromkeys(fields or self._kind.FIELDS):
-            values = [getattr(state, name) for state in states]
+        for name, (field, index) in places.items():
+            values = [getattr(state, field) for state in states]
+            if index is not None:
+                values = [None if value is None else value[index] for value in values]
             column = _numbers(values) if states else np.empty((0,))
             if column is not None:
                 columns[name] = column
@@ -93,6 +102,14 @@ class History(Closing):
         for name, column in columns.items():
             found[name] = column
         return found
+
+    def _found(self, name: str) -> tuple[str, int | None] | None:
+        """The field of a name, and the index if it names one element of it; None if there is no such field."""
+        fields = self._kind.FIELDS
+        element = None if name in fields else element_of(name)
+        if element is None:
+            return (name, None) if name in fields else None
+        return element if element[0] in fields and element[1] < (fields[element[0]].shape.count or 0) else None
 
     def __getitem__(self, field: str) -> NDArray[Any]:
         """One column of `array`, (n,) or (n, size of the field).

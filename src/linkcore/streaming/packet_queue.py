@@ -247,10 +247,15 @@ class PacketQueue:
         self._discard()
 
     def _discard(self) -> None:
-        with self._discarding:  # the reader and a thread that closes the queue may both come here
-            while self._packets:
-                try:
-                    self._packets.popleft()
-                except IndexError:  # the consumer took it
-                    break
-                self._discarded += 1
+        # The reader, a thread that closes the queue and its signal handlers may all come here. Who finds the lock taken
+        # need not wait: its holder looks again after releasing it.
+        while self._packets and self._discarding.acquire(blocking=False):
+            try:
+                while self._packets:
+                    try:
+                        self._packets.popleft()
+                    except IndexError:  # the consumer took it
+                        break
+                    self._discarded += 1
+            finally:
+                self._discarding.release()

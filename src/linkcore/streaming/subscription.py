@@ -14,6 +14,7 @@ from typing import Any
 
 from .. import clock
 from ..arguments import check_callable, check_seconds
+from ..attributes import StrictAttributes
 from ..errors import BadValue
 from ..threads import Closing, started
 from .packet_queue import PacketQueue
@@ -332,7 +333,7 @@ class InlineDelivery(Delivery):
             wait = self._late(self._deadline)
 
 
-class Subscription(Closing):
+class Subscription(StrictAttributes, Closing):
     """A callback that gets packets, in order and one at a time, until it is closed.
 
     Made by `Stream.subscribe`; a context manager that closes itself. It need not be kept: the

@@ -147,6 +147,10 @@ class State:
     def __reduce__(self) -> tuple[object, ...]:
         return (_restored, (type(self), self._data, self._layout.first, self._layout.has_block, self._stamp))
 
+    def __dir__(self) -> list[str]:
+        # Without each `Elsewhere`, which is a name that the class does not have.
+        return [name for name in super().__dir__() if hasattr(type(self), name)]
+
     def __copy__(self) -> Self:
         return self
 

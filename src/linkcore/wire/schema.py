@@ -18,6 +18,7 @@ import construct
 
 from .fields import Array, Field, Header, Number, Raw, Shape
 from .layout import Layout
+from .schema_text import PacketStruct, SizedPacket
 
 
 def as_construct(shape: Shape) -> Any:
@@ -51,10 +52,14 @@ def fields_of(layout: Layout, wrap: Callable[[Field, Any], Any]) -> Iterator[Any
     for run in layout.runs:
         first = run[0].field
         if first.interleave is None:
-            yield first.name / wrap(first, as_construct(run[0].shape))
+            yield _named(first, wrap(first, as_construct(run[0].shape)))
         else:
-            elements = (each.field.name / wrap(each.field, as_construct(_element(each.shape))) for each in run)
+            elements = (_named(each.field, wrap(each.field, as_construct(_element(each.shape)))) for each in run)
             yield first.interleave / construct.Array(run[0].count, construct.Struct(*elements))
+
+
+def _named(field: Field, shape: Any) -> Any:
+    return construct.Renamed(shape, newname=field.name, newdocs=field.unit)
 
 
 def checked_fields(layout: Layout) -> Iterator[Any]:
@@ -83,13 +88,13 @@ def packet_schema(layout: Layout) -> Any:
     ]
     fields = checked_fields(layout)
     if is_fixed:
-        return construct.Struct(*head, *fields)
-    return sized(layout.header, construct.Struct(*head, *fields, construct.Terminated))
+        return PacketStruct(layout.name, *head, *fields)
+    return sized(layout.name, layout.header, construct.Struct(*head, *fields, construct.Terminated))
 
 
-def sized(header: Header, body: Any) -> Any:
+def sized(title: str, header: Header, body: Any) -> Any:
     """The size that a header begins with, which counts itself, and `body`, which has that many bytes and no more."""
-    return construct.Prefixed(as_construct(header.parts["size"]), body, includelength=True)
+    return SizedPacket(title, as_construct(header.parts["size"]), body)
 
 
 @cache

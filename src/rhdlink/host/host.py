@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Literal
 
 from linkcore import clock
 from linkcore.arguments import check_choice, check_seconds, check_whole
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue, Closed, LocalError
 from linkcore.threads import Runnable
 
@@ -98,7 +99,7 @@ class HostStatistics:
     failed_plugins: tuple[str, ...]
 
 
-class Host(Runnable):
+class Host(StrictAttributes, Runnable):
     """Runs plugins, and serves their variables to programs that know RHD, those of the original among them.
 
     ::

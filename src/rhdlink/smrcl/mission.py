@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from linkcore import clock
 from linkcore.arguments import check_callable, check_seconds
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue, LinkTimeout, LocalError
 from linkcore.handle import Event, Handle, Lifecycle
 from linkcore.threads import CallbackThread, started
@@ -55,7 +56,7 @@ def read_script(path: str | os.PathLike[str]) -> str:
         return data.decode("latin-1")
 
 
-class Mission(WithCallbacks):
+class Mission(StrictAttributes, WithCallbacks):
     """A script, and the robot that it is for::
 
         mission = Mission("square.smr", robot)
@@ -356,7 +357,7 @@ class MissionRun(Handle):
             self._owned.close()
 
 
-class Debugger:
+class Debugger(StrictAttributes):
     """A mission that is executed line by line. A context manager that closes itself. Made by `Mission.debug`.
 
     Attributes:

@@ -12,6 +12,7 @@ from collections.abc import Callable
 
 from linkcore import clock
 from linkcore.arguments import check_seconds
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue, Closed
 from linkcore.net.loop import Connection, Handler, SelectorLoop
 from linkcore.threads import Runnable
@@ -36,7 +37,7 @@ PORT = 31001
 _FINISH, _CLOSE_TIMEOUT = 0.5, 5.0
 
 
-class MissionServer(Runnable, WithCallbacks):
+class MissionServer(StrictAttributes, Runnable, WithCallbacks):
     """Executes what clients send, on one robot. A context manager that starts and closes itself.
 
     ``run()`` does it here until `stop`; ``start()``, or a ``with`` block, in a thread of its own. It runs once.

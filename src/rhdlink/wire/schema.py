@@ -125,7 +125,7 @@ def schema(
 
     Made of the declaration that the pages of the format show. construct is imported with the first call. ``parse``
     raises `construct.ConstructError` where the letters are not those of the package, and where there are fewer bytes
-    than its count and the lengths of its variables ask for.
+    than its count and the lengths of its variables ask for. ``print`` shows the fields.
 
     Args:
         package: which; `docs/rhd-wire.md` has what each is for.
@@ -142,7 +142,9 @@ def schema(
     ... ).hex(" ")
     '64 72 00 00 00 01 00 00 00 01 00 00 00 0a 00 00 00 00 00 00 00 07 00 00 00 08 00 00 00 09'
     """
-    from construct import Byte, Bytes, Const, Int32sb, OneOf, PrefixedArray, Struct
+    from construct import Byte, Bytes, Const, Int32sb, OneOf, PrefixedArray
+
+    from linkcore.wire.schema_text import PacketStruct
 
     if package not in _NAMED:
         raise BadValue(f"no package {package!r}; expected one of {', '.join(_NAMED)}")
@@ -158,7 +160,7 @@ def schema(
     ]
     if declared.item:
         fields.append("items" / PrefixedArray(Int32sb, item_schema(declared, lengths, width)))
-    return Struct(*fields)
+    return PacketStruct(package, *fields)
 
 
 def item_schema(package: Package, lengths: Sequence[int], width: int) -> Any:

@@ -14,13 +14,13 @@ from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any, Concatenate, Generic, ParamSpec, TypeVar, overload
 
 from linkcore import clock
+from linkcore.attributes import StrictAttributes
 from linkcore.clock import Stamp
 from linkcore.errors import BadValue, LinkTimeout
 from linkcore.event_loop import Workers, ended, running_loop
 from linkcore.handle import Handle
 from linkcore.net.awaited import AwaitedTcp
 
-from ..foreign_names import AnswersForeignNames
 from ..interfaces.rtde.protocol import Requests
 from ..interfaces.rtde.transport import RtdeDialogue, RtdeTransport
 
@@ -34,7 +34,7 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 
-class AwaitedPart(AnswersForeignNames, Generic[B]):
+class AwaitedPart(StrictAttributes, Generic[B]):
     """A robot, or a part of one such as `robot.motion`, with methods that are awaited.
 
     An attribute that is not a method is read at once. One that would have to wait, because its stream is not open yet,
@@ -146,7 +146,7 @@ def motion(method: Callable[Concatenate[Any, P], T]) -> Callable[Concatenate[Any
     return decided
 
 
-class Block(Generic[T]):
+class Block(StrictAttributes, Generic[T]):
     """``async with robot.motion.servo() as servo``: entered and always left in a thread of the robot; or awaited.
 
     Awaited, it is what the same call of `urlink.connect` returns without a ``with``.
@@ -164,6 +164,9 @@ class Block(Generic[T]):
         self._make: Callable[[], Any] = make
         self._given: Callable[[Any, Workers], T] = given
         self._entered: Any = None
+
+    def _hint(self, name: str) -> str:
+        return f"; it is not entered yet, write 'async with ... as block:' and then block.{name}"
 
     def __await__(self) -> Generator[Any, None, T]:
         return self._made().__await__()

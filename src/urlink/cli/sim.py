@@ -92,8 +92,8 @@ def run(args: argparse.Namespace) -> int:
     hundred clients, in the wire format of the firmware. The arm stands still, or with --motion demo moves slowly
     about a home posture, until a program is sent, which it then runs. With --ports standard it has the ports of a
     real controller, where other programs expect them. --like ursim makes it begin as URSim, the vendor's simulator,
-    does: in URSim's posture, with "Default program" loaded and wait_program.urp in /ursim/programs. It is not in remote
-    control, but accepts commands all the same, unless --local-control is given.
+    does: in URSim's posture, with "Default program" loaded and wait_program.urp in /ursim/programs. It is not in
+    remote control, but accepts commands all the same, unless --local-control is given.
 
     Faults happen at their time, in seconds from the start, as NAME[=ARGUMENT]@SECONDS:
 

@@ -166,7 +166,7 @@ class Interlock:
 
     def has_reported_since(self, since: float) -> bool:
         """Every source has reported after that time, and there is one."""
-        return bool(self._sources) and all(known.reported_at > since for known in self._sources.values())
+        return bool(self._sources) and all(known.reported_at > since for known in list(self._sources.values()))
 
     @property
     def statuses(self) -> list[Status]:
@@ -177,7 +177,9 @@ class Interlock:
     @property
     def cause(self) -> str | None:
         """The stop that holds, as text, or None."""
-        return next((cause for known in self._sources.values() if known.status and (cause := known.status.cause)), None)
+        # Each status is read once: a signal handler may close the robot between two reads.
+        statuses = [known.status for known in list(self._sources.values())]
+        return next((cause for status in statuses if status and (cause := status.cause)), None)
 
     def absence(self, now: float) -> NotRunning | None:
         """Why even what moves nothing cannot be sent, or None."""
@@ -210,13 +212,14 @@ class Interlock:
         if not self._sources:
             return NotRunning("nothing has been received from the robot yet; nothing was sent")
         modes: list[RobotMode | RobotModeCB2] = []
-        for name, known in self._sources.items():
+        for name, known in list(self._sources.items()):
             if known.absence is not None:
                 return NotRunning(known.absence)
-            if known.status is None:
+            status = known.status
+            if status is None:
                 return NotRunning(f"nothing has been received on the {name} interface yet; nothing was sent")
-            if known.status.robot_mode is not None:
-                modes.append(known.status.robot_mode)
+            if status.robot_mode is not None:
+                modes.append(status.robot_mode)
         if not modes:
             return NotRunning("the robot has not said its mode")
         for mode in modes:
@@ -226,7 +229,7 @@ class Interlock:
         return None
 
     def _staleness(self, now: float) -> NotRunning | None:
-        for name, known in self._sources.items():
+        for name, known in list(self._sources.items()):
             age = now - known.reported_at
             if age > self.stale_after:
                 return NotRunning(

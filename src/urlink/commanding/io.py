@@ -10,11 +10,11 @@ from __future__ import annotations
 from typing import Literal, NamedTuple, TypeVar
 
 from linkcore.arguments import check_number
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import LinkError, LinkTimeout, LocalError
 from linkcore.streaming.feed import Feed
 from linkcore.streaming.stream import Stream
 
-from ..foreign_names import AnswersForeignNames
 from ..interfaces.enums import AnalogDomain
 from ..interfaces.primary.robot_state import MasterboardData, RobotState, ToolCommunicationInfo, ToolData
 from ..interfaces.realtime.packets import RealtimeState
@@ -43,7 +43,7 @@ class Analog(NamedTuple):
     domain: AnalogDomain
 
 
-class IO(AnswersForeignNames):
+class IO(StrictAttributes):
     """Inputs and outputs by number, each kind from 0.
 
     Setting raises `BadValue` for an output that this robot has not, before anything is sent; `NotRunning` where the

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from linkcore.arguments import check_callable, check_number
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import Closed, LinkError, LinkTimeout
 
-from ..foreign_names import AnswersForeignNames
 from ..interfaces.enums import RobotMode, RobotModeCB2, SafetyMode
 from .interlock import Interlock, Policy, Status
 from .monitor import SafetyMonitor
 
 
-class Safety(AnswersForeignNames):
+class Safety(StrictAttributes):
     """The interlock that every motion has to pass, kept up to date from the robot's streams.
 
     Nothing here resets a stop: that is done by a person at the robot, or by `robot.dashboard`.

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import re
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
 from linkcore.arguments import check_callable, check_wait
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue
 from linkcore.handle import Handle, Lifecycle, waited
 from linkcore.pending_call import starts_motion
@@ -16,6 +18,8 @@ from linkcore.threads import CallbackThread
 from .channel import CommandChannel
 from .programs import Programs
 
+#: The name of a file of URScript, which is not a program.
+_FILE = re.compile(r"[^\n()=\"]+\.(script|urscript|urp|txt)")
 #: Lines of `textmsg` that are kept of a program.
 _TEXTS = 1000
 
@@ -47,7 +51,7 @@ class Program(Handle):
         return receive
 
 
-class Scripts:
+class Scripts(StrictAttributes):
     """Sends URScript."""
 
     def __init__(self, programs: Programs, channel: CommandChannel, callbacks: CallbackThread) -> None:
@@ -67,10 +71,10 @@ class Scripts:
         """Send a program; it preempts the one that runs, unless it is a `sec`, which runs beside it.
 
         Args:
-            source: URScript, or the path (`pathlib.Path`) of a file with it: a whole ``def``, a ``sec``, or bare
-                statements. Where the last thing at the top is a ``def``, which may take no arguments, it is called
-                after what stands above it. Functions above it are for it to call: if none of them is called, the text
-                is rejected, since only the last would run.
+            source: URScript as a string, or the path of a file with it as a `pathlib.Path`: a whole ``def``, a ``sec``,
+                or bare statements. Where the last thing at the top is a ``def``, which may take no arguments, it is
+                called after what stands above it. Functions above it are for it to call: if none of them is called, the
+                text is rejected, since only the last would run.
             wait: until it is over: False not at all, True for up to 60 s, a number for so many seconds.
             detached: Whether the program keeps running when the robot object is closed or this process ends. By default
                 it is stopped then, and the arm brakes, as a motion does.
@@ -89,7 +93,7 @@ class Scripts:
         seconds = check_wait(wait)
         if on_text is not None:
             check_callable(on_text, "on_text")
-        wrapped = self._programs.wrap(_text(source) if isinstance(source, os.PathLike) else source)
+        wrapped = self._programs.wrap(_text(source))
         life = self._programs.life(wrapped.name)
         program = Program(life)
         receive = program._receiver(self._callbacks, on_text)
@@ -120,7 +124,15 @@ class Scripts:
         return "<Scripts: run() sends a program, send_line() a line>"
 
 
-def _text(path: os.PathLike[str]) -> str:
+def _text(source: str | os.PathLike[str]) -> str:
+    if not isinstance(source, os.PathLike):
+        if isinstance(source, str) and _FILE.fullmatch(source.strip()):
+            raise BadValue(
+                f"{source!r} is the name of a file, and a string is the text of a program; "
+                f"pass pathlib.Path({source!r})"
+            )
+        return source
+    path = source
     try:
         return Path(path).read_text(encoding="utf-8")
     except UnicodeDecodeError as error:

@@ -90,7 +90,8 @@ class _McapWriter:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.failure: str | None = None
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # re-entrant: a signal handler may close the robot
+        self._is_closing = False
         self._waiting: dict[str, list[State]] = {}
         self._since = clock.now()
         self._owners: dict[str, str] = {}
@@ -156,8 +157,9 @@ class _McapWriter:
     def close(self, *, complete: bool = True) -> None:
         """Write what was gathered, and the index; idempotent."""
         with self._lock:
-            if self._file.closed:
+            if self._is_closing:  # also by the call that a signal handler has interrupted
                 return
+            self._is_closing = True
             self._flush()
             try:
                 if complete and self.failure is None:
@@ -245,15 +247,13 @@ class RobotView:
         self._arm = arm
         self._streams = {"realtime": realtime, "primary": primary}
         self._shown: dict[str, State] = {}
-        self._lock = threading.Lock()
         self._messages: deque[State] = deque(maxlen=_ROOM)
         self._described = -_AGAIN
         realtime.start()
         self._subscription = primary.subscribe(self._keep, RobotMessage, policy=drop_oldest(_ROOM))
 
     def _keep(self, message: State) -> None:
-        with self._lock:
-            self._messages.append(message)
+        self._messages.append(message)
 
     def show(self) -> None:
         """Send the newest states, and the messages since the last call."""
@@ -266,9 +266,7 @@ class RobotView:
             if state is not None and state is not self._shown.get(name):
                 self._shown[name] = state
                 self._server.write(topics_of_states(name, [state], self._arm))
-        with self._lock:
-            messages = list(self._messages)
-            self._messages.clear()
+        messages = [self._messages.popleft() for _ in range(len(self._messages))]
         self._server.write(topics_of_states("primary", messages, None))
 
     def close(self) -> None:

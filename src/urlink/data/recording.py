@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadRecording, LocalError, WrongPeer
 from linkcore.plotting import Curves, Plot
 from linkcore.recording.columns import PacketColumns, is_continuous
@@ -24,6 +25,7 @@ from linkcore.wire.framing import PacketProtocol
 from linkcore.wire.packet import State
 
 from ..firmware import Firmware
+from ..foreign_names import name_on
 from ..identity import described_identity
 from ..interfaces.primary.protocol import STATE_PERIODS, PrimaryProtocol
 from ..interfaces.primary.robot_message import RobotMessage
@@ -54,7 +56,7 @@ def load(path: str | os.PathLike[str], *, progress: Progress | None = None) -> R
     return Recording(path, progress=progress)
 
 
-class Recording:
+class Recording(StrictAttributes):
     """What was recorded of a robot, as arrays; made by `load`.
 
     Attributes:
@@ -112,6 +114,10 @@ class Recording:
         with contextlib.suppress(LocalError, WrongPeer):
             return self.kinematics
         return None
+
+    def _hint(self, name: str) -> str | None:
+        field = name if name in RealtimeState.FIELDS else name_on("realtime", name)
+        return None if field is None else f"; write recording.realtime[{field!r}]"
 
     @property
     def duration(self) -> float:
@@ -199,7 +205,7 @@ class Recording:
     def export(
         self,
         path: str | os.PathLike[str],
-        fields: Sequence[str] | None = None,
+        fields: Sequence[str] | str | None = None,
         rate: float | None = None,
         *,
         progress: Progress | None = None,
@@ -208,8 +214,9 @@ class Recording:
 
         Args:
             path: its suffix says the format: .csv or .parquet for one table, .mat, .h5 or .mcap for all of them.
-            fields: names, such as ``"q_actual"``, ``"joint_data.T_motor"`` or ``"rtde.actual_q"``; None for all; a .csv
-                or .parquet file then holds the first table that was recorded.
+            fields: Names, such as ``["q_actual", "joint_data.T_motor", "rtde.actual_q"]``, or one name as a string;
+                ``"q_actual_3"`` is one joint. None for all; a .csv or .parquet file then holds the first table that was
+                recorded.
             rate: rows per second to resample to; None for the packets as they came.
             progress: called with the fraction that is done, 0 to 1.
 

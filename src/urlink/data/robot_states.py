@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from linkcore.attributes import unknown_attribute
 from linkcore.errors import BadValue
 from linkcore.recording.columns import ArrayColumns, Columns, JoinedColumns, PacketColumns, columns_of
 from linkcore.recording.packets import states_of
@@ -94,7 +95,7 @@ class RobotStates(Table):
 
     def __getattr__(self, name: str) -> Table:
         if name not in _CLASSES:
-            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+            raise unknown_attribute(self, name)
         return self.of(_CLASSES[name])
 
     def __dir__(self) -> list[str]:

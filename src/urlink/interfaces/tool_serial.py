@@ -12,11 +12,12 @@ from collections.abc import Iterator
 
 from linkcore import clock
 from linkcore.arguments import check_seconds
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue, Cancelled, Closed, ConnectionLost, LinkTimeout
 from linkcore.net.recall import MAY_STILL
 from linkcore.net.transport import TcpTransport
 from linkcore.pending_call import interruptible
-from linkcore.threads import Closing, held
+from linkcore.threads import Closing, alone
 
 #: The message where the port is refused.
 _NEEDED = (
@@ -25,7 +26,7 @@ _NEEDED = (
 )
 
 
-class ToolSerial(Closing):
+class ToolSerial(StrictAttributes, Closing):
     """The bytes of the RS485 line in the tool connector. Connects when it is first used; threads take turns.
 
     The line is set by `robot.io.set_tool_communication`. Nothing of it is interlocked: what is mounted there does what
@@ -47,7 +48,7 @@ class ToolSerial(Closing):
     def __init__(self, host: str, port: int, *, timeout: float = 5.0) -> None:
         self._timeout = check_seconds(timeout, "timeout", positive=True, finite=True)
         self._transport = TcpTransport(host, port, silence=timeout, refused=lambda: _NEEDED)
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
         self._is_open = False
         self._is_closed = False
         self._rest = b""
@@ -107,7 +108,7 @@ class ToolSerial(Closing):
     @contextlib.contextmanager
     def _turn(self, timeout: float) -> Iterator[None]:
         otherwise = f"for {timeout:g} s another thread used the tool's serial line; nothing was sent"
-        with held(self._lock, timeout, otherwise):
+        with alone(self._lock, timeout, otherwise):
             try:
                 with interruptible(self._transport.abort):
                     yield

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from linkcore.arguments import other_unit
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue
 
 from .. import rigid
@@ -32,7 +33,7 @@ class Unreachable(BadValue):
     __module__ = "urlink"  # where users import it from, and what a traceback shows
 
 
-class Arm:
+class Arm(StrictAttributes):
     """Forward and inverse kinematics of one arm.
 
     Joint positions are six numbers, rad, from base to wrist 3. A pose is x, y, z in m and a rotation vector in rad, in

@@ -40,7 +40,8 @@ class CommonTime:
         self.began: float | None = None
         self.rate = 1.0
         self._lock = threading.Lock()
-        self._members: tuple[MemberClock, ...] = ()
+        #: in the order of joining; a dictionary, since a member leaves in one step, also in a signal handler
+        self._members: dict[MemberClock, None] = {}
         #: where it has got to: monotonic s of this computer, and s of its own
         self._local, self._time = -math.inf, 0.0
 
@@ -52,13 +53,12 @@ class CommonTime:
             cycle: s of its controller.
         """
         member = MemberClock(self, to_local, cycle)
-        self._members = (*self._members, member)
+        self._members[member] = None
         return member
 
     def leave(self, member: MemberClock) -> None:
         """The motion of that arm is over, so it holds up nobody."""
-        with self._lock:
-            self._members = tuple(each for each in self._members if each is not member)
+        self._members.pop(member, None)
 
     def at(self, local: float) -> float:
         """s of it at monotonic s of this computer, near the newest state."""
@@ -67,7 +67,7 @@ class CommonTime:
     def look(self, local: float, now: float) -> None:
         """Go on until `local`, the time of a state that has come `now`, both monotonic s of this computer."""
         with self._lock:
-            running = self._members
+            running = list(self._members)
             wanted = min((member.own_rate(now) for member in running), default=0.0)
             if self.began is None:
                 if not all(member.is_ready for member in running):
@@ -140,7 +140,8 @@ class CommonPace:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._members: tuple[MemberPace, ...] = ()
+        #: in the order of joining; a dictionary, since a member leaves in one step, also in a signal handler
+        self._members: dict[MemberPace, None] = {}
         #: seconds of the streams per second of this computer, at monotonic s of it, and to what that goes
         self._rate, self._local, self._wanted = 0.0, -math.inf, 0.0
         #: all stand, until each goes through points
@@ -149,13 +150,12 @@ class CommonPace:
     def member(self, to_local: Callable[[float], float], cycle: float) -> MemberPace:
         """The pace of one more arm; its arguments are those of `CommonTime.member`."""
         member = MemberPace(self, to_local, cycle)
-        self._members = (*self._members, member)
+        self._members[member] = None
         return member
 
     def leave(self, member: MemberPace) -> None:
         """The stream of that arm is over, so it holds up nobody."""
-        with self._lock:
-            self._members = tuple(each for each in self._members if each is not member)
+        self._members.pop(member, None)
 
     def at(self, local: float) -> float:
         """Seconds of the streams per second of this computer at monotonic s of it, near the newest state."""
@@ -165,7 +165,7 @@ class CommonPace:
     def look(self, local: float, now: float) -> None:
         """Go on until `local`, the time of a state that has come `now`, both monotonic s of this computer."""
         with self._lock:
-            busy = [each for each in self._members if not each.is_idle]
+            busy = [each for each in list(self._members) if not each.is_idle]
             are_led = bool(busy) and all(each.is_led for each in busy)
             if not busy or (self._rate == 0.0 and not are_led):
                 self._rate, self._local, self._wanted, self._holds = 0.0, local, 0.0, True
@@ -182,7 +182,7 @@ class CommonPace:
         Args:
             place: s on its clock, at `local`, monotonic s of this computer.
         """
-        busy = [each.place_at(local, self._rate) for each in self._members if not each.is_idle]
+        busy = [each.place_at(local, self._rate) for each in list(self._members) if not each.is_idle]
         return place - min(busy, default=place)
 
 

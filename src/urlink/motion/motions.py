@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from linkcore.arguments import Default, check_choice, check_number, check_overridden, check_wait
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue, LocalError
 from linkcore.handle import Motion, waited
 from linkcore.pending_call import starts_motion
 
 from ..bounds import JOINT_ACCELERATION, JOINT_SPEED, TOOL_ACCELERATION, TOOL_SPEED, check_pose, check_speeds
 from ..firmware import Firmware
-from ..foreign_names import AnswersForeignNames
 from ..interfaces.realtime.packets import RealtimeState
 from ..models import Model
 from ..urscript import commands, yielding
@@ -56,7 +56,7 @@ TargetFilterName = Literal["jerk_limited"]
 LinkName = Literal["reverse", "rtde"]
 
 
-class Motions(AnswersForeignNames):
+class Motions(StrictAttributes):
     """Moves the arm. Each method begins a motion and returns its handle; it waits for the arm only if it is asked to.
 
     With ``wait=True`` it returns once the motion has come to its end, or raises what ended it. It waits for 60 s, or

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from linkcore.arguments import check_number
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue
 from linkcore.handle import Lifecycle, Motion
 
@@ -74,7 +75,7 @@ def check_joint_positions(values: ArrayLike, name: str, model: Model | None) -> 
     return q
 
 
-class Waypoint:
+class Waypoint(StrictAttributes):
     """Where a path leads next, and how; made as one of its subclasses.
 
     Attributes:

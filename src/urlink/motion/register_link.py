@@ -19,7 +19,7 @@ from typing import Any, Generic, Protocol, TypeVar
 from linkcore import clock
 from linkcore.errors import ConnectFailed, ConnectionLost
 from linkcore.streaming.stream import Stream
-from linkcore.threads import held
+from linkcore.threads import alone
 
 from ..urscript.buffering import MESSAGE, REPORTED, PointRegisters
 from ..urscript.links import TOKENS, InputRegisters
@@ -81,7 +81,7 @@ class RegisterPort(Generic[L]):
     ) -> None:
         self._claim, self._names, self._make = claim, names, make
         self._timeout = timeout
-        self._claiming = threading.Lock()
+        self._claiming = threading.RLock()
         self._inputs: InputClaim | None = None
 
     def open(self) -> L:
@@ -91,10 +91,10 @@ class RegisterPort(Generic[L]):
             InputInUse: another client, or a fieldbus, holds one of the registers.
             LinkError: RTDE cannot be used.
         """
-        # A controller gives a register to one connection, so to the first of two threads of this robot only. With a
-        # deadline: a signal handler may come here while the main thread, which it keeps, claims them.
+        # A controller gives a register to one connection, so to the first of two threads of this robot only. Alone:
+        # a signal handler may come here while the main thread, which it keeps, claims them.
         otherwise = f"the registers of a link are still being claimed after {self._timeout:g} s"
-        with held(self._claiming, self._timeout, otherwise):
+        with alone(self._claiming, self._timeout, otherwise):
             if self._inputs is None:
                 self._inputs = self._claim(self._names)
             return self._make(self._inputs)

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue, LocalError
 from linkcore.pending_call import starts_motion
 from linkcore.streaming.stream import Stream
@@ -56,7 +57,7 @@ class TaughtPoint:
     pose: FloatArray
 
 
-class Taught:
+class Taught(StrictAttributes):
     """Waypoints in the order in which they were taught.
 
     Args:
@@ -200,7 +201,7 @@ class Taught:
 _BOUNCE = 0.2
 
 
-class Teaching:
+class Teaching(StrictAttributes):
     """Teaching of waypoints while a ``with`` block is open; made by `robot.teach`.
 
     Args:

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from linkcore.arguments import other_unit
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue
 
 from ..models import Model
@@ -79,7 +80,7 @@ class TrajectoryPoint:
         object.__setattr__(self, "qdd", None if qdd is None else six(qdd, "qdd"))
 
 
-class Trajectory:
+class Trajectory(StrictAttributes):
     """Points in time, and the curve through them.
 
     Args:

@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 from linkcore import clock
 from linkcore.arguments import check_whole
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue, Closed, ConnectionLost, LinkTimeout
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import ConnectionState
 from linkcore.streaming.packet_queue import block
-from linkcore.threads import acquired, held
+from linkcore.threads import acquired, alone, is_mine
 
 from ..interfaces.rtde.packets import InputsReply, InputsRequest, PauseRequest, StartRequest, join_names
 from ..interfaces.rtde.protocol import Requests, claim_of
@@ -57,7 +58,7 @@ class Claims:
         self._transport = transport
         self._plan = plan
         self._timeout = timeout
-        self._lock = threading.Lock()  # one claim at a time, since a reply does not say what it answers
+        self._lock = threading.RLock()  # one claim at a time, since a reply does not say what it answers
 
     @property
     def is_over(self) -> bool:
@@ -96,9 +97,9 @@ class Claims:
             InputInUse, NoSuchVariable, RemoteError, Closed: as `write`.
         """
         self._connection.start()
-        # With a deadline: a signal handler may come here while the main thread, which it keeps, waits for a reply.
+        # Alone: a signal handler may come here while the main thread, which it keeps, waits for a reply.
         otherwise = f"{self._connection.name}: another claim is not answered yet, after {self._timeout:g} s"
-        with held(self._lock, self._timeout, otherwise):
+        with alone(self._lock, self._timeout, otherwise):
             dialogue = dialogue_of(self._connection, self._transport)
             if names in self._plan.inputs:
                 return
@@ -149,7 +150,7 @@ class BriefClaims:
 
     def __init__(self, rtde: Rtde) -> None:
         self._rtde = rtde
-        self._lock = threading.Lock()  # one claim at a time
+        self._lock = threading.RLock()  # one claim at a time
         #: replaced as a whole, so that whoever gives back needs no lock
         self._standing: Claims | None = None
         self._used = 0.0
@@ -168,6 +169,8 @@ class BriefClaims:
         """
         self._used = clock.now()
         # In a signal handler, who has the lock waits for this very call to end.
+        if is_mine(self._lock):
+            return None
         with acquired(self._lock, CLAIM_TIMEOUT if wait else 0.0) as is_held:
             if not is_held:
                 return None
@@ -219,7 +222,7 @@ class BriefClaims:
         self.give_back(timeout)
 
 
-class Registers:
+class Registers(StrictAttributes):
     """The general-purpose registers of a controller, by number; `robot.registers`.
 
     They are what a program on the controller and a client send each other. A client writes input registers, which the

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args, overload
 
 from linkcore import clock
 from linkcore.arguments import check_choice, check_number
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import Backoff
@@ -54,7 +55,7 @@ _HEARTBEAT = 10.0
 _LEAST_FREQUENCY = 1.0
 
 
-class Rtde:
+class Rtde(StrictAttributes):
     """The RTDE interface of a controller (port 30004). Nothing connects before it is used.
 
     Each recipe of outputs and each set of inputs has a connection of its own.

@@ -10,10 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from linkcore.arguments import check_whole
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue, Closed, ConnectionLost
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import ConnectionState
-from linkcore.threads import Closing, held
+from linkcore.threads import Closing, alone
 
 from ..interfaces.rtde.packets import join_names
 from ..interfaces.rtde.protocol import RtdeProtocol, check_names
@@ -97,7 +98,7 @@ def checked(name: str, type: str, value: Any) -> Any:
     return numbers[0] if count is None else numbers
 
 
-class Inputs(Closing):
+class Inputs(StrictAttributes, Closing):
     """Variables that are claimed for as long as this is open. A context manager; made by `Rtde.inputs`.
 
     They are claimed again when the connection was lost and made again; what was sent before is not sent again. A
@@ -113,7 +114,7 @@ class Inputs(Closing):
         self._transport = transport
         self._timeout = timeout
         self._last: dict[str, Any] = {}
-        self._sending = threading.Lock()
+        self._sending = threading.RLock()
 
     def _claim(self) -> None:
         """Connect and claim them; closed if that fails.
@@ -154,10 +155,10 @@ class Inputs(Closing):
         unknown = values.keys() - set(self.names)
         if unknown or not values:
             raise BadValue(f"cannot send {', '.join(sorted(unknown)) or 'nothing'}; there is {', '.join(self.names)}")
-        # In turn: a package made beside another one would put back what that one changes. With a deadline: a signal
-        # handler may come here while the main thread, which it keeps, sends.
+        # In turn: a package made beside another one would put back what that one changes. Alone: a
+        # signal handler may come here while the main thread, which it keeps, sends.
         otherwise = f"{self._connection.name}: another package was not sent within {self._timeout:g} s"
-        with held(self._sending, self._timeout, otherwise):
+        with alone(self._sending, self._timeout, otherwise):
             recipe = self._recipe()
             package = self._package(recipe, values)
             self._connection.send(recipe.encode(package), self._timeout)

@@ -15,6 +15,7 @@ from linkcore.streaming.stream import Stream
 from linkcore.threads import Closing
 
 from ..firmware import Firmware
+from ..foreign_names import name_on
 from ..interfaces.rtde.packets import REPLIES
 from ..interfaces.rtde.protocol import Requests, RtdeProtocol, check_names
 from ..interfaces.rtde.recipes import Outputs, Recipe
@@ -94,6 +95,12 @@ class OutputStream(Stream[T], Closing):
         self.frequency = plan.frequency
         self._plan = plan
         self._transport = transport
+
+    def _hint(self, name: str) -> str | None:
+        own = name if name in self._plan.outputs else name_on("rtde", name)
+        if own is None:
+            return super()._hint(name)
+        return self._field_hint(own) if own in self._plan.outputs else f"; ask for it: robot.rtde.outputs({own!r})"
 
     @property
     def _dialogue(self) -> RtdeProtocol | None:

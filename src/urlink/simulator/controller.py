@@ -12,6 +12,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Literal
 
 from linkcore import clock
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue, LocalError
 from urlink import models
 from urlink.address import RobotAddress
@@ -64,7 +65,7 @@ _NAMES = {number: name for name, number in PORTS.items()}
 RECEIVED, KEPT_MESSAGES = 1000, 10_000
 
 
-class Controller:
+class Controller(StrictAttributes):
     """A robot controller in software: it serves the primary, secondary and real-time interfaces, RTDE and the dashboard
     (or the Robot API of PolyScope X), and runs the URScript that is sent to it.
 

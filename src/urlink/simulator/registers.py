@@ -13,6 +13,8 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from typing import Literal
 
+from linkcore.attributes import StrictAttributes
+
 #: Boolean registers, and registers of each kind of number.
 BITS, NUMBERS = 128, 48
 
@@ -36,7 +38,7 @@ class Bank:
         self.bits = self.bits | 1 << number if on else self.bits & ~(1 << number)
 
 
-class RegisterBanks:
+class RegisterBanks(StrictAttributes):
     """All registers of a controller.
 
     Attributes:

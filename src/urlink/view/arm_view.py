@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any, get_args
 import numpy as np
 
 from linkcore import clock
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue, LinkError
 from linkcore.plotting import element_names
 from linkcore.text import similar
-from linkcore.threads import Closing
+from linkcore.threads import Closing, ReentrantEvent
 
 from ..kinematics import Arm
 from ..motion.jog import FULL_SPEED, FrameName, Jog
@@ -45,7 +46,7 @@ _NAMES = {
 }
 
 
-class ArmView(Closing):
+class ArmView(StrictAttributes, Closing):
     """An arm on a page: where it is and where it is wanted, the trail of its TCP, the force on it, and its state.
 
     A notebook shows it in the cell. A context manager.
@@ -79,7 +80,7 @@ class ArmView(Closing):
         self._window = window
         self._model = arm.model.name
         self._rounds = 0
-        self._over = threading.Event()
+        self._over = ReentrantEvent()
         self._thread: threading.Thread | None = None
         scene, gui = page.server.scene, page.server.gui
         reach = float(sum(abs(link.a) + abs(link.d) for link in arm.geometry.links))

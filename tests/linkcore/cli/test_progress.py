@@ -129,7 +129,7 @@ def test_short_work_and_quiet_work_show_nothing(monkeypatch: pytest.MonkeyPatch)
 
 def test_progress_estimates_the_remaining_time(monkeypatch: pytest.MonkeyPatch) -> None:
     now = 100.0
-    monkeypatch.setattr("linkcore.cli.progress.time.monotonic", lambda: now)
+    monkeypatch.setattr("linkcore.cli.progress.clock.now", lambda: now)
     progress = ProgressBar("reading\x1b run", quiet=True)
     now = 130.0
     progress(0.25)

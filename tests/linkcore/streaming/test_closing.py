@@ -147,3 +147,11 @@ def test_connection_reports_states_without_its_lock(stream: Stream[Count], trans
     transport.put(ConnectionLost("cut"))
     until(lambda: len(held) > 3)
     assert True not in held
+
+
+def test_queue_is_over_before_its_end_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    queue = PacketQueue(drop_oldest(2))
+    seen: list[bool] = []
+    monkeypatch.setattr(queue, "end", lambda: seen.append(queue.is_over))
+    queue.close()
+    assert seen == [True]

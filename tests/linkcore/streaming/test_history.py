@@ -59,6 +59,16 @@ def test_what_is_older_is_let_go() -> None:
     assert history.array("time")["time"] == pytest.approx(np.arange(8.9, 9.95, 0.1))
 
 
+def test_single_elements_are_columns() -> None:
+    state = RealtimeState("5.11", q_actual=[1, 2, 3, 4, 5, 6])
+    assert of_states((1.0, state)).array("q_actual_3")["q_actual_3"].tolist() == [4.0]
+    with pytest.raises(BadValue, match="has no field 'q_actual_6'"):
+        of_states((1.0, state)).array("q_actual_6")
+    names: list[str] = ["q_actual"]
+    with pytest.raises(BadValue, match="expected names one by one"):
+        of_states((1.0, state)).array(names)  # type: ignore[arg-type]
+
+
 def test_columns_have_the_shape_of_their_fields() -> None:
     first = RealtimeState("5.11", q_actual=[1, 2, 3, 4, 5, 6], digital_input_bits=5, time=2.5)
     second = RealtimeState("5.11", q_actual=[6, 5, 4, 3, 2, 1], digital_input_bits=6, time=2.6)

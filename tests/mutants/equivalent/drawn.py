@@ -57,13 +57,6 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "what the hook raises is caught, and it cannot come here again meanwhile",
     ),
     Equivalent(
-        "rhdlink/sync_thread.py",
-        "subscribe",
-        "with self._lock",
-        "and also return Subscription(delivery, detach, owner)",
-        "only an object is made, under the lock instead of after it",
-    ),
-    Equivalent(
         "linkcore/streaming/connection.py",
         "_stop",
         "self._life.attempt.is_settled = True; self._changed.notify_all()",
@@ -83,13 +76,6 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "self.fan_out.close(all=False); task = self._task",
         "swapped",
         "closing the queues does not change the task",
-    ),
-    Equivalent(
-        "rhdlink/sync_thread.py",
-        "close",
-        "with self._lock",
-        "without its last: subscribers = self._subscribers",
-        "after the flag is set nothing is added, and the tuple is replaced as a whole",
     ),
     Equivalent(
         "urlink/motion/path.py",
@@ -176,13 +162,6 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "the rows are made of the tables, which were taken before",
     ),
     Equivalent(
-        "linkcore/streaming/fanout.py",
-        "_set_routes",
-        "self._offers = (queues + callbacks, queues, callbacks)",
-        "after self.taps = tuple((route.sink for route in self._routes if route.group is Traffic))",
-        "two tuples that are replaced one after the other either way",
-    ),
-    Equivalent(
         "urlink/motion/point_stream.py",
         "_join",
         "pace.is_paused = partial(getattr, self._program, 'is_paused'); self._life.on_end(pace.leave)",
@@ -230,13 +209,6 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "servoing = self._servoing(watchdog, lookahead_time, gain); check_choice(scaling, 'scaling', get_args(ScalingName))",
         "swapped",
         "of two wrong arguments, the other one is reported first",
-    ),
-    Equivalent(
-        "rhdlink/drive.py",
-        "end",
-        "with self._lock",
-        "and also for command in ended:",
-        "failing a handle takes no lock of the motions",
     ),
     Equivalent(
         "linkcore/aio/loop_connection.py",

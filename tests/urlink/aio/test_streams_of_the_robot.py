@@ -62,3 +62,16 @@ def test_deadline_of_a_subscription_reports_silence(kind: type | None) -> None:
         assert silences
 
     _with_robot(test)
+
+
+def test_closed_iterator_takes_no_more_packets() -> None:
+    async def test(robot: AsyncRobot) -> None:
+        routes = robot._part.realtime._connection.fan_out
+        before = dict(routes._routes)
+        packets = robot.realtime.iterate()
+        await packets.__anext__()
+        assert routes._routes != before
+        await packets.aclose()
+        assert routes._routes == before
+
+    _with_robot(test)

@@ -81,7 +81,8 @@ def test_lines_have_what_matters(run: Run, address: str) -> None:
     assert status == 0
     watched, step = err.splitlines()
     assert re.fullmatch(
-        r"urlink: watched for 1\.\d s, \d+\.\d Hz on average; received \d+ missed 0 failed 0 reconnects 0", watched
+        r"urlink: watched for 1\.\d s, \d+\.\d Hz on average; received \d+ missed 0 duplicates 0 failed 0 reconnects 0",
+        watched,
     )
     assert step == f"urlink: next: urlink record '{address}' run.urlog records what the robot sends"
     lines = out.splitlines()
@@ -142,7 +143,7 @@ def test_next_step_depends_on_what_was_shown(
 
 def test_summary_counts_states_and_names_the_longest_gap() -> None:
     glance = Glance("UR5e", "sim://", StreamStatus.CONNECTED, Reading(None), _STATS)
-    counts = "received 7 missed 7 failed 1 reconnects 2, longest gap 0.400 s"
+    counts = "received 7 missed 7 duplicates 4 failed 1 reconnects 2, longest gap 0.400 s"
     assert monitor.summary(glance, 2.0) == f"watched for 2.0 s, 3.5 Hz on average; {counts}"
     assert monitor.summary(glance, 0.5) == f"watched for 0.5 s; {counts}"
 

@@ -149,9 +149,9 @@ def test_like_ursim_passes_the_vendors_dashboard_suite(spawn: Spawn) -> None:
     # The sequence of commands, and what the tests of the UR Client Library expect of URSim for each.
     process = spawn("sim", "--like", "ursim", "--firmware", "5.25", "--noise", "off")
     assert process.stdout is not None
-    place = parse_address(process.stdout.readline().strip())
-    assert isinstance(place, RobotAddress)
-    ports = place.ports
+    address = parse_address(process.stdout.readline().strip())
+    assert isinstance(address, RobotAddress)
+    ports = address.ports
     with (
         socket.create_connection(("127.0.0.1", ports["dashboard"]), timeout=20) as dashboard,
         socket.create_connection(("127.0.0.1", ports["primary"]), timeout=20) as primary,

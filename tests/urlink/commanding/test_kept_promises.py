@@ -10,6 +10,7 @@ import pytest
 
 import urlink
 from linkcore.clock import Stamp
+from linkcore.errors import Closed
 from linkcore.net.dialogue import Dialogue
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
@@ -147,3 +148,14 @@ def test_torque_repeats_nothing_while_it_is_sent(monkeypatch: pytest.MonkeyPatch
             monkeypatch.setattr(torque, "_say", noting)
             torque.send([0.0] * 6)
     assert seen == [True]
+
+
+def test_what_opens_after_rtde_was_closed_is_closed() -> None:
+    with urlink.connect("sim://") as robot:
+        rtde = robot.rtde
+        stream = rtde.outputs("actual_q")
+        with rtde._lock:
+            rtde._is_closed, rtde._open = True, []
+        with pytest.raises(Closed):
+            rtde._keep(stream)
+        assert stream.is_over

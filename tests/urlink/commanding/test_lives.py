@@ -593,3 +593,22 @@ def test_close_stops_the_program_unless_it_is_detached(desk: Programming, is_mot
         errors.append(error)
     assert [repr(error) for error in errors] == [repr(life.error)]
     desk.programs.close(0.0)
+
+
+def test_close_rejects_motions_while_it_cancels_others(desk: Programming) -> None:
+    """Another thread, or a signal handler, may request one just then; it would go on after the robot is closed."""
+    run = desk.motion()
+    failures: list[Exception] = []
+
+    def begin() -> None:
+        try:
+            desk.motion()
+        except LinkError as error:
+            failures.append(error)
+
+    run._life.on_end(begin)
+    before = len(desk.sent)
+    desk.programs.close(0.0)
+    assert [type(error) for error in failures] == [Closed]
+    assert not [text for text in desk.sent[before:] if "stopj" not in text]
+    assert desk.programs._runs == {}

@@ -18,7 +18,7 @@ import rhdlink.cli
 import urlink
 import urlink.cli
 from linkcore.cli.progress import ProgressBar
-from linkcore.recording.table_files import export
+from linkcore.recording.table_files import chosen, export
 from rhdlink.plugins.turtle import Turtle
 from urlink.poses import compose, quaternion_to_rotvec
 
@@ -62,6 +62,26 @@ def test_csv(recording: urlink.Recording, tmp_path: Path) -> None:
     assert np.datetime64(rows[1][1].rstrip("Z")) == recording.realtime.wall[0]
     recording.export(path, ["q_actual"], rate=10)
     assert len(path.read_text().splitlines()) == 1 + len(recording.realtime.resampled(10))
+
+
+def test_single_elements_are_exported(recording: urlink.Recording, tmp_path: Path) -> None:
+    path = recording.export(tmp_path / "run.csv", ["q_actual_3", "time"])
+    assert path.read_text().splitlines()[0] == "t,wall,q_actual_3,time"
+    assert recording.realtime["q_actual_3"].tolist() == recording.realtime["q_actual"][:, 3].tolist()
+    names = ["q_actual_5", "q_actual_6", "q_actual_x", "time_0"]
+    assert [name in recording.realtime for name in names] == [True, False, False, False]
+
+
+def test_one_name_as_a_string_is_exported(recording: urlink.Recording, tmp_path: Path) -> None:
+    path = recording.export(tmp_path / "run.csv", "qd_actual")
+    assert path.read_text().splitlines()[0].startswith("t,wall,qd_actual_0,")
+
+
+def test_resampled_elements_equal_those_of_the_field(recording: urlink.Recording) -> None:
+    names = ["tool_vector_actual_4", "tool_vector_actual"]
+    tables = [chosen(recording.tables, [name], rate=20)["realtime"] for name in names]
+    assert list(tables[0].fields) == names[:1]
+    assert tables[0][names[0]].tolist() == tables[1][names[1]][:, 4].tolist()
 
 
 def test_parquet(recording: urlink.Recording, tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -46,6 +47,27 @@ def test_a_panel_for_each_field_and_a_line_for_each_element(run: urlink.Recordin
     part = run.realtime.between(0.1, 0.2)
     assert line.get_xdata().tolist() == part.time.tolist()
     assert line.get_ydata().tolist() == part["q_actual"][:, 2].tolist()
+
+
+def test_single_elements_are_plotted(run: urlink.Recording) -> None:
+    (panel,) = run.plot("q_actual_3").figure().axes
+    (line,) = panel.lines
+    assert line.get_ydata().tolist() == run.realtime["q_actual"][:, 3].tolist()
+    assert panel.get_ylabel() == "rad"
+
+
+def test_list_of_names_is_refused_with_a_hint(run: urlink.Recording) -> None:
+    fields: list[str] = ["q_actual"]
+    with pytest.raises(urlink.BadValue, match=r"field \['q_actual'\] is not a string; expected names one by one"):
+        run.plot(fields)  # type: ignore[arg-type]
+
+
+def test_recording_and_tables_name_their_columns(run: urlink.Recording) -> None:
+    held: Any = run
+    with pytest.raises(AttributeError, match=r"write recording.realtime\['q_actual'\]"):
+        held.actual_q  # noqa: B018
+    with pytest.raises(AttributeError, match=r"it is a column, write table\['q_actual'\]"):
+        held.realtime.q_actual  # noqa: B018
 
 
 def test_no_line_leads_over_a_lost_connection(tmp_path: Path) -> None:

@@ -144,3 +144,35 @@ def test_recorded_packets_are_parsed_and_built_again() -> None:
         packet = (folder("ur") / name).read_bytes()
         made = schema(cls, firmware)
         assert made.build(made.parse(packet)) == packet, name
+
+
+def test_printed_schema_shows_fields_offsets_and_types() -> None:
+    made = schema(RealtimeState, "5.11")
+    assert isinstance(made, construct.Struct)
+    lines = str(made).splitlines()
+    assert lines[0] == f"RealtimeState, {made.sizeof()} bytes"
+    assert lines[1].split() == ["offset", "field", "type", "unit"]
+    rows = {line.split()[1]: line.split() for line in lines[2:]}
+    assert rows["size"] == ["0", "size", "Int32sb", "=", "1220"]
+    for name, place in RealtimeState.LAYOUTS.of("5.11").places.items():
+        assert rows[name][0] == str(place.offset)
+    assert rows["q_actual"] == ["252", "q_actual", "Float64b[6]", "rad"]
+
+
+def test_printed_schema_shows_what_varies() -> None:
+    made = str(schema(RobotState, "5.11"))
+    assert made.startswith("RobotState, size varies")
+    assert "1: JointData" in made
+    assert "T_motor" in made
+    block = str(schema(urlink.packets.MasterboardData, "5.11"))
+    assert any(line.split()[:4] == ["euromap_voltage_24V", "Float32b,", "if", "sent"] for line in block.splitlines())
+    joints = str(schema(urlink.packets.JointData, "5.11")).splitlines()
+    assert any(line.split()[1:] == ["joint", "Struct[6]"] for line in joints)
+
+
+@pytest.mark.parametrize("cls", CLASSES)
+def test_each_schema_prints_every_field(cls: type[State]) -> None:
+    text = str(schema(cls))
+    assert text.startswith(cls.__name__)
+    for name in cls.LAYOUTS.of(None, dict.fromkeys(cls.LAYOUTS.blocks, True)).places:
+        assert f" {name} " in f"{text} ".replace("\n", " "), name

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
-from typing import Any, cast
+from typing import Any, cast, get_args
 
 import numpy as np
 import pytest
@@ -125,13 +125,17 @@ class TestWhatIsSaid:
                     with pytest.raises(BadValue, match=named):
                         jog.move(speeds)
 
+    @pytest.mark.parametrize("frame", get_args(FrameName))
     @pytest.mark.simulated_time
-    def test_a_speed_holds_for_its_time_and_no_longer(self, robot: Rehearsal) -> None:
-        with opened(robot, timeout=0.25) as jog:
+    def test_speed_expires_in_every_frame(self, robot: Rehearsal, frame: FrameName) -> None:
+        with opened(robot, frame, timeout=0.25) as jog:
             jog.move([0.1] * 6)
             told, state = jog._context.clock(), jog._context.state()
-            for now, speeds in ((told, [0.1] * 6), (told + 0.25, [0.1] * 6), (np.nextafter(told + 0.25, 999), _REST)):
-                assert read_message(jog._dialogue.step(b"", state, now))[0] == pytest.approx(speeds)
+            for now, is_held in ((told, True), (told + 0.25, True), (np.nextafter(told + 0.25, 999), False)):
+                speeds = np.array(read_message(jog._dialogue.step(b"", state, now))[0])
+                # Turning from frame to frame keeps the length of both halves.
+                lengths = np.linalg.norm(speeds.reshape(2, 3), axis=1)
+                assert lengths == pytest.approx([0.1 * math.sqrt(3) if is_held else 0.0] * 2)
 
     @pytest.mark.simulated_time
     def test_what_is_refused(self, robot: Rehearsal) -> None:

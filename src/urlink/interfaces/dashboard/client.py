@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Literal
 
 from linkcore import clock
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError, PacketError
 from linkcore.net.dialogue import Dialogue
 from linkcore.net.http_client import HttpClient
@@ -57,7 +58,7 @@ _STOPS = ("stop", "pause", "power off")
 _NOT_ALLOWED = NOT_IN_REMOTE_CONTROL.partition(" due to ")[0].casefold()
 
 
-class Dashboard(Closing):
+class Dashboard(StrictAttributes, Closing):
     """A client of the dashboard server of one controller, or of the Robot API of PolyScope X.
 
     Both have the same methods, as far as the firmware supports them. The Robot API has a connection for each request;
@@ -94,6 +95,7 @@ class Dashboard(Closing):
         timeout: seconds to connect, and for the reply to a command. Those that take longer have more: `COMMANDS` says
             how much.
         recall: of the commands to this controller; None to share that of everything in this process that commands it.
+        on_stop: Called before each command that stops or pauses the arm, with the reason, for messages.
 
     Raises:
         BadValue: the timeout is not positive.
@@ -108,7 +110,9 @@ class Dashboard(Closing):
         api_port: int | None = PORTS["robot_api"],
         timeout: float = 5.0,
         recall: Recall | None = None,
+        on_stop: Callable[[str], object] = lambda why: None,
     ) -> None:
+        self._on_stop = on_stop
         self._timeout = _positive(timeout)
         self._host = host
         self._firmware = firmware
@@ -174,6 +178,7 @@ class Dashboard(Closing):
 
     def power_off(self) -> None:
         """Begin to switch the arm off; it comes to rest first."""
+        self._on_stop("the dashboard switched the arm off")
         self._do("power off")
         self._switched_off = clock.now()
 
@@ -186,6 +191,7 @@ class Dashboard(Closing):
 
     def shutdown(self) -> None:
         """Shut the controller down and switch it off."""
+        self._on_stop("the dashboard shut the controller down")
         self._do("shutdown", is_last=True)
 
     # -- programs ------------------------------------------------------------------------------------
@@ -210,10 +216,12 @@ class Dashboard(Closing):
 
     def pause(self) -> None:
         """Pause the program that runs."""
+        self._on_stop("the dashboard paused the program")
         self._do("pause")
 
     def stop(self) -> None:
         """Stop the program that runs."""
+        self._on_stop("the dashboard stopped the program")
         self._do("stop")
 
     def running(self) -> bool:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from linkcore import clock
 from linkcore.arguments import check_seconds, check_wait
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue, LinkTimeout, RemoteError
 from linkcore.net.dialogue import Dialogue
 from linkcore.net.recall import Recall, TakeBack
@@ -100,7 +101,7 @@ class GripperStatus(NamedTuple):
         return stroke * (1.0 - self.position / 255.0)
 
 
-class Gripper:
+class Gripper(StrictAttributes):
     """A Robotiq gripper (2F, Hand-E) whose URCap runs on the controller. Connects when it is first used.
 
     Threads may share it; they take turns. Nothing of it is interlocked: it moves fingers, not the arm, also in a stop.

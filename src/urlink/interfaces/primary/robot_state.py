@@ -27,6 +27,7 @@ from linkcore.wire.fields import (
 )
 from linkcore.wire.packet import IntVector, State, Vector, packet, wire
 
+from ...foreign_names import hint_other_interfaces
 from ..enums import (
     AnalogDomain,
     ControlMode,
@@ -460,6 +461,10 @@ class RobotState(State):
 
     def _repr_html_(self) -> str:
         return "".join(package._repr_html_() for package in self.packages)
+
+
+for _kind in (RobotState, RobotModeData, JointData, ToolData, MasterboardData, CartesianInfo, ForceModeData):
+    hint_other_interfaces(_kind, "primary")
 
 
 def _key(package: SubPackage) -> str:

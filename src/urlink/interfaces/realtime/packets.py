@@ -9,6 +9,7 @@ from __future__ import annotations
 from linkcore.wire.fields import Coded, Float64b, Mask64
 from linkcore.wire.packet import State, Vector, packet, wire
 
+from ...foreign_names import hint_other_interfaces
 from ..enums import JointMode, ProgramState, RobotMode, RobotModeCB2, SafetyMode
 from ..headers import REALTIME
 
@@ -110,3 +111,6 @@ class RealtimeState(State):
         at = self._layout.places["digital_input_bits"].offset
         raw = int.from_bytes(self._data[at : at + 8], "big")
         return None if raw == 0 else "double" if raw >> 48 else "integer"
+
+
+hint_other_interfaces(RealtimeState, "realtime")

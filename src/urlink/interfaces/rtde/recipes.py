@@ -10,11 +10,13 @@ from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue, PacketError
 from linkcore.wire.fields import Field, Header, Int8ub
 from linkcore.wire.layout import Layout
 from linkcore.wire.packet import State, packet, wire
 
+from ...foreign_names import hint_other_interfaces
 from .packets import HEADER
 from .variables import OUTPUTS, TYPES, Variable, shape_of
 
@@ -51,13 +53,16 @@ class Outputs(State):
         return (_restored, (made, base, self.LEFT_OUT, self._data, self._stamp))
 
 
+hint_other_interfaces(Outputs, "rtde")
+
+
 def _restored(
     recipe: tuple[Any, ...], base: type[Outputs], left_out: tuple[str, ...], data: bytes, stamp: Stamp | None
 ) -> Any:
     return Recipe(*recipe).state_class(base, left_out).LAYOUTS.decode(data, None, stamp)
 
 
-class Recipe:
+class Recipe(StrictAttributes):
     """Names and types of one recipe, in wire order.
 
     Args:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue
 from urlink.firmware import Firmware
 from urlink.interfaces.rtde.packets import MessageLevel
@@ -93,7 +94,7 @@ def checked_sizes(sizes: Sequence[int]) -> tuple[int, ...]:
     return tuple(sizes)
 
 
-class Faults:
+class Faults(StrictAttributes):
     """The faults of one controller.
 
     In every method `port` is the name of the one port that is affected (`"realtime"`, `"primary_readonly"`, ...), or

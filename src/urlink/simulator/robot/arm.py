@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue
 from urlink.dynamics import GRAVITY, Dynamics
 from urlink.kinematics import Arm as Kinematics
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 _ZERO = [0.0] * 6
 
 
-class SimulatedArm:
+class SimulatedArm(StrictAttributes):
     """Six joints of a model.
 
     Args:

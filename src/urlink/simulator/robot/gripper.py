@@ -15,6 +15,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Sequence
 
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue
 from urlink.interfaces.gripper.protocol import READABLE, WRITABLE
 
@@ -30,7 +31,7 @@ _MOVING, _STOPPED_OPENING, _STOPPED_CLOSING, _AT_REQUEST = range(4)
 _NOT_ACTIVATED = 7
 
 
-class SimulatedGripper:
+class SimulatedGripper(StrictAttributes):
     """The gripper of a simulated controller; it comes up reset, with its fingers open.
 
     Args:

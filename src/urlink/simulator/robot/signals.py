@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue
 
 
@@ -33,7 +34,7 @@ class ToolCommunication(NamedTuple):
     tx_idle_chars: float = 3.5
 
 
-class Signals:
+class Signals(StrictAttributes):
     """The inputs and outputs; all can be read and set.
 
     Attributes:
@@ -162,7 +163,7 @@ class ModbusSignal:
         return self.kind in (0, 2)
 
 
-class ModbusSignals(Mapping[str, Value]):
+class ModbusSignals(StrictAttributes, Mapping[str, Value]):
     """Name -> value of the signals of one controller. A value may be set before a program adds the signal.
 
     Args:

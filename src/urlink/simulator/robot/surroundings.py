@@ -26,6 +26,7 @@ from typing import Protocol
 
 import numpy as np
 
+from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue
 from urlink.dynamics import GRAVITY
 from urlink.kinematics import Arm
@@ -126,7 +127,7 @@ class Spring:
         return x, y, z
 
 
-class Surroundings:
+class Surroundings(StrictAttributes):
     """The surroundings of the arm of one controller. A reboot does not change them.
 
     Each method may be called from any thread; changes have an effect from the next cycle on.

@@ -1,0 +1,129 @@
+"""Schemas of construct as text: the fields with their offsets, types and units. Imported by `linkcore.wire.schema`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import construct
+
+#: construct -> its name, such as "Float64b"; of several names the one that says the size.
+_NAMES = {
+    id(value): name
+    for name, value in sorted(vars(construct).items())
+    if isinstance(value, construct.Construct) and name.startswith(("Int", "Float", "Greedy"))
+}
+
+
+class _Line(NamedTuple):
+    offset: int | None
+    name: str
+    type: str
+    unit: str = ""
+
+
+class _Printed:
+    """A construct whose text is a table of its fields.
+
+    Attributes:
+        title: Name of the packet.
+    """
+
+    title: str
+
+    def __repr__(self) -> str:
+        return schema_text(self.title, self)
+
+
+class PacketStruct(_Printed, construct.Struct):  # type: ignore[misc]  # construct has no types
+    """A `construct.Struct` that prints its fields."""
+
+    def __init__(self, title: str, *fields: Any) -> None:
+        super().__init__(*fields)
+        self.title = title
+
+
+class SizedPacket(_Printed, construct.Prefixed):  # type: ignore[misc]  # construct has no types
+    """The size that a packet begins with, which counts itself, and a body that has that many bytes and no more."""
+
+    def __init__(self, title: str, size: Any, body: Any) -> None:
+        super().__init__(size, body, includelength=True)
+        self.title = title
+
+
+def schema_text(title: str, schema: Any) -> str:
+    """A line with the name and the size of a packet, then one line for each field."""
+    size = _size(schema)
+    lines = [_Line(None, "field", "type", "unit"), *_lines(schema, 0, "")]
+    widths = [max(len(line[column]) for line in lines) for column in (1, 2)]
+    rows = []
+    for number, line in enumerate(lines):
+        offset = "" if line.offset is None else str(line.offset)
+        first = offset if number else "offset"
+        rows.append(f"{first:>6}  {line.name:{widths[0]}}  {line.type:{widths[1]}}  {line.unit}".rstrip())
+    return "\n".join([f"{title}, {'size varies' if size is None else f'{size} bytes'}", *rows])
+
+
+def _size(schema: Any) -> int | None:
+    try:
+        return int(schema.sizeof())
+    except (construct.SizeofError, KeyError, AttributeError):  # it depends on another field
+        return None
+
+
+def _lines(schema: Any, offset: int | None, indent: str) -> Iterator[_Line]:
+    """The fields of a schema. An offset is None if it varies, and within what is repeated."""
+    if isinstance(schema, construct.Renamed):
+        yield _Line(offset, f"{indent}{schema.name}", _type(schema.subcon), schema.docs or "")
+        yield from _lines(_repeated(schema.subcon), None, f"{indent}  ")
+    elif isinstance(schema, construct.Struct):
+        for field in schema.subcons:
+            if field.name is not None:
+                yield from _lines(field, offset, indent)
+            size = _size(field)
+            offset = None if offset is None or size is None else offset + size
+    elif isinstance(schema, construct.Switch):
+        for key, case in schema.cases.items():
+            yield _Line(None, f"{indent}{key}: {getattr(case, 'title', '')}", "")
+            yield from _lines(case, None, f"{indent}  ")
+    elif isinstance(schema, construct.Prefixed):
+        if schema.includelength:
+            yield _Line(offset, f"{indent}size", _type(schema.lengthfield), "B")
+        size = _size(schema.lengthfield)
+        yield from _lines(schema.subcon, None if offset is None or size is None else offset + size, indent)
+    elif isinstance(schema, (construct.Adapter, construct.IfThenElse)):
+        yield from _lines(_repeated(schema), offset, indent)
+
+
+def _repeated(schema: Any) -> Any:
+    """What an array, an adapter or a condition is of; the schema itself if it is none of these."""
+    if isinstance(schema, construct.FocusedSeq):  # a count, and so many
+        return _repeated(schema.subcons[-1].subcon)
+    if isinstance(schema, construct.IfThenElse):
+        return _repeated(schema.thensubcon)
+    if isinstance(schema, (construct.Array, construct.GreedyRange, construct.Adapter)):
+        return _repeated(schema.subcon)
+    return schema
+
+
+def _type(schema: Any) -> str:
+    if id(schema) in _NAMES:
+        return _NAMES[id(schema)]
+    if isinstance(schema, construct.Const):
+        return f"{_type(schema.subcon)} = {schema.value!r}"
+    if isinstance(schema, construct.Array):
+        return f"{_type(schema.subcon)}[{'...' if callable(schema.count) else schema.count}]"
+    if isinstance(schema, construct.GreedyRange):
+        return f"{_type(schema.subcon)}[...]"
+    if isinstance(schema, construct.FocusedSeq):
+        return f"{_type(_repeated(schema))}[...], after their count"
+    if isinstance(schema, construct.IfThenElse):
+        return f"{_type(schema.thensubcon)}, if sent"
+    if isinstance(schema, construct.Prefixed):
+        content = _type(schema.subcon)
+        return content if schema.includelength else f"{content}, after its size in {_type(schema.lengthfield)}"
+    if isinstance(schema, construct.Bytes):
+        return f"Bytes[{schema.length}]"
+    if isinstance(schema, (construct.Renamed, construct.Adapter)):
+        return _type(schema.subcon)
+    return type(schema).__name__
