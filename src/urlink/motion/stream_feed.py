@@ -269,8 +269,11 @@ class StreamFeed(LinkDialogue):
     @property
     def is_dry(self) -> bool:
         """Whether the arm rests and no point is left."""
-        is_busy = self._is_open or self._queue or not self.is_answered
-        return not is_busy and self._report.phase == RESTING
+        if self._queue or not self.is_answered:
+            return False
+        if self._report.phase == OPEN:  # its points were dropped before the first of them was sent
+            return not self._steps
+        return not self._is_open and self._report.phase == RESTING
 
     @property
     def time(self) -> float:

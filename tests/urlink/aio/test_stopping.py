@@ -13,7 +13,8 @@ import pytest
 
 import urlink
 from linkcore import clock
-from linkcore.errors import LinkError
+from linkcore.errors import Cancelled, LinkError
+from linkcore.pending_call import PendingCall
 from tests.urlink.aio.every_awaitable import FAR, MOVEJ, READY, is_busy
 from urlink import Trajectory
 from urlink.aio.async_group import AsyncGroup
@@ -219,6 +220,26 @@ def test_cancelled_replace_does_not_move_the_arm(controller: Controller, after: 
             assert np.abs(target(robot) - q).max() < 0.05
 
     asyncio.run(main())
+
+
+def test_replace_that_was_not_sent_keeps_the_points(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its task is cancelled while the new points are computed."""
+    call = PendingCall()
+    with urlink.connect(controller.address) as robot:
+        q = robot.realtime.wait().q_target
+        with robot.motion.stream(buffer=0.3) as stream:
+            stream.append(Trajectory.from_arrays([0.0, 0.5], [q, q + 0.02]), wait=False)
+            curve = stream._curve
+
+            def computed(*arguments: Any) -> Any:
+                call.give_up()
+                return curve(*arguments)
+
+            monkeypatch.setattr(stream, "_curve", computed)
+            with pytest.raises(Cancelled):
+                call.make(lambda: stream.replace(0.3, Trajectory.from_arrays([0.0, 5.0], [q, q + 0.6])))
+            stream.wait_until_dry()
+            assert stream.end == 0.5
 
 
 @pytest.mark.parametrize("after", [0.0, 0.001, 0.03])

@@ -745,6 +745,21 @@ def test_points_are_given_up_that_came_after_the_tail_was_cleared() -> None:
     assert end.moment.qd == pytest.approx(wave(end.time).qd, abs=1e-4)
 
 
+def test_stream_is_dry_when_points_are_dropped_after_the_cut() -> None:
+    """The program has opened an epoch for points that are not sent any more."""
+    stream = Streamed(E_SERIES)
+    handed = stream.append(waves(0.05, 0.5))
+    stream.run()
+    stream.feed.forget(handed)
+    assert not stream.feed.is_dry
+    dry = stream.feed.dry()
+    stream.until(dry.done, 1.0)
+    stream.append(TrajectoryPoint(turned(0.1), mark(stream).time + 1.0, [0] * 6, [0] * 6))
+    assert not stream.feed.is_dry
+    stream.run_dry()
+    assert stream.path[-1] == pytest.approx(turned(0.1), abs=1e-3)
+
+
 # -- several arms ------------------------------------------------------------------------------------------
 
 
