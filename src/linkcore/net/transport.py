@@ -184,7 +184,7 @@ class TcpTransport:
             raise mapped(error, self.name, timeout, ConnectionLost) from error
         if not data:
             raise self._ended(connection)
-        return data, _new_stamp(Stamp, (clock.now(), time.time()))
+        return data, _new_stamp(Stamp, (clock.read(), time.time()))
 
     def fileno(self) -> int:
         """The descriptor of the socket, for those who wait for many at once; -1 if there is none."""
@@ -211,7 +211,7 @@ class TcpTransport:
             raise mapped(error, self.name, 0.0, ConnectionLost) from error
         if not data:
             raise self._ended(connection)
-        return data, _new_stamp(Stamp, (clock.now(), time.time()))
+        return data, _new_stamp(Stamp, (clock.read(), time.time()))
 
     def _set_receive_timeout(self, connection: socket.socket, timeout: float) -> None:
         # One percent more is not worth a system call for each packet, where the timeout is what a deadline leaves.
