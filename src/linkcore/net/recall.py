@@ -206,6 +206,8 @@ class Recall:
         """Add a command that was answered, unless a newer one has superseded it."""
         if self._answered.get(name) is take_back:
             self._add(name, take_back)
+            if self._thread is None and name in self._pending:  # no thread could be started, and this one may wait
+                self._try(name, take_back)
 
     def _remove(self, *names: str) -> None:
         with self._lock:

@@ -187,6 +187,25 @@ def test_answered_command_is_undone_if_nobody_has_the_result() -> None:
     recall.close()
 
 
+def test_answered_command_is_undone_without_a_new_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    recall, undone, call = Recall("robot"), threading.Event(), PendingCall()
+    take_back = TakeBack(Closeable, lambda client, is_wanted: undone.set())
+
+    def play() -> None:
+        with recall.command("play", TIMEOUT, take_back):
+            pass
+
+    def refuse(thread: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    call.make(play)
+    monkeypatch.setattr(threading.Thread, "start", refuse)
+    call.give_up()
+    assert undone.is_set()
+    assert recall.pending == ()
+    recall.close()
+
+
 def test_superseded_command_is_not_undone() -> None:
     recall, call = Recall("robot"), PendingCall()
     take_back = TakeBack(Closeable, lambda client, is_wanted: None)
