@@ -131,7 +131,7 @@ class _Led:
         self._silent = silent
         self._wants = wants
         #: the newest message counts, and None ends it
-        self._messages: queue.Queue[Any] = queue.Queue()
+        self._messages: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._turn = threading.Lock()
         self._thread: threading.Thread | None = None
         self._is_over = False
@@ -170,7 +170,7 @@ class _Led:
         finally:
             with self._turn:
                 self._thread = None
-                self._messages = queue.Queue()
+                self._messages = queue.SimpleQueue()
 
     def _next(self) -> Any:
         """The newest message; None where the block is to be left."""
