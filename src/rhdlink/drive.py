@@ -29,7 +29,7 @@ from .smrcl.odometry import PlanarPose
 from .smrcl.plan import Run
 from .smrcl.profile import Profile, find_profile
 from .smrcl.robot_conf import RobotConf
-from .smrcl.robot_link import Robot, open_link, suitable_conf
+from .smrcl.robot_link import AnyRobot, open_link, suitable_conf
 from .smrcl.sensors import LineKind
 from .world import Pose
 
@@ -176,7 +176,7 @@ class Drive(StrictAttributes, Closing):
 
     def __init__(
         self,
-        robot: Robot,
+        robot: AnyRobot,
         *,
         speed: float = 0.3,
         acceleration: float = 0.3,

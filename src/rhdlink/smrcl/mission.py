@@ -26,7 +26,7 @@ from .interpreter import MissionLimits
 from .plan import MissionPlan, PlanLine, split_lines
 from .profile import Profile, find_profile
 from .robot_conf import RobotConf
-from .robot_link import Robot, RobotLink, open_link, suitable_conf
+from .robot_link import AnyRobot, RobotLink, open_link, suitable_conf
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -85,7 +85,7 @@ class Mission(StrictAttributes, WithCallbacks):
     def __init__(
         self,
         source: str | os.PathLike[str],
-        robot: Robot | None = None,
+        robot: AnyRobot | None = None,
         *,
         compat: Profile | str = "sound",
         conf: RobotConf | str | os.PathLike[str] | None = None,

@@ -206,10 +206,10 @@ class PluginLink:
 
 
 #: The robots that a mission can run on: a connected robot, an address, a plugin such as `Turtle()`, or a link.
-Robot = Variables | Plugin | RobotLink | str
+AnyRobot = Variables | Plugin | RobotLink | str
 
 
-def open_link(robot: Robot) -> RobotLink:
+def open_link(robot: AnyRobot) -> RobotLink:
     """A link to a robot; whoever asked for it closes it, unless it is `robot` itself.
 
     Args:

@@ -26,7 +26,7 @@ from .plan import Failure
 from .profile import Profile, find_profile
 from .recipients import MOST_BACKLOG, Session
 from .robot_conf import RobotConf
-from .robot_link import PluginLink, Robot, RobotLink, open_link, suitable_conf
+from .robot_link import AnyRobot, PluginLink, RobotLink, open_link, suitable_conf
 
 _log = logging.getLogger(__name__)
 
@@ -70,7 +70,7 @@ class MissionServer(StrictAttributes, Runnable, WithCallbacks):
 
     def __init__(
         self,
-        robot: Robot,
+        robot: AnyRobot,
         *,
         port: int = PORT,
         address: str = "127.0.0.1",
