@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
 from typing import Any
 
-#: package -> its module with the names of other libraries. It has `own_name(name)`, which returns None or the own name.
-foreign_names: dict[str, str] = {}
+#: Package -> its module with the names of other libraries. It has `own_name(name)`, which returns None or the own name.
+_foreign_names: dict[str, str] = {}
 
 
 def lazy_names(
@@ -37,7 +37,7 @@ def lazy_names(
             imported by name. They are not in `__all__`.
         moved: module -> names, separated by blanks, that were public here before and are that module's now. Asking for
             one raises an AttributeError that names the new place.
-        foreign: the package's module with the names of other libraries; see `foreign_names`.
+        foreign: the package's module with the names of other libraries; it has `own_name(name)`.
 
     Returns:
         The package's `__getattr__`, `__dir__` and `__all__`.
@@ -48,7 +48,7 @@ def lazy_names(
     elsewhere = {name: module for module, names in (moved or {}).items() for name in names.split()}
 
     if foreign is not None:
-        foreign_names[package] = f"{package}{foreign}"
+        _foreign_names[package] = f"{package}{foreign}"
 
     def imported(module: str) -> Any:
         try:
@@ -63,8 +63,7 @@ def lazy_names(
         if name in elsewhere:
             raise AttributeError(f"{package}.{name} is {elsewhere[name]}.{name}")
         if name not in home:
-            from .attributes import foreign_hint  # a package is imported without these
-            from .text import similar
+            from .text import similar  # a package is imported without it
 
             own = None if name.startswith("_") else foreign_hint(package, name)
             if own is not None:
@@ -76,6 +75,21 @@ def lazy_names(
         return value
 
     return get, lambda: sorted([*public, *of_package]), public
+
+
+def foreign_hint(package: str, name: str) -> str | None:
+    """What a name of another library is called in a package; None if no table has it.
+
+    Args:
+        package: "linkcore" looks in the tables of all packages.
+        name: The name.
+    """
+    for owner, module in _foreign_names.items():
+        if package in (owner, "linkcore"):
+            own: str | None = import_module(module).own_name(name)
+            if own is not None:
+                return own
+    return None
 
 
 @contextlib.contextmanager
