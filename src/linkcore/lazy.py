@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
 from typing import Any
 
-#: package -> its module with the names of other libraries. It has `own_name(name)`, which returns None or the own name.
-foreign_names: dict[str, str] = {}
+#: Package -> its module with the names of other libraries. It has `own_name(name)`, which returns None or the own name.
+_foreign_names: dict[str, str] = {}
 
 
 def lazy_names(
@@ -37,7 +37,7 @@ def lazy_names(
             imported by name. They are not in `__all__`.
         moved: module -> names, separated by blanks, that were public here before and are that module's now. Asking for
             one raises an AttributeError that names the new place.
-        foreign: the package's module with the names of other libraries; see `foreign_names`.
+        foreign: the package's module with the names of other libraries; it has `own_name(name)`.
 
     Returns:
         The package's `__getattr__`, `__dir__` and `__all__`.
@@ -48,7 +48,7 @@ def lazy_names(
     elsewhere = {name: module for module, names in (moved or {}).items() for name in names.split()}
 
     if foreign is not None:
-        foreign_names[package] = f"{package}{foreign}"
+        _foreign_names[package] = f"{package}{foreign}"
 
     def imported(module: str) -> Any:
         try:
@@ -84,7 +84,7 @@ def foreign_hint(package: str, name: str) -> str | None:
         package: "linkcore" looks in the tables of all packages.
         name: The name.
     """
-    for owner, module in foreign_names.items():
+    for owner, module in _foreign_names.items():
         if package in (owner, "linkcore"):
             own: str | None = import_module(module).own_name(name)
             if own is not None:

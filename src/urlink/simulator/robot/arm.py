@@ -10,7 +10,6 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue
 from urlink.dynamics import GRAVITY, Dynamics
 from urlink.kinematics import Arm as Kinematics
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
 _ZERO = [0.0] * 6
 
 
-class SimulatedArm(StrictAttributes):
+class SimulatedArm:
     """Six joints of a model.
 
     Args:

@@ -16,7 +16,6 @@ from __future__ import annotations
 import enum
 from typing import NamedTuple
 
-from linkcore.attributes import StrictAttributes
 from linkcore.wire.fields import Since
 from urlink.firmware import Firmware
 from urlink.interfaces.enums import (
@@ -83,7 +82,7 @@ _JOINT_EMERGENCY_STOPPED_CB2 = JointMode.READY_FOR_POWER_OFF
 _SCALES_TO_ZERO = Since("3.10/5.0")
 
 
-class Modes(StrictAttributes):
+class Modes:
     """Robot mode, safety mode and program state, as one state machine.
 
     Attributes:
