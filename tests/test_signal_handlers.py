@@ -59,7 +59,6 @@ REASONS = {
     "linkcore.clock:Expiry": "servers of a robot alone use it, and a handler only calls their `stop`",
     "linkcore.streaming.packet_queue:PacketQueue": "is acquired without waiting",
     "linkcore.recording.index:side_by_side": "threads that read a file, and that no handler waits for",
-    "linkcore.event_loop:Workers": "the thread of an event loop submits; a handler there cannot await a call",
     "urlink.motion.common_time:CommonTime": "only threads that read streams take it",
     "urlink.motion.common_time:CommonPace": "only threads that read streams take it",
     "urlink.acceptance.logbook:Logbook": "`urlink accept` alone uses it, whose handler only raises",

@@ -8,11 +8,10 @@ from __future__ import annotations
 import functools
 import sys
 from collections.abc import Callable, Hashable
-from importlib import import_module
 from types import FunctionType
 from typing import TYPE_CHECKING, Any, NoReturn, cast
 
-from .lazy import foreign_names
+from .lazy import foreign_hint
 
 #: argument here -> what other libraries call it
 _KEYWORDS = {
@@ -78,21 +77,6 @@ class Elsewhere:
     def __get__(self, held: object, kind: type) -> NoReturn:
         message = f"{kind.__name__} has no {self._name!r}; here it is: {self.own}"
         raise AttributeError(message, name=self._name, obj=None)
-
-
-def foreign_hint(package: str, name: str) -> str | None:
-    """What a name of another library is called in a package; None if no table has it.
-
-    Args:
-        package: "linkcore" looks in the tables of all packages.
-        name: The name.
-    """
-    for owner, module in foreign_names.items():
-        if package in (owner, "linkcore"):
-            own: str | None = import_module(module).own_name(name)
-            if own is not None:
-                return own
-    return None
 
 
 def unknown_attribute(held: StrictAttributes, name: str, *, is_set: bool = False) -> AttributeError:

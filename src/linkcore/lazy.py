@@ -63,8 +63,7 @@ def lazy_names(
         if name in elsewhere:
             raise AttributeError(f"{package}.{name} is {elsewhere[name]}.{name}")
         if name not in home:
-            from .attributes import foreign_hint  # a package is imported without these
-            from .text import similar
+            from .text import similar  # a package is imported without it
 
             own = None if name.startswith("_") else foreign_hint(package, name)
             if own is not None:
@@ -76,6 +75,21 @@ def lazy_names(
         return value
 
     return get, lambda: sorted([*public, *of_package]), public
+
+
+def foreign_hint(package: str, name: str) -> str | None:
+    """What a name of another library is called in a package; None if no table has it.
+
+    Args:
+        package: "linkcore" looks in the tables of all packages.
+        name: The name.
+    """
+    for owner, module in foreign_names.items():
+        if package in (owner, "linkcore"):
+            own: str | None = import_module(module).own_name(name)
+            if own is not None:
+                return own
+    return None
 
 
 @contextlib.contextmanager

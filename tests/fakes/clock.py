@@ -45,8 +45,8 @@ class Suspend:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self._seconds = 0.0
-        self._read: Callable[..., float] = linkcore.clock._read
-        monkeypatch.setattr(linkcore.clock, "_read", self._late)
+        self._read: Callable[..., float] = linkcore.clock.read
+        monkeypatch.setattr(linkcore.clock, "read", self._late)
 
     def _late(self, *which: int) -> float:
         return self._read(*which) + self._seconds

@@ -96,7 +96,7 @@ def test_sleep_lasts_as_long_as_asked(seconds: float) -> None:
 
 
 def test_wait_is_in_slices_where_ctrl_c_needs_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(clock, "_IS_DEAF", True)
+    monkeypatch.setattr(clock, "ENDLESS", 0.1)
     monkeypatch.setattr(clock, "_SLICE", 0.1)
     waited: list[float | None] = []
 

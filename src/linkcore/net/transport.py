@@ -188,7 +188,7 @@ class TcpTransport:
             raise mapped(error, self.name, timeout, ConnectionLost) from error
         if not data:
             raise self._ended(connection)
-        return data, _new_stamp(Stamp, (clock.now(), time.time()))
+        return data, _new_stamp(Stamp, (clock.read(), time.time()))
 
     def fileno(self) -> int:
         """The descriptor of the socket, for those who wait for many at once; -1 if there is none."""
@@ -215,7 +215,7 @@ class TcpTransport:
             raise mapped(error, self.name, 0.0, ConnectionLost) from error
         if not data:
             raise self._ended(connection)
-        return data, _new_stamp(Stamp, (clock.now(), time.time()))
+        return data, _new_stamp(Stamp, (clock.read(), time.time()))
 
     def _unconnected(self) -> LinkError:
         try:

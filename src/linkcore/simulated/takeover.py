@@ -242,6 +242,7 @@ def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
     chance = random.Random(scheduler.random.random())
     sleep, select_, ioctl, getaddrinfo, urandom = time.sleep, select.select, fcntl.ioctl, socket.getaddrinfo, os.urandom
     getpid = os.getpid
+    of_library: Any = sys.modules["linkcore.clock"]
     # Of `call_soon_threadsafe`: since CPython 3.14 it has a lock, which is for threads that run at once.
     handle: Any = vars(sys.modules["asyncio.events"]).get("_ThreadSafeHandle", type("Handle", (), {}))
 
@@ -300,7 +301,8 @@ def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
         return ioctl(fd, request, arg, mutate)
 
     return [
-        (gettime, gettime_),  # of `linkcore.clock`
+        (gettime, gettime_),
+        (of_library.read, clock(of_library.read, 0.0, 0)),
         (time.monotonic, clock(time.monotonic, 0.0, 0)),
         (time.perf_counter, clock(time.perf_counter, 0.0, 0)),
         (time.time, clock(time.time, _EPOCH, 0)),

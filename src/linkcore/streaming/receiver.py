@@ -56,27 +56,43 @@ class Receiver:
             return ()
         count = len(frames)
         counters.received += count
-        cycles = self._protocol.cycles
-        if cycles is not None:
-            # Nearly always one packet has come, and follows on the last one: seen without a call of Python code.
-            newest = frames[-1]
-            moment = cycles.time(newest)[0] if count == 1 and len(newest) == cycles.size else _NO_TIME
-            if 0.0 < moment - cycles.last <= cycles.at_most:
-                cycles.last = moment
-            else:
-                cycles.take(frames)
+        protocol = self._protocol
+        cycles = protocol.cycles
+        if count != 1:
+            packets = self._many(frames, stamp)
+        else:
+            # Nearly always one packet has arrived, and it follows the last one. This is detected without a call of
+            # Python code. A separate branch from `_many` takes about 850 instructions fewer.
+            (frame,) = frames
+            if cycles is not None:
+                moment = cycles.time(frame)[0] if len(frame) == cycles.size else _NO_TIME
+                if 0.0 < moment - cycles.last <= cycles.at_most:
+                    cycles.last = moment
+                else:
+                    cycles.take(frames)
+            try:
+                packets = [(self._strictly or protocol.decode)(frame, stamp)]
+                counters.decoded += 1
+            except PacketError as error:
+                self._fail(error)
+                packets = []
+        now = counters.arrived = stamp[0]
+        if now >= counters.due:
+            counters.look(now, cycles)
+        return packets
+
+    def _many(self, frames: Sequence[bytes], stamp: Stamp) -> list[Any]:
+        protocol, packets = self._protocol, []
+        if protocol.cycles is not None:
+            protocol.cycles.take(frames)
         # Anew each time: a protocol may have learnt from these frames how to.
-        decode = self._strictly or self._protocol.decode
-        packets = []
+        decode = self._strictly or protocol.decode
         for frame in frames:
             try:
                 packets.append(decode(frame, stamp))
             except PacketError as error:
                 self._fail(error)
-        counters.decoded += len(packets)
-        now = counters.arrived = stamp[0]
-        if now >= counters.due:
-            counters.look(now, cycles)
+        self._counters.decoded += len(packets)
         return packets
 
     def _fail(self, error: PacketError) -> None:

@@ -280,8 +280,9 @@ class InlineDelivery(Delivery):
 
     def offer(self, packets: Sequence[Any]) -> None:
         """Call back with each packet, here and now."""
-        callback = self._callback
-        now = clock.ticks()
+        # Looked up once for each batch, but not kept longer, because simulated time replaces it.
+        callback, ticks = self._callback, clock.ticks
+        now = ticks()
         self._is_calling = True
         for packet in packets:
             if self._is_closed:
@@ -292,7 +293,7 @@ class InlineDelivery(Delivery):
                 self._delivered += 1
             except BaseException:
                 self._fail()
-            began, now = now, clock.ticks()
+            began, now = now, ticks()
             if now - began > SLOW_INLINE:
                 self._counters.slow_inline += 1
         self._is_calling = False

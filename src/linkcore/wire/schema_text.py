@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import construct
 
 #: construct -> its name, such as "Float64b"; of several names the one that says the size.
-_NAMES = {
+_NAMES: dict[int, str] = {
     id(value): name
     for name, value in sorted(vars(construct).items())
     if isinstance(value, construct.Construct) and name.startswith(("Int", "Float", "Greedy"))
@@ -55,12 +55,12 @@ def schema_text(title: str, schema: Any) -> str:
     """A line with the name and the size of a packet, then one line for each field."""
     size = _size(schema)
     lines = [_Line(None, "field", "type", "unit"), *_lines(schema, 0, "")]
-    widths = [max(len(line[column]) for line in lines) for column in (1, 2)]
+    name_width, type_width = max(len(line.name) for line in lines), max(len(line.type) for line in lines)
     rows = []
     for number, line in enumerate(lines):
         offset = "" if line.offset is None else str(line.offset)
         first = offset if number else "offset"
-        rows.append(f"{first:>6}  {line.name:{widths[0]}}  {line.type:{widths[1]}}  {line.unit}".rstrip())
+        rows.append(f"{first:>6}  {line.name:{name_width}}  {line.type:{type_width}}  {line.unit}".rstrip())
     return "\n".join([f"{title}, {'size varies' if size is None else f'{size} bytes'}", *rows])
 
 
@@ -107,6 +107,7 @@ def _repeated(schema: Any) -> Any:
 
 
 def _type(schema: Any) -> str:
+    """The type of a field, as short as it is written in the declarations of packets."""
     if id(schema) in _NAMES:
         return _NAMES[id(schema)]
     if isinstance(schema, construct.Const):
@@ -126,4 +127,4 @@ def _type(schema: Any) -> str:
         return f"Bytes[{schema.length}]"
     if isinstance(schema, (construct.Renamed, construct.Adapter)):
         return _type(schema.subcon)
-    return type(schema).__name__
+    return str(type(schema).__name__)

@@ -81,7 +81,8 @@ def test_lines_have_what_matters(run: Run, address: str) -> None:
     assert status == 0
     watched, step = err.splitlines()
     assert re.fullmatch(
-        r"urlink: watched for 1\.\d s, \d+\.\d Hz on average; received \d+ missed 0 duplicates 0 failed 0 reconnects 0",
+        r"urlink: watched for 1\.\d s, \d+\.\d Hz on average; "
+        r"received \d+ missed 0 duplicates 0 failed 0 reconnects 0",
         watched,
     )
     assert step == f"urlink: next: urlink record '{address}' run.urlog records what the robot sends"
