@@ -25,8 +25,9 @@ from urlink.simulator import Controller, Still
 
 pytestmark = pytest.mark.simulated_time
 
-#: Seconds within which a thread has to be free, and within which the arm has to be at rest.
-FREE, AT_REST = 0.2, 3.0
+#: Seconds within which a thread has to be free, and the arm has to be at rest; and within which no program may be left:
+#: one that was not permitted to start waits for its permission for five seconds.
+FREE, AT_REST, LEFT = 0.2, 3.0, 6.0
 #: Turns that are tried one by one, and the last turn; between the later ones the distance grows.
 EACH, MOST = 60, 2000
 #: Blocks in which a person may move the arm.
@@ -100,7 +101,8 @@ async def _cancelled(turns: Turns, number: int, name: str, bench: Bench, cell: C
             if not name.startswith(BY_HAND):
                 await _until(lambda: not bench.moves, AT_REST, f"{at}: the arm moves")
     if task.cancelled():
-        await _until(lambda: not bench.moves and not bench.runs, AT_REST, f"{at}: something is left on the robot")
+        await _until(lambda: not bench.moves, AT_REST, f"{at}: the arm moves")
+        await _until(lambda: bench.moves or not bench.runs, LEFT, f"{at}: a program is left on the robot")
         await asyncio.sleep(0.3)
         assert not bench.moves, f"{at}: the arm moves again"
         assert not bench.runs, f"{at}: a program has started"
