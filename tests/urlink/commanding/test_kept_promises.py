@@ -22,6 +22,7 @@ from tests.waiting import until
 from tests.worlds.guarded import is_held
 from urlink.commanding.interlock import Interlock
 from urlink.commanding.monitor import _Listening
+from urlink.interfaces.rtde.packets import StartReply
 from urlink.interfaces.rtde.protocol import Requests
 from urlink.interfaces.rtde.recipes import Outputs
 from urlink.motion.reverse import ReverseLink, ReversePort
@@ -203,14 +204,18 @@ def test_claim_succeeds_when_it_waited_for_a_reconnection() -> None:
 
 
 def test_stream_opened_while_the_robot_closes_is_closed() -> None:
+    class Opened:
+        is_over = False
+
+        def close(self, timeout: float = 2.0) -> None:
+            self.is_over = True
+
     with urlink.connect("sim://") as robot:
-        stream = robot.rtde.outputs("timestamp")
-        rtde = robot.rtde
+        rtde, opened = robot.rtde, Opened()
         rtde._lock = Contended(rtde._lock, before=rtde.close)  # type: ignore[assignment]
-        stream.start()
         with pytest.raises(Closed):
-            rtde._keep(stream)
-        until(lambda: stream.connection is ConnectionState.CLOSED)
+            rtde._keep(opened)  # type: ignore[type-var]
+        assert opened.is_over
 
 
 def test_types_are_awaited_for_a_limited_time() -> None:
@@ -223,7 +228,7 @@ def test_types_are_awaited_for_a_limited_time() -> None:
             received.append(left)
             assert left > 0.0
             time.sleep(0.1)
-            return bytes(TextMessage(message="busy", source="controller", warning_level=3)), Stamp.now()
+            return bytes(StartReply(accepted=True)), Stamp.now()
 
     with pytest.raises(LinkTimeout, match="0 of 1"):
         Rtde._replies(Chatty(), 1, clock.now() + 0.35)  # type: ignore[arg-type]
@@ -232,8 +237,7 @@ def test_types_are_awaited_for_a_limited_time() -> None:
 
 def test_reason_of_a_timeout_is_read_under_the_lock(monkeypatch: pytest.MonkeyPatch) -> None:
     with urlink.connect("sim://") as robot:
-        robot.safety.wait_enabled()
-        robot.controller.emergency_stop()
+        robot.controller.faults.protective_stop()
         until(lambda: robot.safety.refusal)
         seen: list[bool] = []
         refusal = Interlock.refusal
