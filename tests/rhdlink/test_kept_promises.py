@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import Any
 
+import numpy as np
 import pytest
 
 import rhdlink
+from linkcore import clock
+from linkcore.streaming.connection_life import ConnectionState
+from linkcore.streaming.packet_queue import PacketQueue, drop_oldest
 from rhdlink.plugins.turtle import Turtle
+from rhdlink.replica import Replica
+from rhdlink.sync_thread import Subscribers
+from rhdlink.variables.database import Database
+from rhdlink.wire.messages import Batch, SymbolRow
+from tests.contended import Contended, beside
 
 pytestmark = pytest.mark.simulated_time
 
@@ -51,3 +61,99 @@ def test_asyncio_robot_is_closed_before_its_connection(host: rhdlink.Host, monke
 
     asyncio.run(run())
     assert seen[0] is True
+
+
+# -- between two threads -------------------------------------------------------------------
+
+
+@pytest.fixture
+def replica() -> Replica:
+    """Of a robot with two variables in each direction, whose order changes with `adopt_reversed`."""
+    replica = Replica("robot", "send", rhdlink.Variables)
+    with replica.lock:
+        replica.adopt(tables("a", "b"))
+    replica.database.read.set(0, 1)
+    replica.database.read.set(1, 2)
+    return replica
+
+
+def tables(*names: str) -> Database:
+    rows = [SymbolRow(name, 1) for name in names]
+    return Database(rows, rows)
+
+
+def adopt_reversed(replica: Replica) -> None:
+    """A new connection, to a robot that has the variables in another order."""
+    database = tables("b", "a")
+    database.read.set(0, 2)
+    database.read.set(1, 1)
+    with replica.lock:
+        replica.adopt(database)
+
+
+def test_value_is_of_its_name_when_the_order_changes(host: rhdlink.Host, replica: Replica) -> None:
+    with rhdlink.connect(host.address) as robot:
+        robot._replica = replica
+        lock = replica.lock
+        replica.lock = Contended(lock, before=lambda: adopt_reversed(replica))  # type: ignore[assignment]
+        replica.database.read.set(0, -1)
+        assert robot["a"] == 1
+
+
+def test_request_has_the_numbers_of_its_connection(replica: Replica) -> None:
+    replica.set("a", 7)
+    lock = replica.lock
+    replica.lock = Contended(lock, before=lambda: adopt_reversed(replica))  # type: ignore[assignment]
+    assert replica.outgoing("w", 2) != b""
+    assert replica._unanswered.tolist() == [replica.database.write.find("a")]
+
+
+def test_flags_of_a_batch_stay_until_the_next_is_applied(replica: Replica) -> None:
+    seen: list[bool] = []
+    replica.begin_round()
+    updated = replica.database.read.updated
+    replica.database.read._received.append(np.array([0]))
+    lock = replica.lock
+    replica.lock = Contended(lock, before=lambda: seen.append(bool(updated[0])))  # type: ignore[assignment]
+    replica.apply(Batch((), 0))
+    assert seen == [True]
+    assert not updated[0]
+
+
+def test_queue_of_a_subscriber_is_used_by_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    inside, most = [0], [0]
+    threads: list[Any] = []
+    subscribers = Subscribers("robot")
+    offer = PacketQueue.offer
+
+    def noting(queue: PacketQueue, packets: Sequence[object]) -> None:
+        inside[0] += 1
+        most[0] = max(most[0], inside[0])
+        if not threads:
+            threads.append(None)
+            threads[0] = beside(lambda: subscribers.tell("another"))
+        offer(queue, packets)
+        inside[0] -= 1
+
+    monkeypatch.setattr(PacketQueue, "offer", noting)
+    subscribers.subscribe(str, lambda event: None, None, drop_oldest(8), owner=None)
+    subscribers.tell("one")
+    threads[0].join()
+    subscribers.close(clock.now() + 1.0)
+    assert most == [1]
+
+
+def test_connection_is_kept_before_it_is_reported(host: rhdlink.Host, monkeypatch: pytest.MonkeyPatch) -> None:
+    with rhdlink.connect(host.address) as robot:
+        seen: list[bool] = []
+        tell = Subscribers.tell
+
+        def noting(subscribers: Subscribers, event: object) -> None:
+            if getattr(event, "state", None) is ConnectionState.CONNECTED:
+                seen.append(robot._connection is not None)
+            tell(subscribers, event)
+
+        monkeypatch.setattr(Subscribers, "tell", noting)
+        robot._lose(robot._replica, rhdlink.ConnectionLost("cut"))
+        robot.sync()
+        assert seen == [True]

@@ -14,6 +14,7 @@ from linkcore.streaming.fanout import FanOut
 from linkcore.streaming.packet_queue import PacketQueue, drop_oldest
 from linkcore.streaming.stream import Stream
 from linkcore.streaming.thread_connection import ThreadConnection
+from tests.contended import Contended
 from tests.fakes.link import Count, CountProtocol, ScriptedTransport, counts, scripted
 from tests.waiting import until
 
@@ -155,3 +156,65 @@ def test_queue_is_over_before_its_end_is_told(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(queue, "end", lambda: seen.append(queue.is_over))
     queue.close()
     assert seen == [True]
+
+
+# -- between two threads ---------------------------------------------------------------------
+
+
+def test_consumer_that_sleeps_again_is_woken_again() -> None:
+    queue, woken = PacketQueue(drop_oldest(8)), [0]
+
+    class Consumer:
+        def put(self, item: None) -> None:
+            """Wake, find what came, and sleep again at once."""
+            woken[0] += 1
+            queue._packets.clear()
+            queue._consumer_sleeps = True
+
+    queue._to_consumer = Consumer()  # type: ignore[assignment]
+    queue._consumer_sleeps = True
+    for number in range(3):
+        queue.offer((number,))
+    assert woken == [3]
+
+
+def test_packets_offered_while_a_queue_closes_are_dropped() -> None:
+    offering, emptied = threading.Event(), threading.Event()
+
+    class Slow(tuple[int, ...]):
+        def __iter__(self) -> Any:
+            offering.set()
+            emptied.wait(_SOON)
+            return super().__iter__()
+
+    queue = PacketQueue(drop_oldest(8))
+    reader = threading.Thread(target=lambda: queue.offer(Slow((1, 2))))
+
+    def empty() -> None:
+        emptied.set()
+        reader.join(_SOON)
+
+    reader.start()
+    offering.wait(_SOON)
+    queue._discarding = Contended(queue._discarding, after=empty)  # type: ignore[assignment]
+    queue.close()
+    reader.join()
+    assert (queue.waiting, queue.dropped) == (0, 2)
+
+
+def test_sending_has_its_time_after_connecting() -> None:
+    class Slow(ScriptedTransport):
+        def open(self, timeout: float) -> None:
+            time.sleep(1.0)
+            super().open(timeout)
+            self.room = 0
+
+    transport = Slow()
+    stream = scripted(transport)
+    waits: list[float] = []
+    connection = stream._connection
+    connection.wait_for_room = lambda seconds: bool(waits.append(seconds))  # type: ignore[method-assign]
+    with pytest.raises(LinkTimeout):
+        connection.send(b"1234", 0.5)
+    assert waits == pytest.approx([0.5])
+    stream.close()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import socket
 import threading
 import time
 from typing import Any
@@ -9,17 +11,23 @@ from typing import Any
 import pytest
 
 import urlink
+from linkcore import clock
 from linkcore.clock import Stamp
-from linkcore.errors import Closed
+from linkcore.errors import Closed, LinkTimeout
 from linkcore.net.dialogue import Dialogue
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
+from tests.contended import Contended
 from tests.waiting import until
+from tests.worlds.guarded import is_held
+from urlink.commanding.interlock import Interlock
 from urlink.commanding.monitor import _Listening
+from urlink.interfaces.rtde.packets import StartReply
 from urlink.interfaces.rtde.protocol import Requests
 from urlink.interfaces.rtde.recipes import Outputs
-from urlink.motion.reverse import ReversePort
+from urlink.motion.reverse import ReverseLink, ReversePort
 from urlink.rtde.claims import CLAIM_TIMEOUT, BriefClaims
+from urlink.rtde.client import Rtde
 
 pytestmark = pytest.mark.simulated_time
 
@@ -159,3 +167,116 @@ def test_what_opens_after_rtde_was_closed_is_closed() -> None:
         with pytest.raises(Closed):
             rtde._keep(stream)
         assert stream.is_over
+
+
+# -- between two threads -----------------------------------------------------------------------------------
+
+
+def test_registers_of_a_kind_have_one_stream(monkeypatch: pytest.MonkeyPatch) -> None:
+    with urlink.connect("sim://") as robot:
+        registers, made = robot.registers, []
+        outputs = type(robot.rtde).outputs
+
+        def noting(rtde: Any, *names: Any, **how: Any) -> Any:
+            made.append(names)
+            return outputs(rtde, *names, **how)
+
+        monkeypatch.setattr(type(robot.rtde), "outputs", noting)
+        registers._lock = Contended(registers._lock, before=lambda: registers.read_integer(24))  # type: ignore[assignment]
+        registers.read_integer(25)
+    assert len(made) == 1
+
+
+def test_claim_succeeds_when_it_waited_for_a_reconnection() -> None:
+    with urlink.connect("sim://") as robot:
+        robot.registers.write_integer(24, 1)
+        claims = robot.rtde._claimed()
+
+        def reconnect() -> None:
+            before = claims._transport.dialogue
+            claims._connection.abort()
+            until(lambda: claims._transport.dialogue not in (None, before))
+            until(lambda: claims._connection.state is ConnectionState.CONNECTED)
+
+        claims._lock = Contended(claims._lock, before=reconnect)  # type: ignore[assignment]
+        claims.claim(("input_int_register_25",))
+        assert claims.has(("input_int_register_25",))
+
+
+def test_stream_opened_while_the_robot_closes_is_closed() -> None:
+    class Opened:
+        is_over = False
+
+        def close(self, timeout: float = 2.0) -> None:
+            self.is_over = True
+
+    with urlink.connect("sim://") as robot:
+        rtde, opened = robot.rtde, Opened()
+        rtde._lock = Contended(rtde._lock, before=rtde.close)  # type: ignore[assignment]
+        with pytest.raises(Closed):
+            rtde._keep(opened)  # type: ignore[type-var]
+        assert opened.is_over
+
+
+def test_types_are_awaited_for_a_limited_time() -> None:
+    received: list[float] = []
+
+    class Chatty:
+        name = "chatty"
+
+        def receive(self, left: float) -> tuple[bytes, Stamp]:
+            received.append(left)
+            assert left > 0.0
+            time.sleep(0.1)
+            return bytes(StartReply(accepted=True)), Stamp.now()
+
+    with pytest.raises(LinkTimeout, match="0 of 1"):
+        Rtde._replies(Chatty(), 1, clock.now() + 0.35)  # type: ignore[arg-type]
+    assert len(received) == 4
+
+
+def test_reason_of_a_timeout_is_read_under_the_lock(monkeypatch: pytest.MonkeyPatch) -> None:
+    with urlink.connect("sim://") as robot:
+        robot.controller.faults.protective_stop()
+        until(lambda: robot.safety.refusal)
+        seen: list[bool] = []
+        refusal = Interlock.refusal
+
+        def noting(interlock: Interlock, *arguments: Any) -> Any:
+            seen.append(is_held(robot.safety._monitor._section.lock))
+            return refusal(interlock, *arguments)
+
+        monkeypatch.setattr(Interlock, "refusal", noting)
+        with pytest.raises(LinkTimeout):
+            robot.safety.wait_enabled(0.1)
+    assert seen
+    assert all(seen)
+
+
+def test_program_that_connects_to_a_closing_link_is_hung_up() -> None:
+    class Closing(ReverseLink):
+        """Closed by another thread just after it was seen open."""
+
+        _was_closed = False
+
+        @property
+        def _is_closed(self) -> bool:  # type: ignore[override]
+            was_closed = self._was_closed
+            if not was_closed and self.said:
+                self.close()
+            return was_closed
+
+        @_is_closed.setter
+        def _is_closed(self, value: bool) -> None:
+            self._was_closed = value
+
+        said = False
+
+    link = Closing(ReversePort("127.0.0.1", host="127.0.0.1"))
+    with socket.create_connection(("127.0.0.1", link.endpoint.port)) as program:
+        program.sendall(link.endpoint.token.to_bytes(4, "big"))
+        link.said = True
+        until(lambda: link.poll(True) or link._was_closed)
+        program.settimeout(1.0)
+        with contextlib.suppress(ConnectionResetError):
+            assert program.recv(1) == b""

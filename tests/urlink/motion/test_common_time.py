@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import threading
 
 import pytest
 
+from tests.contended import Contended, Meeting
 from tests.urlink.motion.test_controller_clock import state
 from urlink.motion.common_time import CommonPace, CommonTime, MemberClock, MemberPace
 
@@ -339,3 +341,42 @@ def test_the_pace_of_a_state_without_a_time_is_that_of_its_arrival() -> None:
     member = paces.members[0]
     member.look(math.nan, paces.now + 0.01, 1.0, 1.0, is_led=True, is_idle=False)
     assert member.place_at(paces.now + 0.01, 1.0) == pytest.approx(1.0 + 2 * CYCLE)
+
+
+# -- between two threads -----------------------------------------------------------------------------------
+
+
+def test_trajectories_wait_for_no_arm_that_has_just_left() -> None:
+    clocks = Clocks()
+    clocks.begin(1.0, 1.0)
+    one, other = clocks.members
+    other.is_paused = lambda: True
+    clocks.common._lock = Contended(threading.Lock(), before=lambda: clocks.common.leave(other))  # type: ignore[assignment]
+    clocks.step(1.0, None)
+    assert clocks.common.rate == 1.0
+    one.leave()
+
+
+def test_streams_wait_for_no_arm_that_has_just_left() -> None:
+    paces = Paces()
+    paces.step(40)
+    one, other = paces.members
+    other.is_paused = lambda: True
+    paces.has_left[1] = True
+    paces.common._lock = Contended(threading.Lock(), before=lambda: paces.common.leave(other))  # type: ignore[assignment]
+    paces.step()
+    assert paces.common._wanted == 1.0
+    paces.common.leave(one)
+
+
+@pytest.mark.simulated_time
+@pytest.mark.parametrize("kind", [CommonTime, CommonPace])
+def test_arms_that_leave_at_the_same_time_all_leave(kind: type[CommonTime | CommonPace]) -> None:
+    common = kind()
+    one, other = (common.member(float, CYCLE) for _ in range(2))
+    meeting = Meeting(common._members)
+    meeting.meanwhile = lambda: common.leave(other)  # type: ignore[arg-type]
+    common._members = meeting
+    common.leave(one)  # type: ignore[arg-type]
+    meeting.join()
+    assert common._members == ()

@@ -1,0 +1,137 @@
+"""How a stream that an event loop reads ends, and what other threads and tasks do meanwhile."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+
+import pytest
+
+from linkcore import clock
+from linkcore.aio import loop_connection
+from linkcore.aio.async_stream import AsyncStream
+from linkcore.errors import LinkError
+from linkcore.streaming.connection_life import ConnectionState
+from linkcore.streaming.packet_queue import Policy, block, drop_oldest
+from tests.fakes.link import Count, counts
+from tests.linkcore.aio.test_async_stream import awaited, come, listening, stream_to
+
+pytestmark = pytest.mark.real_time
+
+#: s that an ending may take on a busy machine; a wait that nobody ends takes longer.
+_AT_ONCE = 3.0
+
+
+@awaited
+async def test_closed_iterator_gets_nothing_more() -> None:
+    async with listening() as peer, stream_to(peer) as stream:
+        packets, other = stream.iterate(block), stream.iterate(block)
+        await packets.open()
+        await other.open()
+        writer = await peer.accepted()
+        await packets.aclose()
+        writer.write(counts(1))
+        assert (await other.__anext__()).number == 1
+        routes = stream._loop_connection.fan_out._routes
+        assert [route.sink for route in routes if route.sink is packets._queue] == []
+        await other.aclose()
+
+
+@awaited
+async def test_stream_goes_on_when_a_full_iterator_is_closed() -> None:
+    async with listening() as peer, stream_to(peer) as stream:
+        full, other = stream.iterate(Policy(2, evicts=False)), stream.iterate(drop_oldest(100))
+        await full.open()
+        await other.open()
+        writer = await peer.accepted()
+        writer.write(counts(1, 2, 3))
+        await come(lambda: full._queue.waiting == 3)
+        await full.aclose()
+        writer.write(counts(4))
+        assert [(await asyncio.wait_for(other.__anext__(), _AT_ONCE)).number for _ in range(4)] == [1, 2, 3, 4]
+        await other.aclose()
+
+
+@awaited
+async def test_iterator_of_two_tasks_gets_each_packet_once() -> None:
+    async with listening() as peer, stream_to(peer) as stream:
+        packets = stream.iterate(block)
+        first, second = (asyncio.ensure_future(packets.next(None)) for _ in range(2))
+        writer = await peer.accepted()
+        await come(lambda: first.done() or second.done() or stream.connection is ConnectionState.CONNECTED)
+        await asyncio.sleep(0)
+        writer.write(counts(1, 2, 3))
+        await come(lambda: packets.stats.offered >= 3)
+        assert packets.stats.offered == 3
+        second.cancel()
+        first.cancel()
+        await asyncio.gather(first, second, return_exceptions=True)
+        await packets.aclose()
+
+
+@awaited
+async def test_stream_closed_by_a_thread_before_it_reads_has_ended() -> None:
+    async with listening() as peer:
+        stream = stream_to(peer)
+        connection = stream._loop_connection
+
+        def begin_and_close() -> None:
+            connection.start_quietly()
+            connection._stop()
+
+        thread = asyncio.get_running_loop().run_in_executor(None, begin_and_close)
+        while not connection._life.is_closed:  # the loop reads nothing meanwhile
+            time.sleep(0.001)
+        await thread
+        begun = clock.now()
+        assert await asyncio.to_thread(connection._join_reader, 2 * _AT_ONCE)
+        assert clock.now() - begun < _AT_ONCE
+        await _without_threads(stream)
+
+
+@awaited
+async def test_thread_that_aborts_waits_for_the_loop_only() -> None:
+    handover, loop_connection._HANDOVER = loop_connection._HANDOVER, 2 * _AT_ONCE
+    try:
+        async with listening() as peer, stream_to(peer) as stream:
+            packets = stream.iterate(block)
+            await packets.open()
+            begun = clock.now()
+            await asyncio.to_thread(stream._loop_connection.abort)
+            assert clock.now() - begun < _AT_ONCE
+            await packets.aclose()
+            await _without_threads(stream)
+    finally:
+        loop_connection._HANDOVER = handover
+
+
+@awaited
+async def test_thread_closes_a_stream_that_connects() -> None:
+    async with listening() as peer:
+        stream = stream_to(peer)
+        connection = stream._loop_connection
+        may_connect = asyncio.Event()
+        connect = connection._transport.connect
+
+        async def slowly(timeout: float) -> None:
+            await may_connect.wait()
+            await connect(timeout)
+
+        connection._transport.connect = slowly
+        connecting = asyncio.ensure_future(connection.connected())
+        await come(lambda: connection._opening is not None)
+        begun = clock.now()
+        await asyncio.to_thread(connection._stop)
+        assert clock.now() - begun < _AT_ONCE
+        may_connect.set()
+        with contextlib.suppress(LinkError):
+            await connecting
+        await stream.close()
+        await _without_threads(stream)
+
+
+async def _without_threads(stream: AsyncStream[Count]) -> None:
+    """End the threads that tests used."""
+    await stream.close()
+    await asyncio.get_running_loop().shutdown_default_executor()
