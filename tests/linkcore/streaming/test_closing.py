@@ -14,7 +14,6 @@ from linkcore.streaming.fanout import FanOut
 from linkcore.streaming.packet_queue import PacketQueue, drop_oldest
 from linkcore.streaming.stream import Stream
 from linkcore.streaming.thread_connection import ThreadConnection
-from tests.contended import Contended
 from tests.fakes.link import Count, CountProtocol, ScriptedTransport, counts, scripted
 from tests.waiting import until
 
@@ -178,30 +177,6 @@ def test_consumer_that_sleeps_again_is_woken_again() -> None:
     assert woken == [3]
 
 
-def test_packets_offered_while_a_queue_closes_are_dropped() -> None:
-    offering, emptied = threading.Event(), threading.Event()
-
-    class Slow(tuple[int, ...]):
-        def __iter__(self) -> Any:
-            offering.set()
-            emptied.wait(_SOON)
-            return super().__iter__()
-
-    queue = PacketQueue(drop_oldest(8))
-    reader = threading.Thread(target=lambda: queue.offer(Slow((1, 2))))
-
-    def empty() -> None:
-        emptied.set()
-        reader.join(_SOON)
-
-    reader.start()
-    offering.wait(_SOON)
-    queue._discarding = Contended(queue._discarding, after=empty)  # type: ignore[assignment]
-    queue.close()
-    reader.join()
-    assert (queue.waiting, queue.dropped) == (0, 2)
-
-
 def test_sending_has_its_time_after_connecting() -> None:
     class Slow(ScriptedTransport):
         def open(self, timeout: float) -> None:
@@ -213,7 +188,12 @@ def test_sending_has_its_time_after_connecting() -> None:
     stream = scripted(transport)
     waits: list[float] = []
     connection = stream._connection
-    connection.wait_for_room = lambda seconds: bool(waits.append(seconds))  # type: ignore[method-assign]
+
+    def wait_for_room(timeout: float) -> bool:
+        waits.append(timeout)
+        return False
+
+    connection.wait_for_room = wait_for_room  # type: ignore[method-assign]
     with pytest.raises(LinkTimeout):
         connection.send(b"1234", 0.5)
     assert waits == pytest.approx([0.5])

@@ -260,7 +260,7 @@ def test_program_that_connects_to_a_closing_link_is_hung_up() -> None:
         _was_closed = False
 
         @property
-        def _is_closed(self) -> bool:  # type: ignore[override]
+        def _is_closed(self) -> bool:
             was_closed = self._was_closed
             if not was_closed and self.said:
                 self.close()

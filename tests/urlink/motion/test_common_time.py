@@ -7,7 +7,7 @@ import threading
 
 import pytest
 
-from tests.contended import Contended, Meeting
+from tests.contended import Contended
 from tests.urlink.motion.test_controller_clock import state
 from urlink.motion.common_time import CommonPace, CommonTime, MemberClock, MemberPace
 
@@ -367,16 +367,3 @@ def test_streams_wait_for_no_arm_that_has_just_left() -> None:
     paces.step()
     assert paces.common._wanted == 1.0
     paces.common.leave(one)
-
-
-@pytest.mark.simulated_time
-@pytest.mark.parametrize("kind", [CommonTime, CommonPace])
-def test_arms_that_leave_at_the_same_time_all_leave(kind: type[CommonTime | CommonPace]) -> None:
-    common = kind()
-    one, other = (common.member(float, CYCLE) for _ in range(2))
-    meeting = Meeting(common._members)
-    meeting.meanwhile = lambda: common.leave(other)  # type: ignore[arg-type]
-    common._members = meeting
-    common.leave(one)  # type: ignore[arg-type]
-    meeting.join()
-    assert common._members == ()
