@@ -118,7 +118,7 @@ async def test_thread_closes_a_stream_that_connects() -> None:
             await may_connect.wait()
             await connect(timeout)
 
-        connection._transport.connect = slowly
+        connection._transport.connect = slowly  # type: ignore[method-assign]
         connecting = asyncio.ensure_future(connection.connected())
         await come(lambda: connection._opening is not None)
         begun = clock.now()

@@ -213,8 +213,20 @@ def test_sending_has_its_time_after_connecting() -> None:
     stream = scripted(transport)
     waits: list[float] = []
     connection = stream._connection
-    connection.wait_for_room = lambda seconds: bool(waits.append(seconds))  # type: ignore[method-assign]
+
+    def wait_for_room(timeout: float) -> bool:
+        waits.append(timeout)
+        return False
+
+    connection.wait_for_room = wait_for_room  # type: ignore[method-assign]
     with pytest.raises(LinkTimeout):
         connection.send(b"1234", 0.5)
     assert waits == pytest.approx([0.5])
     stream.close()
+
+
+def test_queue_added_just_before_a_stream_ends_is_ended() -> None:
+    fan_out, queue = FanOut(Count), PacketQueue(drop_oldest(8))
+    fan_out._lock = Contended(fan_out._lock, before=lambda: fan_out.add(queue, Count))  # type: ignore[assignment]
+    fan_out.end()
+    assert queue._is_ended
