@@ -198,3 +198,10 @@ def test_sending_has_its_time_after_connecting() -> None:
         connection.send(b"1234", 0.5)
     assert waits == pytest.approx([0.5])
     stream.close()
+
+
+def test_queue_added_just_before_a_stream_ends_is_ended() -> None:
+    fan_out, queue = FanOut(Count), PacketQueue(drop_oldest(8))
+    fan_out._lock = Contended(fan_out._lock, before=lambda: fan_out.add(queue, Count))  # type: ignore[assignment]
+    fan_out.end()
+    assert queue._is_ended

@@ -259,4 +259,11 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "swapped",
         "of two wrong arguments, the other one is reported first",
     ),
+    Equivalent(
+        "rhdlink/client.py",
+        "_connect",
+        "self._timeout = timeout",
+        "after self._open(clock.now() + timeout)",
+        "opening takes its deadline as an argument, and no other thread has the object before it is made",
+    ),
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import socket
 import threading
@@ -13,13 +14,14 @@ import pytest
 import urlink
 from linkcore import clock
 from linkcore.clock import Stamp
-from linkcore.errors import Closed, LinkTimeout
+from linkcore.errors import Closed, LinkError, LinkTimeout
 from linkcore.net.dialogue import Dialogue
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from tests.contended import Contended
 from tests.waiting import until
 from tests.worlds.guarded import is_held
+from urlink.aio.awaited import AwaitedRtde
 from urlink.commanding.interlock import Interlock
 from urlink.commanding.monitor import _Listening
 from urlink.interfaces.rtde.packets import StartReply
@@ -280,3 +282,26 @@ def test_program_that_connects_to_a_closing_link_is_hung_up() -> None:
         program.settimeout(1.0)
         with contextlib.suppress(ConnectionResetError):
             assert program.recv(1) == b""
+
+
+def test_connecting_counts_towards_the_deadline_of_rtde() -> None:
+    left: list[float] = []
+
+    class Slow:
+        name = "slow"
+
+        def __getattr__(self, name: str) -> object:
+            """The rest of a transport does nothing."""
+            return lambda *arguments: None
+
+        async def connect(self, timeout: float) -> None:
+            await asyncio.sleep(0.3)
+
+        async def receive_awaited(self, timeout: float) -> tuple[bytes, Stamp]:
+            left.append(timeout)
+            raise LinkTimeout("nothing")
+
+    transport = AwaitedRtde(Slow(), Requests(("timestamp",), None))  # type: ignore[arg-type]
+    with pytest.raises(LinkError):
+        asyncio.run(transport.connect(0.5))
+    assert max(left) <= 0.21
