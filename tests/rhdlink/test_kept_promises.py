@@ -157,11 +157,3 @@ def test_connection_is_kept_before_it_is_reported(host: rhdlink.Host, monkeypatc
         robot._lose(robot._replica, rhdlink.ConnectionLost("cut"))
         robot.sync()
         assert seen == [True]
-
-
-def test_subscription_is_refused_when_it_waited_for_close() -> None:
-    subscribers = Subscribers("robot")
-    close = lambda: subscribers.close(clock.now() + 1.0)  # noqa: E731
-    subscribers._lock = Contended(subscribers._lock, before=close)  # type: ignore[assignment]
-    with pytest.raises(rhdlink.Closed):
-        subscribers.subscribe(str, lambda event: None, None, drop_oldest(8), owner=None)

@@ -32,7 +32,7 @@ _TRIES: Mapping[str, int] = {
     "cancelled-task-moves-the-arm": 20,
     "stop-after-the-next": 40,
     "two-connections-claim-the-same": 100,
-    "message-after-the-last": 40,
+    "message-after-the-last": 400,
 }
 #: A small world that shows the defect, and with how many seeds it is tried.
 SHOWN: Mapping[str, tuple[World, int]] = {name: (SCENES[name], _TRIES.get(name, 3)) for name in NAMES}

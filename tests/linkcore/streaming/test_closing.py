@@ -14,6 +14,7 @@ from linkcore.streaming.fanout import FanOut
 from linkcore.streaming.packet_queue import PacketQueue, drop_oldest
 from linkcore.streaming.stream import Stream
 from linkcore.streaming.thread_connection import ThreadConnection
+from tests.contended import Contended
 from tests.fakes.link import Count, CountProtocol, ScriptedTransport, counts, scripted
 from tests.waiting import until
 
