@@ -85,7 +85,7 @@ class PendingCall:
         Raises:
             Cancelled: If it was abandoned and would have sent something, or if the robot was stopped meanwhile.
         """
-        outer, _here.call = _in_this_thread(), self
+        outer, _here.call = current_call(), self
         try:
             return call()
         finally:
@@ -206,7 +206,7 @@ def starts_motion(method: Callable[Concatenate[S, P], T]) -> Callable[Concatenat
 
     @functools.wraps(method)
     def call(self: S, /, *args: P.args, **kwargs: P.kwargs) -> T:
-        outer = _in_this_thread()
+        outer = current_call()
         mine = Call(outer)
         try:
             _here.call = mine
@@ -220,14 +220,10 @@ def starts_motion(method: Callable[Concatenate[S, P], T]) -> Callable[Concatenat
     return call
 
 
-def _in_this_thread() -> PendingCall | Call | None:
-    call: PendingCall | Call | None = getattr(_here, "call", None)
-    return call
-
-
 def current_call() -> PendingCall | Call | None:
     """The call that this thread is in, or None."""
-    return _in_this_thread()
+    call: PendingCall | Call | None = getattr(_here, "call", None)
+    return call
 
 
 def stopped_here() -> int:
@@ -236,7 +232,7 @@ def stopped_here() -> int:
     A signal handler may stop the robot in the middle of a call, and then start another motion. That one is entered
     after the stop, although it is entered within the interrupted call.
     """
-    call = _in_this_thread()
+    call = current_call()
     while call is not None:
         call.has_stopped = True
         call = call.outer if isinstance(call, Call) else None
@@ -245,7 +241,7 @@ def stopped_here() -> int:
 
 def has_started() -> None:
     """The call of this thread has started what it is for, and can only wait now."""
-    call = _in_this_thread()
+    call = current_call()
     if isinstance(call, Call):
         call.has_started = True
 
@@ -256,14 +252,14 @@ def check_wanted() -> None:
     Raises:
         Cancelled: If it was.
     """
-    call = _in_this_thread()
+    call = current_call()
     if call is not None:
         call.check()
 
 
 def pending_call() -> PendingCall | None:
     """The pending call that this thread makes, or None."""
-    call = _in_this_thread()
+    call = current_call()
     return call._task if isinstance(call, Call) else call
 
 
@@ -282,7 +278,7 @@ def on_give_up(undo: Callable[[], object]) -> None:
 
 def regardless(call: Callable[[], T]) -> T:
     """Make a call that may send whatever happens: it stops the robot, or executes what was decided before."""
-    outer, _here.call = _in_this_thread(), None
+    outer, _here.call = current_call(), None
     try:
         return call()
     finally:
