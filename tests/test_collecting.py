@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import pytest
 
 from tests.collecting import in_turn
 
 pytest_plugins = ["pytester"]
+
+ROOT = Path(__file__).parents[1]
 
 MODULE = '''
 def one():
@@ -31,3 +38,18 @@ def test_each_process_imports_all_modules_and_begins_with_a_share_of_its_own(cou
 def test_a_module_with_an_example_is_searched(pytester: pytest.Pytester, prompt: str, failed: int) -> None:
     pytester.makepyfile(module=MODULE.format(prompt=prompt))
     pytester.runpytest_inprocess("-p", "tests.collecting", "--doctest-modules").assert_outcomes(failed=failed)
+
+
+@pytest.mark.slow
+@pytest.mark.real_time
+def test_collection_has_the_same_order_in_every_process() -> None:
+    """pytest-xdist refuses to run where two processes differ, as they do if the cases of a test come from a set."""
+    orders = []
+    for seed in "12":
+        command = [sys.executable, "-m", "pytest", "--collect-only", "-q", "-p", "no:cacheprovider", "-m", "", "tests"]
+        environment = {**os.environ, "PYTHONHASHSEED": seed}
+        listed = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=250)
+        assert listed.returncode == 0, listed.stdout[-2000:]
+        orders.append([line for line in listed.stdout.splitlines() if "::" in line])
+    assert len(orders[0]) > 1000
+    assert orders[0] == orders[1]
