@@ -104,10 +104,11 @@ def floors(session: nox.Session) -> None:
 
 @nox.session
 def lint(session: nox.Session) -> None:
-    """Check style and formatting."""
+    """Check style, formatting, and who imports whom."""
     session.install(*group("lint"))
     session.run("ruff", "check", *session.posargs, ".")
     session.run("ruff", "format", "--check", ".")
+    session.run("lint-imports", env={"PYTHONPATH": "src"})
 
 
 @nox.session
@@ -228,7 +229,7 @@ def lerobot(session: nox.Session, release: str) -> None:
 def data(session: nox.Session) -> None:
     """Export recordings to every format, and open them again with the readers that people use."""
     session.install("-e", f".{EXTRAS}", *group("tests", "data"))
-    session.run("pytest", *(session.posargs or ["tests/urlink/data"]))
+    session.run("pytest", *(session.posargs or ["tests/urlink/recording"]))
 
 
 @nox.session

@@ -34,10 +34,10 @@ from linkcore.net.transport import TcpTransport
 from linkcore.streaming.connection_life import Backoff
 from linkcore.streaming.packet_queue import block
 from linkcore.streaming.stream import Stream
-from urlink.firmware import Firmware
-from urlink.identity import Identity
 from urlink.packets import RealtimeState
-from urlink.source import Source
+from urlink.protocol.firmware import Firmware
+from urlink.session.identity import Identity
+from urlink.session.source import Source
 
 ROBOTS = 10
 RATE = 500

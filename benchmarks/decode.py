@@ -17,11 +17,11 @@ from typing import Any
 
 import urlink
 from linkcore.wire.schema import as_struct
-from urlink.firmware import RELEASES
-from urlink.interfaces.primary.decoder import PackageDecoder
-from urlink.interfaces.primary.robot_state import SUB_PACKAGES, RobotState, SubPackage
-from urlink.interfaces.realtime.packets import RealtimeState
-from urlink.interfaces.realtime.protocol import RealtimeProtocol
+from urlink.protocol.firmware import RELEASES
+from urlink.protocol.primary.decoder import PackageDecoder
+from urlink.protocol.primary.robot_state import SUB_PACKAGES, RobotState, SubPackage
+from urlink.protocol.realtime.packets import RealtimeState
+from urlink.protocol.realtime.protocol import RealtimeProtocol
 
 #: What a person would write who wants the numbers of one firmware and nothing else: 5.4 to 5.24.
 _HEAD = struct.Struct(">iB")

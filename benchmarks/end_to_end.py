@@ -41,10 +41,10 @@ from linkcore.errors import RemoteError
 from linkcore.net.transport import TcpTransport
 from linkcore.streaming.connection_life import Backoff
 from linkcore.streaming.packet_queue import drop_oldest
-from urlink.firmware import Firmware
-from urlink.identity import Identity
 from urlink.packets import RealtimeState
-from urlink.source import Source
+from urlink.protocol.firmware import Firmware
+from urlink.session.identity import Identity
+from urlink.session.source import Source
 
 RATE = 500
 #: Packets before anything is measured: half a second, for imports, caches and the first of everything.

@@ -22,8 +22,8 @@ import numpy as np
 
 import urlink
 from urlink import Trajectory
+from urlink.arm.vectors import FloatArray
 from urlink.simulator import Controller
-from urlink.vectors import FloatArray
 
 #: rad there and back, and s for each.
 WAY, SECONDS = 0.3, 0.3

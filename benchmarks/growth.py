@@ -38,31 +38,31 @@ from linkcore.recording.file import MAGIC, Kind, pack
 from linkcore.wire.http import HttpParser
 from rhdlink import Mission
 from rhdlink.host.config import parse_config
-from rhdlink.plugins.turtle import Turtle
-from rhdlink.scene import Scene
+from rhdlink.host.plugins.turtle import Turtle
+from rhdlink.host.scene import Scene
 from rhdlink.smrcl.controller import MissionController
 from rhdlink.smrcl.robot_conf import VELOMEGA, parse_robot_conf
 from rhdlink.smrcl.robot_link import PluginLink
 from rhdlink.wire.data import TableLayout
 from rhdlink.wire.decoder import ClientDecoder, ServerDecoder
 from urlink import decode, load
-from urlink.address import parse_address
-from urlink.firmware import Firmware
-from urlink.interfaces.dashboard.protocol import (
+from urlink.packets import RealtimeState, TextMessage, VersionMessage
+from urlink.protocol.dashboard.protocol import (
     DashboardProtocol,
     parse_is_program_saved,
     parse_loaded_program,
     parse_program_state,
 )
-from urlink.interfaces.dashboard.stored_programs import parse_form, parse_programs
-from urlink.interfaces.gripper.protocol import value_of
-from urlink.interfaces.interpreter import InterpreterProtocol, parse_reply
-from urlink.interfaces.primary.protocol import PrimaryProtocol
-from urlink.interfaces.realtime.protocol import RealtimeProtocol
-from urlink.interfaces.rtde.packets import decode_reply, decode_request, split_names
-from urlink.packets import RealtimeState, TextMessage, VersionMessage
+from urlink.protocol.dashboard.stored_programs import parse_form, parse_programs
+from urlink.protocol.firmware import Firmware
+from urlink.protocol.gripper.protocol import value_of
+from urlink.protocol.interpreter import InterpreterProtocol, parse_reply
+from urlink.protocol.primary.protocol import PrimaryProtocol
+from urlink.protocol.realtime.protocol import RealtimeProtocol
+from urlink.protocol.rtde.packets import decode_reply, decode_request, split_names
+from urlink.session.address import parse_address
 from urlink.simulator import Controller, Still
-from urlink.simulator.ports.port import ScriptReceiver
+from urlink.simulator.interfaces.interface import ScriptReceiver
 from urlink.simulator.programs.loader import obey
 from urlink.simulator.state import Counters
 from urlink.simulator.urscript import ProgramError, compile_script

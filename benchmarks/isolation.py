@@ -29,11 +29,11 @@ import urlink
 from linkcore.net.isolated_transport import IsolatedTransport
 from linkcore.net.transport import TcpTransport, Transport
 from linkcore.streaming.connection_life import Backoff
-from urlink.firmware import Firmware
-from urlink.identity import Identity
-from urlink.interfaces.realtime.protocol import RealtimeProtocol
 from urlink.packets import RealtimeState
-from urlink.source import Source
+from urlink.protocol.firmware import Firmware
+from urlink.protocol.realtime.protocol import RealtimeProtocol
+from urlink.session.identity import Identity
+from urlink.session.source import Source
 
 #: name -> options, and whether another process reads
 WAYS: dict[str, tuple[dict[str, Any], bool]] = {
@@ -62,7 +62,7 @@ def receive(port: int, results: Connection, seconds: float, way: str) -> None:
     def transport(interface: str) -> Transport:
         if not is_isolated:
             return TcpTransport("127.0.0.1", port, silence=5.0)
-        boundary = "urlink.interfaces.realtime.protocol:RealtimeBoundary"
+        boundary = "urlink.protocol.realtime.protocol:RealtimeBoundary"
         decode = RealtimeProtocol().decode
         return IsolatedTransport("127.0.0.1", port, silence=5.0, boundary=boundary, decode=decode)
 

@@ -30,9 +30,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from urlink.kinematics import Arm
-from urlink.poses import compose, invert, to_matrix
-from urlink.urdf import to_urdf
+from urlink.arm.kinematics import Arm
+from urlink.arm.poses import compose, invert, to_matrix
+from urlink.arm.urdf import to_urdf
 
 ROWS = 1000
 #: µs: of one inverse, and of one among a thousand.

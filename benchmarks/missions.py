@@ -24,12 +24,12 @@ from collections.abc import Callable, Mapping, Sequence
 from multiprocessing.connection import Connection
 
 from rhdlink import Cancelled, Host, Mission, connect
-from rhdlink.plugins.turtle import SmrTurtle, Turtle
+from rhdlink.host.plugins.turtle import SmrTurtle, Turtle
+from rhdlink.host.world import World
 from rhdlink.smrcl.controller import MissionController
 from rhdlink.smrcl.profile import find_profile
 from rhdlink.smrcl.robot_conf import SMR, VELOMEGA
 from rhdlink.smrcl.robot_link import PluginLink
-from rhdlink.world import World
 
 #: Eight legs of 0.2 to 0.9 m with a turn behind each, and the diagonal.
 SPIRAL = "".join(f"fwd {0.2 + 0.1 * leg:.1f}\nturn 90\n" for leg in range(8)) + "turn 45\nfwd 0.5\nstop\n"

@@ -18,8 +18,8 @@ import numpy as np
 from linkcore.clock import Stamp
 from linkcore.streaming.receiver import Receiver
 from linkcore.streaming.statistics import StreamCounters
-from urlink.interfaces.realtime.protocol import RealtimeProtocol
 from urlink.packets import RealtimeState
+from urlink.protocol.realtime.protocol import RealtimeProtocol
 
 #: Packets a second, and of one turn.
 RATE, TURN = 500, 1000

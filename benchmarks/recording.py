@@ -27,8 +27,8 @@ from linkcore.recording.recorder import Recorder
 from linkcore.streaming.fanout import FanOut
 from linkcore.streaming.stream import Stream
 from linkcore.streaming.thread_connection import ThreadConnection
-from urlink.interfaces.realtime.protocol import RealtimeProtocol
 from urlink.packets import RealtimeState
+from urlink.protocol.realtime.protocol import RealtimeProtocol
 
 #: Seconds between two packets: four times as many as the fastest controller sends, and time enough to go to sleep.
 PERIOD = 0.0005

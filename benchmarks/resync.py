@@ -16,9 +16,9 @@ import struct
 import time
 
 from linkcore.wire.framing import Framer
-from urlink.interfaces.primary.protocol import PrimaryProtocol
-from urlink.interfaces.realtime.protocol import RealtimeProtocol
 from urlink.packets import RealtimeState, VersionMessage
+from urlink.protocol.primary.protocol import PrimaryProtocol
+from urlink.protocol.realtime.protocol import RealtimeProtocol
 
 _SIZE = 1 << 16
 _CHUNKS = (_SIZE, 7, 1)

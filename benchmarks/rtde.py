@@ -32,9 +32,8 @@ import numpy as np
 from linkcore.net.transport import TcpTransport
 from linkcore.streaming.connection_life import Backoff
 from linkcore.streaming.packet_queue import drop_oldest
-from urlink.firmware import Firmware
-from urlink.identity import Identity
-from urlink.interfaces.rtde.packets import (
+from urlink.protocol.firmware import Firmware
+from urlink.protocol.rtde.packets import (
     ControllerVersionReply,
     ControllerVersionRequest,
     OutputsReply,
@@ -46,10 +45,11 @@ from urlink.interfaces.rtde.packets import (
     decode_request,
     split_names,
 )
-from urlink.interfaces.rtde.recipes import DATA_HEADER, Recipe
-from urlink.interfaces.rtde.variables import OUTPUTS
+from urlink.protocol.rtde.recipes import DATA_HEADER, Recipe
+from urlink.protocol.rtde.variables import OUTPUTS
 from urlink.rtde import Rtde
-from urlink.source import Source
+from urlink.session.identity import Identity
+from urlink.session.source import Source
 
 HOST, PORT = "127.0.7.1", 30004
 RATE = 500

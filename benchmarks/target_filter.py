@@ -7,7 +7,7 @@ import argparse
 import math
 import time
 
-from urlink.motion.jerk_limited import TargetFilter, joint_limits
+from urlink.motion.servo.jerk_limited import TargetFilter, joint_limits
 
 #: s; of the fastest controllers.
 CYCLE = 0.002

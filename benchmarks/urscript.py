@@ -23,16 +23,16 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
 
-from urlink.firmware import Firmware
-from urlink.interfaces.enums import ProgramState
-from urlink.kinematics import Arm
-from urlink.motion.setpoints import STOP_MESSAGE, dated, setpoint
+from urlink.arm.kinematics import Arm
+from urlink.motion.servo.setpoints import STOP_MESSAGE, dated, setpoint
+from urlink.protocol.enums import ProgramState
+from urlink.protocol.firmware import Firmware
+from urlink.script import commands, waypoints, wrapping
+from urlink.script.links import ReverseSocket
+from urlink.script.streaming import streaming as streaming_program
 from urlink.simulator import Controller, Still
 from urlink.simulator.urscript import compile_script
 from urlink.simulator.urscript.errors import MAX_TOKENS
-from urlink.urscript import commands, waypoints, wrapping
-from urlink.urscript.links import ReverseSocket
-from urlink.urscript.streaming import streaming as streaming_program
 
 ARMS = (("UR5", "3.4"), ("UR5e", "5.11"))
 READY = (0.0, -1.6, 1.6, -1.6, -1.6, 0.0)

@@ -16,9 +16,9 @@ from typing import Any
 import urlink
 from linkcore.recording.file import RecordingFile
 from linkcore.wire.packet import State
-from urlink.firmware import Firmware
-from urlink.interfaces.primary.protocol import PrimaryProtocol
-from urlink.interfaces.realtime.protocol import RealtimeProtocol
+from urlink.protocol.firmware import Firmware
+from urlink.protocol.primary.protocol import PrimaryProtocol
+from urlink.protocol.realtime.protocol import RealtimeProtocol
 
 FOLDER = Path(__file__).parent
 

@@ -15,9 +15,9 @@ from _drawing import COLOURS, drawing
 from numpy.typing import NDArray
 
 import urlink
-from urlink.kinematics import Arm
+from urlink.arm.kinematics import Arm
 from urlink.simulator import Controller
-from urlink.simulator.robot.sources import Setpoint
+from urlink.simulator.robot.setpoint_sources import Setpoint
 
 PICTURE = Path(__file__).parent / "images" / "arm.svg"
 

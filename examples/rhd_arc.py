@@ -12,8 +12,8 @@ import argparse
 import math
 
 import rhdlink
-from rhdlink.plugins.turtle import Turtle
-from rhdlink.world import World, save
+from rhdlink.host.plugins.turtle import Turtle
+from rhdlink.host.world import World, save
 
 PERIOD = 0.01
 SPEED = 0.3

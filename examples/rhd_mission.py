@@ -15,10 +15,10 @@ import sys
 from pathlib import Path
 
 import rhdlink
-from rhdlink.plugins.turtle import SmrTurtle
-from rhdlink.scene import Scene
+from rhdlink.host.plugins.turtle import SmrTurtle
+from rhdlink.host.scene import Scene
+from rhdlink.host.world import Pose, World, save
 from rhdlink.smrcl.robot_link import PluginLink
-from rhdlink.world import Pose, World, save
 
 MISSIONS = Path(__file__).parent / "missions"
 SCRIPT, FLOOR = MISSIONS / "dock.smr", MISSIONS / "floor.svg"

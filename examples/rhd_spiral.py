@@ -12,8 +12,8 @@ import math
 import sys
 
 import rhdlink
-from rhdlink.plugins.velocity import Twist, VelocityBridge
-from rhdlink.world import World, save
+from rhdlink.host.plugins.velocity import Twist, VelocityBridge
+from rhdlink.host.world import World, save
 
 PERIOD = 0.01
 

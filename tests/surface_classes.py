@@ -17,7 +17,7 @@ _PACKAGES = ("linkcore", "urlink", "rhdlink")
 _PLACES = (
     "urlink",
     "urlink.aio.parts",
-    "urlink.kinematics",
+    "urlink.arm.kinematics",
     "urlink.motion",
     "urlink.packets",
     "urlink.rtde",

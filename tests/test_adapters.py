@@ -38,15 +38,15 @@ MIDDLEWARES = {
 PUBLIC = {
     # The one clock, so that ages and deadlines of an adapter agree with those of the library.
     "linkcore.clock",
-    "urlink.kinematics",
-    "urlink.mjcf",
-    "urlink.models",
+    "urlink.arm.kinematics",
+    "urlink.arm.mjcf",
+    "urlink.arm.models",
     "urlink.motion",
     "urlink.packets",
-    "urlink.poses",
+    "urlink.arm.poses",
     "urlink.rtde",
     "urlink.simulator",
-    "urlink.urdf",
+    "urlink.arm.urdf",
     "rhdlink.host",
     "rhdlink.robots",
     "rhdlink.smrcl",
@@ -69,7 +69,7 @@ def is_public(module: str, name: str) -> bool:
         return True
     if module in PUBLIC or f"{module}.{name}" in PUBLIC:
         return not name.startswith("_")
-    return module in ("urlink", "rhdlink") and (not name or name in importlib.import_module(module).__all__)
+    return module in ("urlink", "rhdlink") and (not name or name in dir(importlib.import_module(module)))
 
 
 def test_the_rule_is_not_true_of_nothing() -> None:

@@ -1,9 +1,9 @@
-"""The rules of the house, read from the imports of every module in src/."""
+"""Which modules may use sockets, asyncio, threads and clocks. pyproject.toml has the contracts of who imports whom."""
 
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from pathlib import Path
 
@@ -37,7 +37,7 @@ AWAITED = {
 
 #: The only modules that may start threads.
 THREADS = {
-    "linkcore.net.recall",  # takes back what was given up, for as long as there is anything
+    "linkcore.net.undo",  # takes back what was given up, for as long as there is anything
     "linkcore.threads",  # one for the callbacks of each robot, one for each host or server not run in its caller's
     "linkcore.streaming.thread_connection",  # the reader of each stream
     "linkcore.streaming.subscription",  # one for each callback that is not inline, or has a deadline
@@ -53,43 +53,6 @@ THREADS = {
     "urlink.view.arm_view",  # draws an arm for as long as a notebook shows it
     "linkcore.cli.progress",  # draws the progress of a command
     "urlink.cli.monitor",  # asks who the robot is while the picture is drawn
-}
-
-#: Part of a package -> the parts of it that it may import; the parts that are not named may import all but the cli.
-BELOW: dict[str, dict[str, set[str]]] = {
-    "urlink": {
-        "interfaces": {"interfaces", "firmware", "foreign_names", "ports"},
-        "foreign_names": {"foreign_names"},
-        "ports": {"ports", "firmware"},
-        "firmware": {"firmware"},
-        "bounds": {"bounds", "parameters", "vectors"},
-        "models": {"models", "interfaces", "vectors"},
-        "vectors": {"vectors"},
-        "rigid": {"rigid", "vectors"},
-        "poses": {"poses", "rigid", "vectors"},
-        "kinematics": {"kinematics", "bounds", "models", "rigid", "vectors"},
-        "parameters": {"parameters"},
-        "motors": {"motors", "models", "parameters", "vectors"},
-        "dynamics": {"dynamics", "kinematics", "models", "motors", "rigid", "vectors"},
-        "urdf": {"urdf", "kinematics", "models", "poses", "rigid"},
-        "mjcf": {"mjcf", "dynamics", "kinematics", "models", "motors", "poses", "rigid", "urdf"},
-        "errors": {"errors"},
-        "urscript": {"urscript", "firmware", "interfaces"},
-    },
-    "rhdlink": {
-        "wire": {"wire"},
-        "errors": {"errors"},
-        "variables": {"variables", "wire", "errors"},
-        "connection": {"wire", "errors"},
-        "recording": {"recording", "connection", "variables", "wire"},
-        "replica": {"variables", "wire", "errors"},
-        "host": {"host", "variables", "wire", "errors", "address"},
-        "plugins": {"plugins", "host", "variables", "wire", "recording", "world", "errors"},
-        "scene": {"scene", "host"},
-        "world": {"world", "scene"},
-        "smrcl": {"smrcl", "client", "variables", "host", "world", "errors"},
-        "drive": {"drive", "smrcl", "world"},
-    },
 }
 
 
@@ -120,19 +83,13 @@ def package_of(module: str) -> str:
     return module if MODULES[module].name == "__init__.py" else module.rpartition(".")[0]
 
 
-def _statements(tree: ast.AST, *, for_types: bool = True) -> Iterator[ast.stmt]:
-    """Every statement in it, wherever; without those after `if TYPE_CHECKING` if not `for_types`."""
+def _statements(tree: ast.AST) -> Iterator[ast.stmt]:
+    """Every statement in it, wherever."""
     for name in ("body", "orelse", "handlers", "finalbody", "cases"):
-        if name == "body" and not for_types and _is_for_types(tree):
-            continue
         for each in getattr(tree, name, ()):
             if isinstance(each, ast.stmt):
                 yield each
-            yield from _statements(each, for_types=for_types)
-
-
-def _is_for_types(node: ast.AST) -> bool:
-    return isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
+            yield from _statements(each)
 
 
 def _imported(nodes: Iterable[ast.stmt], package: str) -> Iterator[str]:
@@ -150,7 +107,7 @@ def _imported(nodes: Iterable[ast.stmt], package: str) -> Iterator[str]:
 
 
 def part(module: str) -> str:
-    """What of its package a module belongs to: `urlink.interfaces.enums` to `interfaces`."""
+    """What of its package a module belongs to: `urlink.protocol.enums` to `interfaces`."""
     return [*module.split("."), ""][1]
 
 
@@ -163,95 +120,15 @@ def test_the_imports_are_read() -> None:
     assert {"linkcore", "urlink"} <= {module.partition(".")[0] for module in MODULES}
     assert {"functools", "linkcore.errors", "linkcore.streaming.stream"} <= imports("linkcore.recording.recorder")
     simulator = imports("urlink.simulator.controller")
-    assert {"urlink.models", "urlink.firmware", "urlink.simulator.server"} <= simulator
-    decoder = imports("urlink.interfaces.primary.decoder")
-    assert {"urlink.interfaces.headers", "urlink.interfaces.enums"} <= decoder
-    assert "urlink.decoding" in imports("urlink")
+    assert {"urlink.arm.models", "urlink.protocol.firmware", "urlink.simulator.server"} <= simulator
+    decoder = imports("urlink.protocol.primary.decoder")
+    assert {"urlink.protocol.headers", "urlink.protocol.enums"} <= decoder
+    assert "urlink.protocol.decoding" in imports("urlink")
 
 
 def offenders(is_wrong: Callable[[str, str], bool]) -> list[str]:
     """ "module imports name", for each such pair that is wrong."""
     return [f"{module} imports {name}" for module in MODULES for name in imports(module) if is_wrong(module, name)]
-
-
-def test_linkcore_knows_no_robot() -> None:
-    robots = ("urlink", "rhdlink")
-    assert offenders(lambda module, name: within(module, "linkcore") and name.partition(".")[0] in robots) == []
-
-
-def test_the_two_packages_do_not_know_each_other() -> None:
-    others = {"urlink": "rhdlink", "rhdlink": "urlink"}
-    assert offenders(lambda module, name: others.get(module.partition(".")[0]) == name.partition(".")[0]) == []
-
-
-def test_imports_point_downward() -> None:
-    def is_wrong(module: str, name: str) -> bool:
-        package = module.partition(".")[0]
-        allowed = BELOW.get(package, {}).get(part(module))
-        return allowed is not None and within(name, package) and part(name) not in allowed
-
-    assert offenders(is_wrong) == []
-
-
-def test_only_the_command_line_imports_the_command_line() -> None:
-    assert offenders(lambda module, name: part(module) != "cli" and name in MODULES and part(name) == "cli") == []
-
-
-@cache
-def runtime_imports(module: str) -> frozenset[str]:
-    """The modules that are imported when `module` is, or when something in it is called: not for its types only."""
-    if "TYPE_CHECKING" not in source(module):
-        return imports(module) & MODULES.keys()
-    found = _imported(_statements(parsed(module), for_types=False), package_of(module))
-    return frozenset(found) & MODULES.keys()
-
-
-def circle(graph: Mapping[str, set[str]]) -> list[str]:
-    """The names along a circle; nothing if there is none."""
-    done: set[str] = set()
-
-    def search(path: list[str]) -> list[str]:
-        for name in sorted(graph[path[-1]] - done):
-            found = path[path.index(name) :] if name in path else search([*path, name])
-            if found:
-                return found
-        done.add(path[-1])
-        return []
-
-    return next((found for name in graph if (found := search([name]))), [])
-
-
-@pytest.mark.parametrize(
-    ("graph", "expected"),
-    [
-        ({"a": {"b", "c"}, "b": {"c"}, "c": set()}, []),
-        ({"a": {"b"}, "b": {"c"}, "c": {"b"}}, ["b", "c"]),
-        ({"a": {"b"}, "b": set(), "c": {"d"}, "d": {"e"}, "e": {"c"}}, ["c", "d", "e"]),
-    ],
-)
-def test_a_circle_is_found(graph: dict[str, set[str]], expected: list[str]) -> None:
-    assert circle(graph) == expected
-
-
-@pytest.mark.slow
-def test_no_module_imports_itself_by_way_of_others() -> None:
-    assert circle({module: set(runtime_imports(module) - {module}) for module in MODULES}) == []
-
-
-@pytest.mark.parametrize("package", [name for name, path in MODULES.items() if path.name == "__init__.py"])
-def test_the_parts_of_a_package_are_in_layers(package: str) -> None:
-    """Its folders and modules, of which none needs one above it: not for types either, but between two modules."""
-    part_of = {module: module.removeprefix(f"{package}.").partition(".")[0] for module in MODULES}
-    inside = [module for module in MODULES if module.startswith(f"{package}.")]
-    graph: dict[str, set[str]] = {part_of[module]: set() for module in inside}
-    for module in inside:
-        is_folder = part_of[module] != module.removeprefix(f"{package}.")
-        for name in imports(module) & set(inside):
-            if is_folder or part_of[name] != name.removeprefix(f"{package}.") or name in runtime_imports(module):
-                graph[part_of[module]].add(part_of[name])
-    for name in graph:
-        graph[name].discard(name)
-    assert circle(graph) == []
 
 
 #: Names that several modules of one package have, which then play the same role, each in its folder.
@@ -262,13 +139,15 @@ ROLES = {
     "errors": "the exceptions of its folder",
     "framing": "the frame boundaries of one interface",
     "gripper": "the simulated gripper, and the port that serves it",
+    "interface": "what the interfaces of one folder have in common",
     "interpreter": "interpreter mode: what users hold, and the port that serves it",
     "packets": "the declared packets of one interface",
     "protocol": "the protocol of one interface",
+    "registers": "the general-purpose registers: what users hold, and the simulated ones",
     "robot_api": "the Robot API of PolyScope X: its requests, and the port that answers them",
     "server": "what is served to TCP clients",
     "waypoints": "a motion that is given point by point, and the text of its program",
-    "yielding": "the motions in which the arm yields, and the texts of their programs",
+    "force_control": "the motions that control forces, and the texts of their programs",
 }
 
 
@@ -342,8 +221,6 @@ def test_threads_are_started_where_it_is_declared() -> None:
 def test_what_is_declared_is_there() -> None:
     """A rule about a module that is gone protects nothing."""
     assert MODULES.keys() >= SOCKETS | THREADS
-    for package, parts in BELOW.items():
-        assert parts.keys() <= {part(module) for module in MODULES if within(module, package)}
     assert {module for module in MODULES if "socket" in imports(module)} == SOCKETS
 
 

@@ -13,28 +13,28 @@ from typing import Any
 
 import pytest
 
-import linkcore.realtime
+import linkcore.streaming.scheduling
 import rhdlink
 import urlink
 from linkcore.clock import Stamp
 from linkcore.errors import Cancelled, Closed, LinkError, LinkTimeout
 from linkcore.handle import Handle, Lifecycle, Phase
-from linkcore.net.recall import Recall
-from linkcore.realtime import urgent
+from linkcore.net.undo import Recall
 from linkcore.recording.file import Kind, RecordingFile, RecordingWriter
 from linkcore.streaming.packet_queue import drop_oldest
+from linkcore.streaming.scheduling import urgent
 from linkcore.threads import CallbackThread, ReentrantEvent
 from rhdlink import Int32, Read, Variables
-from rhdlink.plugins.turtle import Turtle
-from rhdlink.world import World
+from rhdlink.host.plugins.turtle import Turtle
+from rhdlink.host.world import World
 from tests.fakes.link import ScriptedTransport, counts, scripted
 from tests.fakes.rhd import Robot, ScriptedServer, endless
 from tests.fakes.server import OneAfterAnother
 from tests.handlers import Interruption, at_every_line
 from tests.waiting import until
-from urlink.firmware import Firmware
-from urlink.interfaces.dashboard.client import Dashboard
-from urlink.motion.common_time import CommonTime
+from urlink.motion.stream.common_time import CommonTime
+from urlink.protocol.dashboard.client import Dashboard
+from urlink.protocol.firmware import Firmware
 from urlink.simulator import Controller
 
 SRC = Path(__file__).resolve().parents[1] / "src"
@@ -59,8 +59,8 @@ REASONS = {
     "linkcore.clock:Expiry": "servers of a robot alone use it, and a handler only calls their `stop`",
     "linkcore.streaming.packet_queue:PacketQueue": "is acquired without waiting",
     "linkcore.recording.index:side_by_side": "threads that read a file, and that no handler waits for",
-    "urlink.motion.common_time:CommonTime": "only threads that read streams take it",
-    "urlink.motion.common_time:CommonPace": "only threads that read streams take it",
+    "urlink.motion.stream.common_time:CommonTime": "only threads that read streams take it",
+    "urlink.motion.stream.common_time:CommonPace": "only threads that read streams take it",
     "urlink.acceptance.logbook:Logbook": "`urlink accept` alone uses it, whose handler only raises",
     "urlink.view.page:": "is held while a page is made, and no handler makes one",
     "rhdlink.client:Variables": "is acquired without waiting",
@@ -138,7 +138,7 @@ def test_urgent_can_be_entered_by_a_handler() -> None:
     def scenario(interruption: Interruption) -> None:
         with interruption.by(enter):
             enter()
-        assert threading.get_native_id() not in linkcore.realtime._threads._numbers
+        assert threading.get_native_id() not in linkcore.streaming.scheduling._threads._numbers
 
     assert at_every_line(scenario) > 10
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 from docutils import nodes
 
-from urlink.firmware import RELEASES
+from urlink.protocol.firmware import RELEASES
 
 __all__ = ["spans", "table"]
 

@@ -12,7 +12,7 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
 from linkcore.recording.file import RecordingFile
-from urlink.firmware import RELEASES
+from urlink.protocol.firmware import RELEASES
 
 #: Says that bytes of a controller back a row: "real bytes", "real connection heads", but not "real-time".
 _REAL = re.compile(r"\breal (?=bytes|connection)")

@@ -17,8 +17,8 @@ from sphinx.util.docutils import SphinxDirective
 
 from linkcore.wire.fields import Version, version_text
 from urlink import Dashboard
-from urlink.interfaces.dashboard.commands import COMMANDS
-from urlink.interfaces.dashboard.robot_api import REQUESTS
+from urlink.protocol.dashboard.commands import COMMANDS
+from urlink.protocol.dashboard.robot_api import REQUESTS
 
 _HEAD = ("method", "command", "CB2, CB3", "e-Series", "PolyScope X", "in local control", "what it does")
 

@@ -27,9 +27,9 @@ from linkcore.wire.fields import Array, Coded, Mask64, Raw, Text
 from linkcore.wire.layout import Layout, Place
 from linkcore.wire.packet import State
 from urlink import packets
-from urlink.firmware import RELEASES
-from urlink.interfaces.primary.robot_message import MESSAGES, PACKAGES
-from urlink.interfaces.primary.robot_state import SUB_PACKAGES
+from urlink.protocol.firmware import RELEASES
+from urlink.protocol.primary.robot_message import MESSAGES, PACKAGES
+from urlink.protocol.primary.robot_state import SUB_PACKAGES
 
 _log = logging.getLogger(__name__)
 

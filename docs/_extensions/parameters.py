@@ -10,8 +10,8 @@ from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-import urlink.parameters
-from urlink.parameters import Parameter, parameters
+import urlink.arm.parameters
+from urlink.arm.parameters import Parameter, parameters
 
 _HEAD = ("parameter", "of", "value", "interval", "evidence", "used in")
 
@@ -23,7 +23,7 @@ class ParametersDirective(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         """One row for each parameter."""
-        self.env.note_dependency(str(Path(urlink.parameters.__file__).with_suffix(".tsv")))
+        self.env.note_dependency(str(Path(urlink.arm.parameters.__file__).with_suffix(".tsv")))
         kinds = {"numbers": False, "assumptions": True}
         if self.arguments[0] not in kinds:
             raise self.error(f"no parameters are called {self.arguments[0]}; expected {' or '.join(kinds)}")

@@ -17,8 +17,8 @@ from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from urlink.interfaces.rtde import variables
-from urlink.interfaces.rtde.variables import INPUTS, OUTPUTS, Variable
+from urlink.protocol.rtde import variables
+from urlink.protocol.rtde.variables import INPUTS, OUTPUTS, Variable
 
 _HEAD = ("variable", "type", "meaning", "since", "evidence")
 

@@ -8,10 +8,10 @@ from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 import urlink
-from urlink.interfaces.realtime.packets import RealtimeState
-from urlink.motion.path import Linear, Rates, plan
+from urlink.motion.moves.path import Linear, Rates, plan
+from urlink.protocol.realtime.packets import RealtimeState
+from urlink.script.commands import segment
 from urlink.simulator import Controller, Still
-from urlink.urscript.commands import segment
 
 SIZE = (8.0, 3.2)
 COLOURS = ("#2b6cb0", "#c05621", "#2f855a", "#805ad5")

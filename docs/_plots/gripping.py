@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from matplotlib.figure import Figure
 
-from urlink.interfaces.gripper.protocol import get_line, set_line, value_of
 from urlink.packets import ObjectStatus
+from urlink.protocol.gripper.protocol import get_line, set_line, value_of
 from urlink.simulator import Controller, Still
 
 SIZE = (7.0, 4.2)

@@ -6,12 +6,12 @@ from collections.abc import Callable
 
 from matplotlib.figure import Figure
 
-from urlink.firmware import Firmware
-from urlink.models import model
+from urlink.arm.models import model
+from urlink.protocol.firmware import Firmware
+from urlink.script.links import FOLLOW, InputRegisters
+from urlink.script.springs import Springs, impedance
+from urlink.script.wrapping import program
 from urlink.simulator import Controller, Still
-from urlink.urscript.links import FOLLOW, InputRegisters
-from urlink.urscript.springs import Springs, impedance
-from urlink.urscript.wrapping import program
 
 SIZE = (7.0, 4.6)
 #: Parts of the vendor's stiffness; N of the push, and s from when to when.

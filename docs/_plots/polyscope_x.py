@@ -6,9 +6,9 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from urlink.firmware import NEWEST, Firmware
-from urlink.interfaces.dashboard.commands import COMMANDS
-from urlink.interfaces.dashboard.robot_api import REQUESTS, find
+from urlink.protocol.dashboard.commands import COMMANDS
+from urlink.protocol.dashboard.robot_api import REQUESTS, find
+from urlink.protocol.firmware import NEWEST, Firmware
 
 SIZE = (7.0, 6.4)
 #: What a command is answered by.

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from urlink.kinematics import Arm
+from urlink.arm.kinematics import Arm
 
 SIZE = (9.0, 4.8)
 MODEL = "UR5e"

@@ -13,8 +13,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import urlink
-from urlink.interfaces.realtime.packets import RealtimeState
-from urlink.motion.servo_delay import measure
+from urlink.motion.servo.servo_delay import measure
+from urlink.protocol.realtime.packets import RealtimeState
 from urlink.simulator import Controller, Still
 
 SIZE = (7.0, 4.2)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import operator
 import threading
 from collections.abc import Sequence
 from typing import Any
@@ -116,10 +118,17 @@ def other_unit(value: float, unit: str, least: float, most: float) -> str:
     return f" (in {name}?)" if name and is_far and least <= value / factor <= most else ""
 
 
-def check_whole(value: Any, name: str, least: int, most: int) -> None:
-    """Raise `BadValue` unless `value` is a whole number from `least` to `most`."""
-    if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
-        raise BadValue(f"{name}={value!r}; expected a whole number from {least} to {most}")
+def check_whole(value: Any, name: str, least: int, most: int) -> int:
+    """A whole number from `least` to `most`, of Python or of numpy.
+
+    Raises:
+        BadValue: If it is something else.
+    """
+    with contextlib.suppress(TypeError):
+        whole = operator.index(value)
+        if not isinstance(value, bool) and least <= whole <= most:
+            return whole
+    raise BadValue(f"{name}={value!r}; expected a whole number from {least} to {most}")
 
 
 def check_choice(value: Any, name: str, choices: Sequence[Any]) -> None:

@@ -28,8 +28,8 @@ from concurrent.futures import TimeoutError as FutureTimeout
 from functools import partial
 from typing import NamedTuple, TypeVar, cast
 
-from .attributes import StrictAttributes
 from .errors import LinkTimeout
+from .names import StrictAttributes
 from .pending_call import check_wanted, interruptible, pending_call
 
 T = TypeVar("T")

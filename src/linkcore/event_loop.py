@@ -16,8 +16,8 @@ from functools import partial
 from typing import Any, Generic, Protocol, TypeVar
 
 from . import clock
-from .attributes import StrictAttributes
 from .errors import Closed, LocalError
+from .names import StrictAttributes
 from .pending_call import PendingCall
 from .threads import started
 

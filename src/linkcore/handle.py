@@ -43,8 +43,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from . import clock
 from .arguments import check_callable, check_seconds
-from .attributes import StrictAttributes
 from .errors import Cancelled, LinkError, LinkTimeout, unraised
+from .names import StrictAttributes
 from .pending_call import current_call, has_started, next_order, pending_call, regardless
 from .threads import CallbackThread
 

@@ -18,12 +18,9 @@ import itertools
 import threading
 import weakref
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar
+from typing import Concatenate, ParamSpec, Protocol, TypeVar
 
 from .errors import Cancelled, LinkTimeout
-
-if TYPE_CHECKING:
-    from .handle import Lifecycle
 
 P = ParamSpec("P")
 S = TypeVar("S")
@@ -38,17 +35,31 @@ def next_order() -> int:
     return next(_orders)
 
 
+class Started(Protocol):
+    """The life of something that a call has started on a robot; `linkcore.handle.Lifecycle` is one."""
+
+    @property
+    def is_over(self) -> bool:
+        """Whether it has ended."""
+
+    def give_up(self) -> bool:
+        """Cancel it: nobody waits for it any more."""
+
+    def cancel(self, why: str, *, brake: bool = False) -> bool:
+        """Cancel it, and stop the arm at once if `brake`."""
+
+
 class _Lives:
     """The lives of what one call has started, which it does not keep alive: an abandoned handle may be collected."""
 
     def __init__(self) -> None:
         # Appending is one step, for two threads too.
-        self._lives: list[weakref.ref[Lifecycle]] = []
+        self._lives: list[weakref.ref[Started]] = []
 
-    def add(self, life: Lifecycle) -> None:
+    def add(self, life: Started) -> None:
         self._lives.append(weakref.ref(life))
 
-    def live(self) -> list[Lifecycle]:
+    def live(self) -> list[Started]:
         """Those that have not ended."""
         return [life for life in (each() for each in tuple(self._lives)) if life is not None and not life.is_over]
 
@@ -91,7 +102,7 @@ class PendingCall:
         finally:
             _here.call = outer
 
-    def has_begun(self, life: Lifecycle) -> None:
+    def has_begun(self, life: Started) -> None:
         """Record something that it is about to start on a robot.
 
         Raises:
@@ -177,7 +188,7 @@ class Call:
         """Whether the pending call that it is made for was abandoned."""
         return self._task is not None and self._task.is_given_up
 
-    def has_begun(self, life: Lifecycle) -> None:
+    def has_begun(self, life: Started) -> None:
         """See `PendingCall.has_begun`."""
         self._started.add(life)
         if self._task is not None:

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import clock
-from .attributes import StrictAttributes
 from .errors import BadRecording, BadValue
-from .lazy import needs
+from .names import StrictAttributes, needs
 
 #: Points of a line from which on only the least and the greatest of each stretch are drawn.
 _MOST_POINTS = 8000

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from rhdlink.plugins.turtle import SmrTurtle, Turtle
+    from rhdlink.host.plugins.turtle import SmrTurtle, Turtle
     from urlink import Robot, Simulation
     from urlink.simulator import Controller
 
@@ -24,8 +24,8 @@ _MARKERS = (
     "faults by name such as 'protective_stop' or 'cut=realtime@2', arguments of urlink.connect, and others of "
     "urlink.simulator.Controller, such as stepped=True",
     "simulated_time(seed, limit, latency, jitter): arguments of urlink.simulated_time",
-    "rhd_turtle(smr, world, ...): the simulated mobile robot of this test: an SMR, arguments of rhdlink.world.World, "
-    "and others of rhdlink.Host, such as pacing='lockstep'",
+    "rhd_turtle(smr, world, ...): the simulated mobile robot of this test: an SMR, arguments of "
+    "rhdlink.host.world.World, and others of rhdlink.Host, such as pacing='lockstep'",
 )
 
 
@@ -116,8 +116,8 @@ def rhd_turtle(request: pytest.FixtureRequest) -> Iterator[Turtle | SmrTurtle]:
     ``pacing="lockstep"`` its time passes with each sync of a client.
     """
     from rhdlink import Host
-    from rhdlink.plugins.turtle import SmrTurtle, Turtle
-    from rhdlink.world import World
+    from rhdlink.host.plugins.turtle import SmrTurtle, Turtle
+    from rhdlink.host.world import World
 
     wanted = {"port": 0, **_wanted(request, "rhd_turtle")}
     kind = SmrTurtle if wanted.pop("smr", False) else Turtle

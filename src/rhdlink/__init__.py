@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from linkcore.lazy import lazy_names
+from linkcore.names import lazy_names
 
 if TYPE_CHECKING:
     from linkcore.errors import (
@@ -100,16 +100,4 @@ else:
             ".wire.schema": "schema",
         },
         modules="host robots smrcl variables",
-        moved={
-            "rhdlink.aio": "AsyncRobot",
-            "rhdlink.host": "Configuration Element HostStatistics read_config",
-            "rhdlink.robots": "Ackerman Gps Smr VelocityOmega",
-            "rhdlink.smrcl": "Debugger Handle MissionRun MissionServer Mistake Motion",
-            "rhdlink.sync_thread": "SyncThread",
-            "rhdlink.variables": """
-                Change ConnectionEvent Database Limits Policy Stamp Subscription Table TimeStamp Update ValueType
-                Variable
-            """,
-            "linkcore.simulated.takeover": "Simulation",
-        },
     )

@@ -19,9 +19,9 @@ import os
 from collections.abc import AsyncIterator
 from typing import TYPE_CHECKING, Any, Generic, Literal, TypedDict
 
-from linkcore.attributes import StrictAttributes
 from linkcore.errors import Closed
 from linkcore.event_loop import Opening, Workers, finished, running_loop
+from linkcore.names import StrictAttributes
 
 from .client import Access, R, Variables
 from .client import connect as connect_here

@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike
 
 from linkcore import clock
 from linkcore.arguments import check_choice, check_seconds
-from linkcore.attributes import StrictAttributes
 from linkcore.clock import Stamp
 from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError, RemoteError
+from linkcore.names import StrictAttributes
 from linkcore.net.transport import TcpTransport
 from linkcore.process import HomeProcess
 from linkcore.streaming.connection_life import Backoff, ConnectionEvent, ConnectionState

@@ -13,11 +13,12 @@ from typing import NamedTuple
 
 from linkcore import clock
 from linkcore.arguments import check_choice, check_number
-from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue, Closed, LinkTimeout
 from linkcore.handle import Lifecycle, Motion
+from linkcore.names import StrictAttributes
 from linkcore.threads import CallbackThread, Closing, ReentrantEvent, started
 
+from .host.world import Pose
 from .smrcl.controller import MissionController
 from .smrcl.execution import Callbacks, MissionExecution, leaving_at_exit
 from .smrcl.motion.basic import FollowDirection, Forward, Stop, Wheels
@@ -31,7 +32,6 @@ from .smrcl.profile import Profile, find_profile
 from .smrcl.robot_conf import RobotConf
 from .smrcl.robot_link import AnyRobot, open_link, suitable_conf
 from .smrcl.sensors import LineKind
-from .world import Pose
 
 #: m or degrees beyond which no mobile robot is meant.
 _MOST = 1e6

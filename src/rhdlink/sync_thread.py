@@ -11,9 +11,9 @@ from typing import Any
 
 from linkcore import clock
 from linkcore.arguments import check_callable, check_seconds
-from linkcore.attributes import StrictAttributes
 from linkcore.clock import Stamp
 from linkcore.errors import BadValue, Closed, RemoteError
+from linkcore.names import StrictAttributes
 from linkcore.streaming.connection_life import Backoff
 from linkcore.streaming.packet_queue import PacketQueue, Policy, check_lifespan, check_policy
 from linkcore.streaming.subscription import Subscription, ThreadedDelivery, check_deadline

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from linkcore.lazy import lazy_names
+from linkcore.names import lazy_names
 
 if TYPE_CHECKING:
     from linkcore.errors import (
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from linkcore.handle import Handle as Handle, Motion as Motion, Phase as Phase
     from linkcore.pending_call import PendingCall as PendingCall
     from linkcore.recording.file import RecordingWriter as RecordingWriter
-    from linkcore.realtime import RealtimeReport as RealtimeReport, realtime_options as realtime_options
+    from linkcore.streaming.scheduling import RealtimeReport as RealtimeReport, realtime_options as realtime_options
     from linkcore.recording.recorder import Recorder as Recorder
     from linkcore.recording.table import Table as Table
     from linkcore.simulated.takeover import Simulation as Simulation, simulated_time as simulated_time
@@ -55,24 +55,16 @@ if TYPE_CHECKING:
     )
     from linkcore.streaming.stream import Stream as Stream
     from linkcore.streaming.subscription import Subscription as Subscription
-    from . import (
-        dynamics as dynamics,
-        kinematics as kinematics,
-        models as models,
-        motion as motion,
-        packets as packets,
-        poses as poses,
-        rtde as rtde,
-        urdf as urdf,
-    )
+    from .arm import dynamics as dynamics, kinematics as kinematics, models as models, poses as poses, urdf as urdf
+    from . import motion as motion, packets as packets, rtde as rtde
     from .aio.async_robot import AsyncRobot as AsyncRobot, connect_async as connect_async
-    from .commanding.interpreter import Interpreter as Interpreter
-    from .commanding.io import IO as IO
-    from .commanding.safety import Safety as Safety
-    from .commanding.scripts import Program as Program, Scripts as Scripts
-    from .data.recording import Recording as Recording, load as load
+    from .command.interpreter import Interpreter as Interpreter
+    from .command.io import IO as IO
+    from .command.safety import Safety as Safety
+    from .command.scripts import Program as Program, Scripts as Scripts
+    from .recording.recording import Recording as Recording, load as load
     from .compat.interface import NotOffered as NotOffered
-    from .decoding import decode as decode, schema as schema
+    from .protocol.decoding import decode as decode, schema as schema
     from .errors import (
         CompileError as CompileError,
         NoContact as NoContact,
@@ -86,21 +78,21 @@ if TYPE_CHECKING:
         StatementDiscarded as StatementDiscarded,
         ToleranceExceeded as ToleranceExceeded,
     )
-    from .firmware import Firmware as Firmware
+    from .protocol.firmware import Firmware as Firmware
     from .group import Group as Group
-    from .interfaces.dashboard.client import Dashboard as Dashboard
-    from .interfaces.dashboard.commands import DashboardRefused as DashboardRefused
-    from .interfaces.gripper.client import Gripper as Gripper, GripperFault as GripperFault
-    from .interfaces.rtde.protocol import (
+    from .protocol.dashboard.client import Dashboard as Dashboard
+    from .protocol.dashboard.commands import DashboardRefused as DashboardRefused
+    from .protocol.gripper.client import Gripper as Gripper, GripperFault as GripperFault
+    from .protocol.rtde.protocol import (
         InputInUse as InputInUse,
         NoSuchVariable as NoSuchVariable,
         RtdeRefused as RtdeRefused,
     )
-    from .kinematics.arm import Unreachable as Unreachable
-    from .models import UnknownModel as UnknownModel
-    from .motion.path import Circular as Circular, Joint as Joint, Linear as Linear
+    from .arm.kinematics.arm import Unreachable as Unreachable
+    from .arm.models import UnknownModel as UnknownModel
+    from .motion.moves.path import Circular as Circular, Joint as Joint, Linear as Linear
     from .motion.teaching import Taught as Taught
-    from .motion.trajectory import Trajectory as Trajectory, TrajectoryPoint as TrajectoryPoint
+    from .motion.moves.trajectory import Trajectory as Trajectory, TrajectoryPoint as TrajectoryPoint
     from .packets import RealtimeState as RealtimeState, RobotModeData as RobotModeData
     from .robot import Robot as Robot, connect as connect
 
@@ -116,7 +108,7 @@ else:
             "linkcore.handle": "Handle Motion Phase",
             "linkcore.pending_call": "PendingCall",
             "linkcore.recording.file": "RecordingWriter",
-            "linkcore.realtime": "RealtimeReport realtime_options",
+            "linkcore.streaming.scheduling": "RealtimeReport realtime_options",
             "linkcore.recording.recorder": "Recorder",
             "linkcore.recording.table": "Table",
             "linkcore.simulated.takeover": "Simulation simulated_time",
@@ -127,49 +119,31 @@ else:
             "linkcore.streaming.stream": "Stream",
             "linkcore.streaming.subscription": "Subscription",
             ".aio.async_robot": "AsyncRobot connect_async",
-            ".commanding.interpreter": "Interpreter",
-            ".commanding.io": "IO",
-            ".commanding.safety": "Safety",
-            ".commanding.scripts": "Program Scripts",
-            ".data.recording": "Recording load",
+            ".command.interpreter": "Interpreter",
+            ".command.io": "IO",
+            ".command.safety": "Safety",
+            ".command.scripts": "Program Scripts",
+            ".recording.recording": "Recording load",
             ".compat.interface": "NotOffered",
-            ".decoding": "decode schema",
+            ".protocol.decoding": "decode schema",
             ".errors": """
                 CompileError NoContact NotConfirmed NotEnabled NotRunning ProgramStopped SafetyStop ScriptError
                 ScriptFailed StatementDiscarded ToleranceExceeded
             """,
-            ".firmware": "Firmware",
+            ".protocol.firmware": "Firmware",
             ".group": "Group",
-            ".interfaces.dashboard.client": "Dashboard",
-            ".interfaces.dashboard.commands": "DashboardRefused",
-            ".interfaces.gripper.client": "Gripper GripperFault",
-            ".interfaces.rtde.protocol": "InputInUse NoSuchVariable RtdeRefused",
-            ".kinematics.arm": "Unreachable",
-            ".models": "UnknownModel",
-            ".motion.path": "Circular Joint Linear",
+            ".protocol.dashboard.client": "Dashboard",
+            ".protocol.dashboard.commands": "DashboardRefused",
+            ".protocol.gripper.client": "Gripper GripperFault",
+            ".protocol.rtde.protocol": "InputInUse NoSuchVariable RtdeRefused",
+            ".arm.kinematics.arm": "Unreachable",
+            ".arm.models": "UnknownModel",
+            ".motion.moves.path": "Circular Joint Linear",
             ".motion.teaching": "Taught",
-            ".motion.trajectory": "Trajectory TrajectoryPoint",
+            ".motion.moves.trajectory": "Trajectory TrajectoryPoint",
             ".packets": "RealtimeState RobotModeData",
             ".robot": "Robot connect",
         },
-        modules="dynamics kinematics models motion packets poses rtde urdf",
-        moved={
-            "urlink.packets": """
-                AnalogDomain ControlMode DigitalBits JointMode MessageSource MessageType PackageType ProgramState
-                ReportLevel RobotMode RobotModeCB2 RobotType SafetyMode ToolMode KeyMessage OtherPackage PopupMessage
-                ProgramLabelMessage ProgramStateMessage RequestValueMessage RobotCommMessage RobotMessage
-                RuntimeExceptionMessage SafetyComplianceTolerances SafetyModeMessage TextMessage UnknownMessage
-                UnnamedMessage12 VersionMessage AdditionalInfo CalibrationData CartesianInfo ConfigurationData
-                ForceModeData JointData KinematicsInfo LaserPointer MasterboardData RobotState
-                SafetyData SingularityInfo SubPackage ToolCommunicationInfo ToolData ToolModeInfo UnknownSubPackage
-                State Stamp Chunk Traffic Analog ObjectStatus GripperStatus InterpreterState
-                ProgramStatus SavedProgram StoredProgram
-            """,
-            "urlink.motion": """
-                Contact ContactMotion ForceMode Freedrive Impedance Jog Motions PathMotion PointStream PosePoint Servo
-                ServoStatistics TaughtPoint Teaching Torque TrajectoryFeedback
-            """,
-            "urlink.aio.parts": "AsyncFeed AsyncStream",
-        },
+        modules="arm.dynamics arm.kinematics arm.models motion packets arm.poses rtde arm.urdf",
         foreign=".foreign_names",
     )

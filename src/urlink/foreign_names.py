@@ -1,13 +1,13 @@
 """Names of URScript, ur_rtde, urx and the other interfaces of a controller, and what they are called here.
 
-`linkcore.attributes` asks this module about a name that a public object does not have.
+`linkcore.names` asks this module about a name that a public object does not have.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from linkcore.attributes import Elsewhere
+from linkcore.names import Elsewhere
 
 if TYPE_CHECKING:
     from linkcore.wire.packet import State
@@ -52,8 +52,8 @@ _NAMES = {
     "nothing: connections that were lost come back by themselves": "reconnect",
     "robot.kinematics.forward(q)": "getforwardkin getforwardkinematics fk",
     "robot.kinematics.inverse(pose, near)": "getinversekin getinversekinematics ik",
-    "urlink.poses.compose(p_from, p_from_to)": "posetrans",
-    "urlink.poses.invert(pose)": "poseinv",
+    "urlink.arm.poses.compose(p_from, p_from_to)": "posetrans",
+    "urlink.arm.poses.invert(pose)": "poseinv",
     "robot.set_tcp(pose)": "settcp",
     "robot.realtime.wait().tool_vector_actual, or robot.set_tcp(pose)": "tcp tcppose",
     "robot.set_payload(mass, cog)": "setpayload payload",

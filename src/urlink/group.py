@@ -1,7 +1,7 @@
 """Several arms as one: their motions begin at once, pass in one time, and end together; their states by one clock.
 
 Each arm is led by a program of its own, as with `follow`. What makes them one is the time of their trajectories
-(`urlink.motion.common_time`), and that what ends one before its time stops all.
+(`urlink.motion.stream.common_time`), and that what ends one before its time stops all.
 """
 
 from __future__ import annotations
@@ -15,24 +15,24 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from linkcore.arguments import Default, check_number, check_overridden, check_wait
-from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue, LinkError, LocalError
 from linkcore.handle import Lifecycle, Motion, waited
+from linkcore.names import StrictAttributes
 from linkcore.pending_call import starts_motion
 from linkcore.streaming.packet_queue import drop_oldest, latest
 from linkcore.threads import CallbackThread
 
-from .bounds import JOINT_ACCELERATION, JOINT_SPEED
-from .interfaces.realtime.packets import RealtimeState
-from .motion.common_time import CommonPace, CommonTime
-from .motion.follower import Follower
-from .motion.following import Tolerances, stands
-from .motion.group_motion import GroupMotion, GroupStream, end_all, naming
-from .motion.linked import LinkedProgram
+from .arm.bounds import JOINT_ACCELERATION, JOINT_SPEED
+from .arm.vectors import Numbers, six
 from .motion.motions import LinkName
-from .motion.trajectory import Trajectory
+from .motion.moves.trajectory import Trajectory
+from .motion.servo.follower import Follower
+from .motion.servo.following import Tolerances, stands
+from .motion.servo.linked_program import LinkedProgram
+from .motion.stream.common_time import CommonPace, CommonTime
+from .motion.stream.group_motion import GroupMotion, GroupStream, end_all, naming
+from .protocol.realtime.packets import RealtimeState
 from .robot import Robot
-from .vectors import Numbers, six
 
 #: Peak of speed and of acceleration of the quintic from 0 to 1 in one second, at rest at both ends.
 _PEAK_SPEED, _PEAK_ACCELERATION = 1.875, 10.0 / math.sqrt(3.0)

@@ -11,18 +11,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from linkcore.lazy import lazy_names
+from linkcore.names import lazy_names
 
 if TYPE_CHECKING:
     from linkcore.clock import Stamp as Stamp
     from linkcore.streaming.connection_life import Chunk as Chunk, Traffic as Traffic
     from linkcore.wire.packet import State as State
-    from urlink.commanding.interpreter import InterpreterState as InterpreterState
-    from urlink.commanding.io import Analog as Analog
-    from urlink.interfaces.dashboard.protocol import ProgramStatus as ProgramStatus, SavedProgram as SavedProgram
-    from urlink.interfaces.dashboard.stored_programs import StoredProgram as StoredProgram
-    from urlink.interfaces.gripper.client import GripperStatus as GripperStatus, ObjectStatus as ObjectStatus
-    from urlink.interfaces.enums import (
+    from urlink.command.interpreter import InterpreterState as InterpreterState
+    from urlink.command.io import Analog as Analog
+    from urlink.protocol.dashboard.protocol import ProgramStatus as ProgramStatus, SavedProgram as SavedProgram
+    from urlink.protocol.dashboard.stored_programs import StoredProgram as StoredProgram
+    from urlink.protocol.gripper.client import GripperStatus as GripperStatus, ObjectStatus as ObjectStatus
+    from urlink.protocol.enums import (
         AnalogDomain as AnalogDomain,
         ControlMode as ControlMode,
         DigitalBits as DigitalBits,
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
         SafetyMode as SafetyMode,
         ToolMode as ToolMode,
     )
-    from urlink.interfaces.primary.robot_message import (
+    from urlink.protocol.primary.robot_message import (
         KeyMessage as KeyMessage,
         OtherPackage as OtherPackage,
         PopupMessage as PopupMessage,
@@ -55,7 +55,7 @@ if TYPE_CHECKING:
         UnnamedMessage12 as UnnamedMessage12,
         VersionMessage as VersionMessage,
     )
-    from urlink.interfaces.primary.robot_state import (
+    from urlink.protocol.primary.robot_state import (
         AdditionalInfo as AdditionalInfo,
         CalibrationData as CalibrationData,
         CartesianInfo as CartesianInfo,
@@ -75,7 +75,7 @@ if TYPE_CHECKING:
         ToolModeInfo as ToolModeInfo,
         UnknownSubPackage as UnknownSubPackage,
     )
-    from urlink.interfaces.realtime.packets import RealtimeState as RealtimeState
+    from urlink.protocol.realtime.packets import RealtimeState as RealtimeState
 
 else:
     __getattr__, __dir__, __all__ = lazy_names(
@@ -84,25 +84,25 @@ else:
             "linkcore.clock": "Stamp",
             "linkcore.streaming.connection_life": "Chunk Traffic",
             "linkcore.wire.packet": "State",
-            "urlink.commanding.interpreter": "InterpreterState",
-            "urlink.commanding.io": "Analog",
-            "urlink.interfaces.dashboard.protocol": "ProgramStatus SavedProgram",
-            "urlink.interfaces.dashboard.stored_programs": "StoredProgram",
-            "urlink.interfaces.gripper.client": "GripperStatus ObjectStatus",
-            "urlink.interfaces.enums": """
+            "urlink.command.interpreter": "InterpreterState",
+            "urlink.command.io": "Analog",
+            "urlink.protocol.dashboard.protocol": "ProgramStatus SavedProgram",
+            "urlink.protocol.dashboard.stored_programs": "StoredProgram",
+            "urlink.protocol.gripper.client": "GripperStatus ObjectStatus",
+            "urlink.protocol.enums": """
                 AnalogDomain ControlMode DigitalBits JointMode MessageSource MessageType PackageType ProgramState
                 ReportLevel RobotMode RobotModeCB2 RobotType SafetyMode ToolMode
             """,
-            "urlink.interfaces.primary.robot_message": """
+            "urlink.protocol.primary.robot_message": """
                 KeyMessage OtherPackage PopupMessage ProgramLabelMessage ProgramStateMessage RequestValueMessage
                 RobotCommMessage RobotMessage RuntimeExceptionMessage SafetyComplianceTolerances SafetyModeMessage
                 TextMessage UnknownMessage UnnamedMessage12 VersionMessage
             """,
-            "urlink.interfaces.primary.robot_state": """
+            "urlink.protocol.primary.robot_state": """
                 AdditionalInfo CalibrationData CartesianInfo ConfigurationData ForceModeData JointData KinematicsInfo
                 LaserPointer MasterboardData RobotModeData RobotState SafetyData SingularityInfo SubPackage
                 ToolCommunicationInfo ToolData ToolModeInfo UnknownSubPackage
             """,
-            "urlink.interfaces.realtime.packets": "RealtimeState",
+            "urlink.protocol.realtime.packets": "RealtimeState",
         },
     )

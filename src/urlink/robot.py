@@ -11,42 +11,42 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from linkcore import clock
 from linkcore.arguments import check_callable, check_choice
-from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue, Closed, LocalError
-from linkcore.net.recall import Recall
+from linkcore.names import StrictAttributes
+from linkcore.net.undo import Recall
 from linkcore.process import HomeProcess
 from linkcore.streaming.stream import Stream
 from linkcore.text import html_table
 from linkcore.threads import Closing, MadeOnce
 
-from .address import RecordingAddress, RobotAddress, SimulatorAddress
-from .connect_options import ConnectOptions, takes_connect_options
-from .firmware import Firmware
-from .identity import Identity, KnownIdentity
-from .interfaces.primary.robot_state import RobotState
-from .interfaces.realtime.packets import RealtimeState
-from .ports import service_of
-from .robot_clock import RobotClock
-from .source import Source, networked, recorded
+from .protocol.firmware import Firmware
+from .protocol.ports import service_of
+from .protocol.primary.robot_state import RobotState
+from .protocol.realtime.packets import RealtimeState
+from .session.address import RecordingAddress, RobotAddress, SimulatorAddress
+from .session.connect_options import ConnectOptions, takes_connect_options
+from .session.identity import Identity, KnownIdentity
+from .session.robot_clock import RobotClock
+from .session.source import Source, networked, recorded
 
 if TYPE_CHECKING:
     from linkcore.recording.recorder import Recorder
 
-    from .commanding.interpreter import Interpreter
-    from .commanding.io import IO
-    from .commanding.safety import Safety
-    from .commanding.scripts import Scripts
-    from .control import Control
-    from .interfaces.dashboard.client import Dashboard
-    from .interfaces.gripper.client import Gripper
-    from .interfaces.tool_serial import ToolSerial
-    from .kinematics import Arm
+    from .arm.kinematics import Arm
+    from .arm.vectors import Numbers
+    from .command.interpreter import Interpreter
+    from .command.io import IO
+    from .command.safety import Safety
+    from .command.scripts import Scripts
     from .motion import Freedrive, Motions
+    from .motion.control import Control
     from .motion.motions import LinkName
     from .motion.teaching import TaughtPoint, Teaching
+    from .protocol.dashboard.client import Dashboard
+    from .protocol.gripper.client import Gripper
+    from .protocol.tool_serial import ToolSerial
     from .rtde import OutputStream, Registers, Rtde
     from .simulator import Controller
-    from .vectors import Numbers
     from .view.arm_view import ArmView
 
 
@@ -122,7 +122,7 @@ def simulated(place: SimulatorAddress) -> tuple[Controller, RobotAddress]:
             no file of a scene.
         LocalError: no adapter for the scene is installed, or it cannot open it.
     """
-    from .arm_file import read_arm_file
+    from .arm.arm_file import read_arm_file
     from .simulator import Controller, Demonstration
 
     like = None if place.like is None else read_arm_file(place.like)
@@ -151,7 +151,7 @@ def assemble(
 
     def control(robot: Robot) -> Control:
         # A program that only reads states never imports what commands: more than all the rest of this library.
-        from .control import Control
+        from .motion.control import Control
 
         peers = peers_of(place) if controller is None else ()
         return Control(options, place, peers, robot.primary, robot.realtime, robot._who, _rtde_of(robot))
@@ -521,7 +521,7 @@ class Robot(StrictAttributes, Closing):
             LocalError: as `freedrive`; or with `button`, the firmware has no RTDE.
         """
         from .motion.teaching import Teaching
-        from .urscript import commands
+        from .script import commands
 
         banks = {each.name: each for each in (commands.STANDARD, commands.CONFIGURABLE, commands.TOOL)}
         check_choice(bank, "bank", tuple(banks))
@@ -670,7 +670,7 @@ def _recorder(path: str | os.PathLike[str]) -> Recorder:
     if suffix in (".csv", ".parquet", ".mat", ".h5", ".hdf5"):
         raise BadValue(f"{os.fspath(path)}: {suffix} is not written live; record a .urlog, and export it")
     if suffix == ".mcap":
-        from .data.live import McapRecorder
+        from .recording.live import McapRecorder
 
         return McapRecorder(path)
     from linkcore.recording.recorder import Recorder

@@ -11,23 +11,24 @@ from linkcore.threads import CallbackThread
 from tests.fakes.line import START_PLACE
 from tests.fakes.link import ScriptedTransport
 from tests.waiting import until
-from urlink.commanding.channel import CommandChannel
-from urlink.commanding.interlock import Interlock, Policy
-from urlink.commanding.io import IO
-from urlink.commanding.monitor import SafetyMonitor
-from urlink.commanding.programs import Programs
-from urlink.commanding.safety import Safety
-from urlink.commanding.scripts import Scripts
-from urlink.commanding.section import Section
-from urlink.commanding.settings import BriefInputs, SettingChannel, Settings
-from urlink.firmware import Firmware
-from urlink.identity import Identity, KnownIdentity
-from urlink.interfaces.enums import MasterSafetyState, RobotMode, RobotModeCB2, SafetyMode
-from urlink.interfaces.primary.robot_message import KeyMessage, RuntimeExceptionMessage, SafetyModeMessage, TextMessage
-from urlink.interfaces.primary.robot_state import MasterboardData, RobotModeData, RobotState, ToolData
-from urlink.interfaces.realtime.packets import RealtimeState
-from urlink.source import Source
-from urlink.urscript.wrapping import StartPlace, finish_marker, start_marker
+from urlink.command.channel import CommandChannel
+from urlink.command.interlock import Interlock
+from urlink.command.io import IO
+from urlink.command.programs import Programs
+from urlink.command.safety import Safety
+from urlink.command.safety_monitor import SafetyMonitor
+from urlink.command.scripts import Scripts
+from urlink.command.section import Section
+from urlink.command.settings import BriefInputs, SettingChannel, Settings
+from urlink.protocol.enums import MasterSafetyState, RobotMode, RobotModeCB2, SafetyMode
+from urlink.protocol.firmware import Firmware
+from urlink.protocol.primary.robot_message import KeyMessage, RuntimeExceptionMessage, SafetyModeMessage, TextMessage
+from urlink.protocol.primary.robot_state import MasterboardData, RobotModeData, RobotState, ToolData
+from urlink.protocol.realtime.packets import RealtimeState
+from urlink.script.wrapping import StartPlace, finish_marker, start_marker
+from urlink.session.connect_options import Policy
+from urlink.session.identity import Identity, KnownIdentity
+from urlink.session.source import Source
 
 AT_ONCE = Backoff(first=0, most=0)
 

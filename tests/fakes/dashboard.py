@@ -6,7 +6,7 @@ import socket
 from collections.abc import Callable
 
 from tests.fakes.server import OneAfterAnother
-from urlink.interfaces.dashboard.commands import GREETING
+from urlink.protocol.dashboard.commands import GREETING
 from urlink.simulator import Controller, Still
 
 #: Seconds that a test waits for what must come at once.

@@ -11,23 +11,23 @@ from typing import Any, cast
 from linkcore.clock import Stamp
 from linkcore.errors import LinkTimeout
 from linkcore.handle import Handle, Lifecycle
-from linkcore.net.recall import Recall, TakeBack
+from linkcore.net.undo import Recall, TakeBack
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from linkcore.threads import CallbackThread
 from tests.fakes.clock import Clock
-from urlink.commanding.channel import CommandChannel
-from urlink.commanding.interlock import Interlock
-from urlink.commanding.monitor import SafetyMonitor
-from urlink.commanding.programs import Programs
-from urlink.commanding.section import Section
-from urlink.firmware import Firmware
-from urlink.identity import Identity, KnownIdentity
-from urlink.interfaces.enums import RobotMode, SafetyMode
-from urlink.interfaces.primary.robot_message import KeyMessage, RuntimeExceptionMessage, TextMessage
-from urlink.interfaces.primary.robot_state import MasterboardData, RobotModeData, RobotState
-from urlink.interfaces.realtime.packets import RealtimeState
-from urlink.urscript.wrapping import StartPlace
+from urlink.command.channel import CommandChannel
+from urlink.command.interlock import Interlock
+from urlink.command.programs import Programs
+from urlink.command.safety_monitor import SafetyMonitor
+from urlink.command.section import Section
+from urlink.protocol.enums import RobotMode, SafetyMode
+from urlink.protocol.firmware import Firmware
+from urlink.protocol.primary.robot_message import KeyMessage, RuntimeExceptionMessage, TextMessage
+from urlink.protocol.primary.robot_state import MasterboardData, RobotModeData, RobotState
+from urlink.protocol.realtime.packets import RealtimeState
+from urlink.script.wrapping import StartPlace
+from urlink.session.identity import Identity, KnownIdentity
 
 FIRMWARE = (5, 11)
 #: Where programs find their permission, as `urlink.connect` has it.

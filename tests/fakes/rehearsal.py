@@ -15,16 +15,22 @@ from linkcore.errors import ConnectionLost
 from linkcore.handle import Phase
 from tests.fakes.controller import ScriptedController
 from tests.waiting import until
-from urlink.interfaces.enums import RobotMode, RobotModeCB2, SafetyMode
-from urlink.interfaces.realtime.packets import RealtimeState
-from urlink.kinematics import Arm
+from urlink.arm.kinematics import Arm
+from urlink.arm.vectors import FloatArray
 from urlink.motion.context import MotionContext
 from urlink.motion.motions import LinkName, Motions
-from urlink.motion.register_link import POINT_INPUTS, SETPOINT_INPUTS, PointRegisterLink, RegisterLink, RegisterPort
-from urlink.motion.reverse import ReversePort
-from urlink.motion.setpoints import MESSAGE_SIZE
-from urlink.urscript.wrapping import finish_marker, start_marker
-from urlink.vectors import FloatArray
+from urlink.motion.servo.register_link import (
+    POINT_INPUTS,
+    SETPOINT_INPUTS,
+    PointRegisterLink,
+    RegisterLink,
+    RegisterPort,
+)
+from urlink.motion.servo.reverse import ReversePort
+from urlink.motion.servo.setpoints import MESSAGE_SIZE
+from urlink.protocol.enums import RobotMode, RobotModeCB2, SafetyMode
+from urlink.protocol.realtime.packets import RealtimeState
+from urlink.script.wrapping import finish_marker, start_marker
 
 _ARM = Arm("UR5e")
 TIMEOUT = 60.0

@@ -9,7 +9,7 @@ from typing import Any
 from linkcore.wire.framing import Framer
 from linkcore.wire.packet import State
 from tests.fakes.link import ScriptedTransport
-from urlink.interfaces.rtde.packets import (
+from urlink.protocol.rtde.packets import (
     ControllerVersionReply,
     ControllerVersionRequest,
     DataPackage,
@@ -28,8 +28,8 @@ from urlink.interfaces.rtde.packets import (
     decode_request,
     split_names,
 )
-from urlink.interfaces.rtde.recipes import Recipe
-from urlink.interfaces.rtde.variables import IN_USE, INPUTS, NOT_FOUND, OUTPUTS
+from urlink.protocol.rtde.recipes import Recipe
+from urlink.protocol.rtde.variables import IN_USE, INPUTS, NOT_FOUND, OUTPUTS
 
 #: What stands in place of an answer: the request as it was decoded -> what is sent, one package after the other.
 Answer = Callable[[Any], list[State]]

@@ -7,16 +7,16 @@ from collections.abc import Sequence
 from typing import Any, Literal
 
 from linkcore.errors import BadValue
-from urlink.dynamics import Dynamics
-from urlink.firmware import Firmware
-from urlink.kinematics import Arm
-from urlink.motors import Motors, motors_of
+from urlink.arm.dynamics import Dynamics
+from urlink.arm.kinematics import Arm
+from urlink.arm.motors import Motors, motors_of
+from urlink.arm.vectors import FloatArray
+from urlink.protocol.firmware import Firmware
 from urlink.simulator.registers import Action, RegisterBanks
 from urlink.simulator.robot.generator import ForceTask, OutOfReach
+from urlink.simulator.robot.setpoint_sources import HOME
 from urlink.simulator.robot.signals import ModbusSignals, Signals
-from urlink.simulator.robot.sources import HOME
 from urlink.simulator.urscript import Execution, compile_script
-from urlink.vectors import FloatArray
 
 State = Literal["connecting", "open", "failed", "closed"]
 

@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.urlink.arms import calibrated
-from urlink.dynamics import GRAVITY, Dynamics
-from urlink.kinematics import Arm
-from urlink.mjcf import to_mjcf
-from urlink.models import MODELS
-from urlink.motors import motors_of
-from urlink.poses import from_matrix, to_matrix
-from urlink.urdf import to_urdf
+from tests.urlink.arm.arms import calibrated
+from urlink.arm.dynamics import GRAVITY, Dynamics
+from urlink.arm.kinematics import Arm
+from urlink.arm.mjcf import to_mjcf
+from urlink.arm.models import MODELS
+from urlink.arm.motors import motors_of
+from urlink.arm.poses import from_matrix, to_matrix
+from urlink.arm.urdf import to_urdf
 
 EVERY = pytest.mark.parametrize("name", MODELS)
 BOTH = pytest.mark.parametrize("is_calibrated", [False, True], ids=["published", "calibrated"])

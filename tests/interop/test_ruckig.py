@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from urlink.motion.jerk_limited import JointLimit, JointProfile
+from urlink.motion.servo.jerk_limited import JointLimit, JointProfile
 
 
 def their_duration(x: float, v: float, a: float, target: float, limit: JointLimit) -> float:

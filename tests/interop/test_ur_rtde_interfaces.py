@@ -21,10 +21,10 @@ import numpy as np
 import pytest
 
 from tests.waiting import until
-from urlink.dynamics import Dynamics
-from urlink.interfaces.rtde.variables import OUTPUTS
-from urlink.ports import PORTS
-from urlink.poses import compose
+from urlink.arm.dynamics import Dynamics
+from urlink.arm.poses import compose
+from urlink.protocol.ports import PORTS
+from urlink.protocol.rtde.variables import OUTPUTS
 from urlink.simulator import HOME, Controller, Plane, Still
 from urlink.simulator.rtde_variables import OUTPUT_VALUES
 

@@ -14,7 +14,7 @@ import pytest
 
 from linkcore.errors import LinkTimeout
 from linkcore.threads import acquired, held
-from urlink.commanding.section import Section
+from urlink.command.section import Section
 
 
 class Interrupter:

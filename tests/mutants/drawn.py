@@ -13,7 +13,7 @@ SEED = 20_261_128
 COUNT = 200
 #: Patterns of the modules below src/ from which they are drawn.
 MODULES = (
-    "urlink/commanding/*.py",
+    "urlink/command/*.py",
     "urlink/motion/*.py",
     "urlink/aio/*.py",
     "urlink/rtde/*.py",

@@ -33,16 +33,16 @@ class Group(NamedTuple):
 
 
 GROUPS = {
-    "framing": Group(("linkcore/wire/framing.py",), ("tests/linkcore/wire", "tests/urlink/interfaces")),
+    "framing": Group(("linkcore/wire/framing.py",), ("tests/linkcore/wire", "tests/urlink/protocol")),
     "commanding": Group(
-        ("urlink/commanding/*.py",),
+        ("urlink/command/*.py",),
         (
-            "tests/urlink/commanding",
-            "tests/urlink/interfaces/test_tool_serial.py",
+            "tests/urlink/command",
+            "tests/urlink/protocol/test_tool_serial.py",
             "tests/urlink/motion",
             "tests/urlink/rtde",
             "tests/urlink/test_cycles.py",
-            "tests/urlink/test_gravity_and_payload.py",
+            "tests/urlink/arm/test_gravity_and_payload.py",
             "tests/urlink/test_robot.py",
             "tests/urlink/test_public_names.py",
             "tests/urlink/test_units.py",
@@ -52,7 +52,7 @@ GROUPS = {
         ("urlink/motion/**/*.py",),
         (
             "tests/urlink/motion",
-            "tests/urlink/urscript",
+            "tests/urlink/script",
             "tests/urlink/test_cycles.py",
             "tests/urlink/test_group.py",
             "tests/urlink/test_public_names.py",
@@ -62,7 +62,7 @@ GROUPS = {
     "drawn": Group(
         MODULES,
         (
-            "tests/urlink/commanding",
+            "tests/urlink/command",
             "tests/urlink/motion",
             "tests/urlink/rtde",
             "tests/urlink/aio",

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 # A suite that runs in this process takes what it has imported with it, and numpy cannot be imported twice.
-import rhdlink.plugins.turtle  # noqa: F401
+import rhdlink.host.plugins.turtle  # noqa: F401
 from tests.waiting import until
 from urlink import LocalError
 from urlink.simulator import Controller

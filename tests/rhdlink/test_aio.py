@@ -12,9 +12,9 @@ import pytest
 
 import rhdlink.aio
 from rhdlink import Closed, ConnectFailed, Drive, Host, LinkTimeout, LocalError, Mission
-from rhdlink.plugins.turtle import Turtle
+from rhdlink.host.plugins.turtle import Turtle
+from rhdlink.host.world import World
 from rhdlink.robots import VelocityOmega
-from rhdlink.world import World
 from tests.cancelling import Sent, Trial, run_cancelled, sends
 from tests.fakes.rhd import Peer, ScriptedServer, nothing_more_after_greeting
 from tests.waiting import until

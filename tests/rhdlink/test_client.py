@@ -41,7 +41,7 @@ from rhdlink import (
 )
 from rhdlink.address import Address, parse_address
 from rhdlink.connection import Connection
-from rhdlink.plugins.turtle import Turtle
+from rhdlink.host.plugins.turtle import Turtle
 from rhdlink.replica import Replica
 from rhdlink.variables.database import Database, TimeStamp
 from rhdlink.wire.decoder import ServerDecoder

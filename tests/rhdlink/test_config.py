@@ -216,7 +216,7 @@ def test_what_clients_are_told_and_may_ask_for() -> None:
 def test_a_host_has_what_the_file_says_of_clients() -> None:
     """A batch with more than the file allows costs the client its connection."""
     text = """<rhd><server><port value='0'/><limits batch='64'/></server>
-      <plugins><smr enable='true' lib='rhdlink.plugins.turtle:SmrTurtle'/></plugins></rhd>"""
+      <plugins><smr enable='true' lib='rhdlink.host.plugins.turtle:SmrTurtle'/></plugins></rhd>"""
     with Host.from_config(parse_config(text)) as host, RawClient(host.port, b"aw") as client:
         client.greeting()
         client.sync({"speedl": 1})

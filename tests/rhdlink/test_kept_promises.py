@@ -13,7 +13,7 @@ import rhdlink
 from linkcore import clock
 from linkcore.streaming.connection_life import ConnectionState
 from linkcore.streaming.packet_queue import PacketQueue, drop_oldest
-from rhdlink.plugins.turtle import Turtle
+from rhdlink.host.plugins.turtle import Turtle
 from rhdlink.replica import Replica
 from rhdlink.sync_thread import Subscribers
 from rhdlink.variables.database import Database

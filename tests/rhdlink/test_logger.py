@@ -12,7 +12,7 @@ from linkcore.recording.file import Kind, RecordingFile
 from rhdlink.host.config import Element
 from rhdlink.host.host import Host, PluginFailed
 from rhdlink.host.plugin import Plugin
-from rhdlink.plugins.logger import Logger
+from rhdlink.host.plugins.logger import Logger
 from rhdlink.variables.declarations import Read, Write
 from rhdlink.variables.value_types import Float32, Float64, Int32, Scaled, Structure, Text
 from rhdlink.wire.decoder import ServerDecoder

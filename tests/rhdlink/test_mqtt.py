@@ -14,7 +14,7 @@ pytest.importorskip("paho.mqtt.client")
 
 from linkcore.errors import BadValue
 from rhdlink import Float64, Host, Mission, PluginFailed, Read, Variables, connect
-from rhdlink.plugins.mqtt import (
+from rhdlink.host.plugins.mqtt import (
     MASTER_TIMEOUT,
     ROBOBOT,
     ROBOBOT_TABLE,
@@ -24,8 +24,8 @@ from rhdlink.plugins.mqtt import (
     parse_topics,
     read_topics,
 )
+from rhdlink.host.world import World
 from rhdlink.robots import VelocityOmega
-from rhdlink.world import World
 from tests.mosquitto import needs_broker
 from tests.waiting import until
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linkcore.errors import BadValue
-from rhdlink.plugins.velocity import Odometer
+from rhdlink.host.plugins.velocity import Odometer
 from rhdlink.variables.value_types import wrapped
 
 

@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 
 import rhdlink
-from rhdlink.plugins.logger import Logger
-from rhdlink.plugins.turtle import SmrTurtle, Turtle
-from rhdlink.plugins.velocity import VelocityBridge
-from rhdlink.world import World
+from rhdlink.host.plugins.logger import Logger
+from rhdlink.host.plugins.turtle import SmrTurtle, Turtle
+from rhdlink.host.plugins.velocity import VelocityBridge
+from rhdlink.host.world import World
 
 NAMES = [
     "AccessDenied",

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 
 from linkcore.errors import LinkError
 from rhdlink import BadValue
-from rhdlink.plugins.turtle import SmrTurtle
-from rhdlink.scene import Scene, Tape
+from rhdlink.host.plugins.turtle import SmrTurtle
+from rhdlink.host.scene import Scene, Tape
+from rhdlink.host.world import World
 from rhdlink.smrcl.robot_link import PluginLink
-from rhdlink.world import World
 
 
 def seen(scene: Scene, *points: tuple[float, float]) -> list[float]:

@@ -13,9 +13,9 @@ from linkcore.errors import BadValue
 from rhdlink.host.config import Configuration, Element, parse_config
 from rhdlink.host.host import Host
 from rhdlink.host.plugin import Plugin
-from rhdlink.plugins.turtle import SmrTurtle, Turtle
+from rhdlink.host.plugins.turtle import SmrTurtle, Turtle
+from rhdlink.host.world import World
 from rhdlink.wire.decoder import ClientDecoder
-from rhdlink.world import World
 from tests.real_captures import folder
 from tests.rhdlink.raw_client import RawClient
 
@@ -204,7 +204,7 @@ def test_it_can_be_told_to_go_on_without_a_master() -> None:
 
 def test_the_world_is_described_in_the_file() -> None:
     text = """<rhd><server><port value="0"/></server><plugins>
-      <robot enable="true" lib="rhdlink.plugins.turtle:SmrTurtle" critical="true" size="4">
+      <robot enable="true" lib="rhdlink.host.plugins.turtle:SmrTurtle" critical="true" size="4">
         <x value="1"/><theta value="0.5"/></robot></plugins></rhd>"""
     config = parse_config(text)
     assert isinstance(config, Configuration)
@@ -233,5 +233,5 @@ def test_wheels_that_cannot_be(wrong: dict[str, Any]) -> None:
 
 
 def test_what_is_no_world_is_said() -> None:
-    with pytest.raises(BadValue, match=r"world=3; expected rhdlink.world.World\(...\)"):
+    with pytest.raises(BadValue, match=r"world=3; expected rhdlink.host.world.World\(...\)"):
         Turtle(3)  # type: ignore[arg-type]

@@ -10,7 +10,7 @@ import pytest
 
 from linkcore.errors import BadValue
 from rhdlink.host.host import Host
-from rhdlink.plugins.velocity import Twist, VelocityBridge
+from rhdlink.host.plugins.velocity import Twist, VelocityBridge
 from tests.rhdlink.raw_client import RawClient
 from tests.waiting import until
 

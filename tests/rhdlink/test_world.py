@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linkcore.errors import BadValue
-from rhdlink.world import Moved, Pose, World, save, svg
+from rhdlink.host.world import Moved, Pose, World, save, svg
 
 
 def test_it_begins_in_the_middle() -> None:

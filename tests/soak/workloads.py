@@ -14,7 +14,7 @@ import numpy as np
 
 import rhdlink
 import urlink
-from rhdlink.plugins.turtle import Turtle
+from rhdlink.host.plugins.turtle import Turtle
 from urlink.simulator import Controller, Demonstration
 
 #: Seconds after which something that has to come has not come, on a machine that is busy.

@@ -25,21 +25,21 @@ from linkcore.errors import ConnectionLost, LinkError
 from linkcore.handle import Handle
 from tests.spawning import spawning
 from tests.waiting import until
-from urlink.commanding.interpreter import Interpreter
-from urlink.commanding.io import IO
-from urlink.commanding.safety import Safety
-from urlink.commanding.scripts import Scripts
-from urlink.interfaces.dashboard.client import Dashboard
-from urlink.interfaces.gripper.client import Gripper
-from urlink.interfaces.tool_serial import ToolSerial
-from urlink.motion.impedance import Impedance
-from urlink.motion.jog import Jog
+from urlink.command.interpreter import Interpreter
+from urlink.command.io import IO
+from urlink.command.safety import Safety
+from urlink.command.scripts import Scripts
 from urlink.motion.motions import Motions
-from urlink.motion.point_stream import PointStream
-from urlink.motion.servo import Servo
+from urlink.motion.servo.force_control import ForceMode, Torque
+from urlink.motion.servo.impedance import Impedance
+from urlink.motion.servo.jog import Jog
+from urlink.motion.servo.servo import Servo
+from urlink.motion.stream.point_stream import PointStream
 from urlink.motion.teaching import Teaching
-from urlink.motion.yielding import ForceMode, Torque
 from urlink.packets import VersionMessage
+from urlink.protocol.dashboard.client import Dashboard
+from urlink.protocol.gripper.client import Gripper
+from urlink.protocol.tool_serial import ToolSerial
 from urlink.robot import Robot
 from urlink.rtde import Inputs, Registers, Rtde
 

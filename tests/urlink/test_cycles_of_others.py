@@ -17,7 +17,7 @@ from tests.spawning import spawning
 from tests.urlink.test_cycles import COUNT, HOME, NEAR, collector_off
 from tests.waiting import until
 from urlink.compat import rtde_control, rtde_io, urx
-from urlink.interfaces.realtime.protocol import RealtimeProtocol
+from urlink.protocol.realtime.protocol import RealtimeProtocol
 
 pytestmark = pytest.mark.real_time
 

@@ -13,11 +13,11 @@ import pytest
 
 import urlink
 from linkcore.errors import LinkError
-from linkcore.net.recall import Recall
+from linkcore.net.undo import Recall
 from tests.waiting import until
-from urlink.address import RobotAddress, parse_address
-from urlink.firmware import Firmware
+from urlink.protocol.firmware import Firmware
 from urlink.robot import peers_of
+from urlink.session.address import RobotAddress, parse_address
 from urlink.simulator import Controller, Still
 
 pytestmark = pytest.mark.simulated_time
@@ -41,7 +41,7 @@ def controller() -> Iterator[Controller]:
 
 @pytest.fixture(autouse=True)
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("urlink.commanding.interpreter._REPLY", ANSWER)
+    monkeypatch.setattr("urlink.command.interpreter._REPLY", ANSWER)
 
 
 def moves(controller: Controller) -> bool:
@@ -146,7 +146,7 @@ def test_a_connection_goes_on_with_what_it_could_not_take_back_in_time(controlle
 
 
 def test_a_newer_program_supersedes_it(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("urlink.commanding.channel._TAKE_BACK", 0.0)
+    monkeypatch.setattr("urlink.command.channel._TAKE_BACK", 0.0)
     with urlink.connect(controller.address) as other:
         give_up(controller, play)
         controller.faults.stall(3.0, "dashboard")

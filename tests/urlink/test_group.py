@@ -15,13 +15,13 @@ import urlink
 from linkcore.errors import BadValue, Cancelled, LinkTimeout, LocalError
 from linkcore.handle import Phase
 from urlink.aio.async_group import AsyncGroup
+from urlink.arm.vectors import FloatArray
 from urlink.errors import SafetyStop, ToleranceExceeded
-from urlink.interfaces.realtime.packets import RealtimeState
-from urlink.motion.trajectory import Trajectory
+from urlink.motion.moves.trajectory import Trajectory
+from urlink.protocol.realtime.packets import RealtimeState
 from urlink.robot import Robot
 from urlink.simulator import Controller
 from urlink.simulator.robot.generator import MotionGenerator
-from urlink.vectors import FloatArray
 
 #: s for one cycle of an e-Series.
 CYCLE = 0.002

@@ -33,9 +33,9 @@ NOT_NEEDED_TO_DECODE = (
     "linkcore.net",
     "linkcore.streaming",
     "linkcore.recording",
-    "urlink.commanding",
+    "urlink.command",
     "urlink.motion",
-    "urlink.interfaces.dashboard",
+    "urlink.protocol.dashboard",
 )
 
 #: What connecting and reading states does without.
@@ -44,14 +44,14 @@ NOT_NEEDED_TO_READ = (
     "linkcore.recording",
     "linkcore.handle",
     "linkcore.wire.http",
-    "urlink.commanding.channel",
-    "urlink.control",
-    "urlink.interfaces.dashboard",
-    "urlink.interfaces.gripper",
-    "urlink.interfaces.rtde",
-    "urlink.kinematics",
+    "urlink.command.channel",
+    "urlink.motion.control",
+    "urlink.protocol.dashboard",
+    "urlink.protocol.gripper",
+    "urlink.protocol.rtde",
+    "urlink.arm.kinematics",
     "urlink.motion",
-    "urlink.urscript.commands",
+    "urlink.script.commands",
 )
 
 # A fresh interpreter: in this one everything has been imported already.
@@ -125,7 +125,7 @@ def test_who_only_decodes_imports_no_streams_and_no_commands() -> None:
     modules = outcome("import urlink; urlink.decode(b'', 'primary', '5.11'); urlink.packets.RealtimeState('3.4')")[
         "modules"
     ]
-    assert "urlink.decoding" in modules
+    assert "urlink.protocol.decoding" in modules
     assert those(modules, NOT_NEEDED_TO_DECODE) == []
 
 

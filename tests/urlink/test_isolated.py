@@ -108,7 +108,7 @@ def test_it_ends_with_its_parent(controller: Controller) -> None:
 
 
 def test_nobody_there_is_an_error_and_a_recording_is_not_isolated(tmp_path: Path) -> None:
-    boundary = "urlink.interfaces.realtime.protocol:RealtimeBoundary"
+    boundary = "urlink.protocol.realtime.protocol:RealtimeBoundary"
     transport = IsolatedTransport("127.0.0.1", 1, silence=1.0, boundary=boundary, decode=lambda data, stamp: None)
     with pytest.raises(urlink.ConnectFailed, match="refused"):
         transport.open(5.0)

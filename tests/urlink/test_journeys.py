@@ -15,7 +15,7 @@ from urlink.simulator import Controller
 
 #: Once the command has left, the states are subscribed to: an arm that is moved while it is paused is stopped.
 SUBSCRIBING = {
-    "urlink.motion.controller_clock",
+    "urlink.command.controller_clock",
     "linkcore.threads",
     "linkcore.streaming.connection_life",
     "linkcore.streaming.fanout",
@@ -28,12 +28,12 @@ SUBSCRIBING = {
 #: Checks of arguments and facts about the robot: a reader looks them up, and the command does not go through them.
 LOOKED_UP = {
     "linkcore.arguments",
-    "urlink.bounds",
-    "urlink.vectors",
-    "urlink.urscript.text",
-    "urlink.identity",
-    "urlink.models",
-    "urlink.firmware",
+    "urlink.arm.bounds",
+    "urlink.arm.vectors",
+    "urlink.script.text",
+    "urlink.session.identity",
+    "urlink.arm.models",
+    "urlink.protocol.firmware",
     "linkcore.wire.fields",
 }
 
@@ -69,18 +69,18 @@ def test_move_joints() -> None:
     assert met >= SUBSCRIBING
     assert met - LOOKED_UP - SUBSCRIBING == {
         "urlink.motion.motions",  # arguments
-        "urlink.urscript.commands",  # the text
-        "urlink.urscript.wrapping",  # what is put around it
+        "urlink.script.commands",  # the text
+        "urlink.script.wrapping",  # what is put around it
         "linkcore.handle",  # the one state machine of its life
         "linkcore.pending_call",  # the order of calls and stops; whether the task that awaits this was cancelled
-        "linkcore.attributes",  # no attribute is set that the object does not have
+        "linkcore.names",  # no attribute is set that the object does not have
         "linkcore.process",  # this is the process that has connected
-        "urlink.commanding.programs",  # the registry
-        "urlink.commanding.channel",  # the one way out
-        "linkcore.net.recall",  # is anything given up before that may still be carried out?
-        "urlink.commanding.section",
-        "urlink.commanding.monitor",
-        "urlink.commanding.interlock",  # may it leave?
+        "urlink.command.programs",  # the registry
+        "urlink.command.channel",  # the one way out
+        "linkcore.net.undo",  # is anything given up before that may still be carried out?
+        "urlink.command.section",
+        "urlink.command.safety_monitor",
+        "urlink.command.interlock",  # may it leave?
         "linkcore.streaming.connection",
         "linkcore.streaming.thread_connection",  # is this the thread that reads?
         "linkcore.clock",  # how old is the news?
@@ -112,9 +112,9 @@ def test_a_script_on_the_simulated_arm() -> None:
     met = modules_met(lambda: run(0.2))
     language = {name for name in met if name.startswith("urlink.simulator.urscript.")}
     packets = {name for name in met if name.startswith("linkcore.wire.")}
-    assert met - language - packets - EVERY_CYCLE - LOOKED_UP - {"urlink.kinematics.arm"} == {
+    assert met - language - packets - EVERY_CYCLE - LOOKED_UP - {"urlink.arm.kinematics.arm"} == {
         "urlink.simulator.controller",
-        "linkcore.attributes",  # no attribute is set that the object does not have
+        "linkcore.names",  # no attribute is set that the object does not have
         "urlink.simulator.programs.loader",  # whole programs, in their turn; the compiler is called from here
         "urlink.simulator.programs.runner",  # runs them
         "urlink.simulator.programs.program_world",  # what they call; their sockets are closed with them
@@ -124,7 +124,7 @@ def test_a_script_on_the_simulated_arm() -> None:
         "urlink.simulator.robot.generator.motion_generator",
         "urlink.simulator.robot.generator.joint_limits",
         "urlink.simulator.robot.generator.path_motion",
-        "urlink.simulator.robot.robot_parameters",  # how fast programs go
+        "urlink.simulator.robot.characteristics",  # how fast programs go
         "urlink.simulator.robot.arm",
     }
     assert "urlink.simulator.urscript.builtins.motions" in language  # `movej`

@@ -16,10 +16,10 @@ import urlink
 from linkcore.recording.file import Kind, RecordingWriter
 from linkcore.streaming.statistics import StreamStatistics
 from tests.waiting import until
-from urlink.interfaces.primary.protocol import PrimaryProtocol
-from urlink.interfaces.primary.robot_state import RobotState
-from urlink.interfaces.rtde.protocol import package_periods
 from urlink.packets import RobotModeData, Stamp
+from urlink.protocol.primary.protocol import PrimaryProtocol
+from urlink.protocol.primary.robot_state import RobotState
+from urlink.protocol.rtde.protocol import package_periods
 from urlink.rtde.outputs import OutputStream
 from urlink.simulator import Controller
 

@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 
 import urlink
-from linkcore.attributes import StrictAttributes
 from linkcore.errors import LinkError, LocalError
+from linkcore.names import StrictAttributes
 from urlink.foreign_names import _OWN, _ROWS, own_name
-from urlink.interfaces.primary.robot_state import SUB_PACKAGES, snake_case
-from urlink.interfaces.rtde.variables import OUTPUTS
+from urlink.protocol.primary.robot_state import SUB_PACKAGES, snake_case
+from urlink.protocol.rtde.variables import OUTPUTS
 from urlink.simulator import Controller, Still
 
 Q = [0, -1.57, 1.57, -1.57, -1.57, 0]
@@ -217,8 +217,8 @@ def test_every_error_is_imported_from_where_a_traceback_shows_it() -> None:
     import importlib
     from pathlib import Path
 
+    import urlink.arm.kinematics
     import urlink.compat.interface  # the errors of everything are defined then
-    import urlink.kinematics
     import urlink.rtde
 
     def kinds(of: type[LinkError]) -> Iterator[type[LinkError]]:

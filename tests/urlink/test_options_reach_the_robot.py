@@ -14,10 +14,10 @@ import pytest
 import urlink
 from linkcore.errors import LinkError
 from linkcore.handle import Lifecycle
-from urlink.commanding.programs import Programs
+from urlink.command.programs import Programs
 from urlink.motion import Motions
 from urlink.robot import Robot
-from urlink.urscript.wrapping import Wrapped
+from urlink.script.wrapping import Wrapped
 
 pytestmark = pytest.mark.simulated_time
 

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import importlib
 import inspect
-import re
 
 import pytest
 
@@ -117,14 +115,6 @@ def test_a_name_is_in_one_place() -> None:
     assert sorted(names) == sorted([*set(names), *FIRST])
     for name in FIRST:
         assert getattr(urlink, name) is getattr(urlink.packets, name)
-
-
-@pytest.mark.parametrize("place", ["urlink.packets", "urlink.motion"])
-def test_a_name_that_was_here_names_its_place(place: str) -> None:
-    for name in vars(importlib.import_module(place))["__all__"]:
-        if name not in ("Waypoint", *FIRST):
-            with pytest.raises(AttributeError, match=rf"^urlink\.{name} is {re.escape(place)}\.{name}$"):
-                getattr(urlink, name)
 
 
 def test_each_is_there_and_says_what_it_is() -> None:

@@ -13,16 +13,16 @@ import numpy as np
 import pytest
 
 from tests import real_captures
-from urlink.arm_file import MOTORS, ArmFile
-from urlink.dynamics import GRAVITY, Dynamics
+from urlink.arm.arm_file import MOTORS, ArmFile
+from urlink.arm.dynamics import GRAVITY, Dynamics
+from urlink.arm.kinematics import Arm
+from urlink.arm.models import MODELS
+from urlink.arm.motors import friction, motors_of
+from urlink.arm.poses import rotvec_to_matrix
+from urlink.arm.vectors import FloatArray
 from urlink.identification.calibration import Calibration, fit_calibration
 from urlink.identification.joints import fit_joints
-from urlink.kinematics import Arm
-from urlink.models import MODELS
-from urlink.motors import friction, motors_of
-from urlink.poses import rotvec_to_matrix
 from urlink.simulator import Controller, Still
-from urlink.vectors import FloatArray
 
 pytestmark = pytest.mark.captures("real")
 

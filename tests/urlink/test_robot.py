@@ -18,9 +18,7 @@ import urlink
 from linkcore.streaming.statistics import StreamStatistics
 from tests.waiting import until
 from urlink import Backoff, ConnectionEvent, ConnectionState
-from urlink.address import RobotAddress
-from urlink.firmware import RELEASES, Firmware, release_of
-from urlink.models import MODELS
+from urlink.arm.models import MODELS
 from urlink.packets import (
     JointData,
     KinematicsInfo,
@@ -33,6 +31,8 @@ from urlink.packets import (
     SafetyMode,
     VersionMessage,
 )
+from urlink.protocol.firmware import RELEASES, Firmware, release_of
+from urlink.session.address import RobotAddress
 from urlink.simulator import Controller, Demonstration
 
 pytestmark = pytest.mark.simulated_time
@@ -65,7 +65,7 @@ def adds_up(stats: StreamStatistics) -> None:
 
 
 @pytest.mark.parametrize("row", RELEASES, ids=lambda row: str(row.since))
-def test_every_firmware_is_read_live(row: urlink.firmware.Release) -> None:
+def test_every_firmware_is_read_live(row: urlink.protocol.firmware.Release) -> None:
     with Controller(None, row.since) as controller, connect(controller) as robot:
         assert robot.firmware[:2] == row.since[:2]
         assert robot.identity.said_so

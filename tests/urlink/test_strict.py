@@ -14,8 +14,8 @@ from linkcore.clock import Stamp
 from linkcore.errors import PacketError
 from linkcore.streaming.receiver import Receiver
 from linkcore.streaming.statistics import StreamCounters
-from urlink.interfaces.primary.protocol import PrimaryProtocol
-from urlink.interfaces.realtime.protocol import RealtimeProtocol
+from urlink.protocol.primary.protocol import PrimaryProtocol
+from urlink.protocol.realtime.protocol import RealtimeProtocol
 from urlink.simulator import Controller
 from urlink.simulator.faults.link import with_sub_package, with_tail
 

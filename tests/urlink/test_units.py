@@ -15,8 +15,8 @@ import urlink
 from linkcore.arguments import other_unit
 from linkcore.errors import BadValue
 from urlink import Circular, Joint, Linear, Trajectory
+from urlink.arm.kinematics import Arm, Unreachable
 from urlink.compat import rtde_control, urx
-from urlink.kinematics import Arm, Unreachable
 from urlink.simulator import Controller, Still
 
 ARM = Arm("UR5e")

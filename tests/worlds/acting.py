@@ -14,8 +14,8 @@ import numpy as np
 
 from linkcore.errors import LinkError, LocalError
 from linkcore.streaming.subscription import Subscription
-from urlink.motion.jog import Jog
-from urlink.poses import rotvec_to_matrix
+from urlink.arm.poses import rotvec_to_matrix
+from urlink.motion.servo.jog import Jog
 from urlink.simulator import Controller
 
 from .surface import ACTIONS, OF_BLOCKS, Drawing, drawn_arguments

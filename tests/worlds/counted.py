@@ -11,7 +11,7 @@ from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import ConnectionState
 from linkcore.streaming.fanout import FanOut
 from linkcore.streaming.subscription import Subscription
-from urlink.interfaces.realtime.packets import RealtimeState
+from urlink.protocol.realtime.packets import RealtimeState
 
 from .observed import replaced
 

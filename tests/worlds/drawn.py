@@ -6,7 +6,7 @@ import random
 from collections.abc import Sequence
 from dataclasses import replace
 
-from urlink.firmware import RELEASES
+from urlink.protocol.firmware import RELEASES
 
 from .mobile import MOBILE
 from .scenes import SCENES

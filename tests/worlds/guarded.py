@@ -20,8 +20,8 @@ from linkcore.streaming.packet_queue import PacketQueue
 from linkcore.streaming.subscription import InlineDelivery
 from rhdlink.drive import _Motions
 from rhdlink.replica import Replica
-from urlink.motion.common_time import CommonPace, CommonTime
-from urlink.motion.jog import _Holding
+from urlink.motion.servo.jog import _Holding
+from urlink.motion.stream.common_time import CommonPace, CommonTime
 from urlink.rtde.client import Rtde
 
 from .observed import replaced

@@ -20,7 +20,7 @@ from linkcore.errors import LinkError
 from linkcore.simulated import Computer, Simulation
 from rhdlink.client import Variables
 from rhdlink.drive import Drive
-from rhdlink.plugins.turtle import SmrTurtle, Turtle
+from rhdlink.host.plugins.turtle import SmrTurtle, Turtle
 from rhdlink.sync_thread import SyncThread
 
 from .surface import Drawing, public_methods

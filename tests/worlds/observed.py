@@ -14,7 +14,7 @@ import weakref
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from threading import get_ident
-from typing import Any
+from typing import Any, cast
 
 from linkcore.handle import Event, Handle, Lifecycle, Phase
 from linkcore.pending_call import current_call
@@ -22,22 +22,22 @@ from linkcore.simulated import Computer, Simulation
 from linkcore.simulated.scheduler import current
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.fanout import FanOut
-from urlink.commanding.channel import CommandChannel
-from urlink.commanding.programs import Programs
-from urlink.interfaces.primary.robot_state import RobotState
-from urlink.interfaces.realtime.packets import RealtimeState
-from urlink.motion.linked import LinkedProgram
-from urlink.motion.register_link import RegisterLink
-from urlink.motion.reverse import ReverseLink
-from urlink.motion.setpoints import MESSAGE_SIZE, STOP_MESSAGE, WAIT_MESSAGE
+from urlink.command.channel import CommandChannel
+from urlink.command.programs import Programs
+from urlink.motion.servo.linked_program import LinkedProgram
+from urlink.motion.servo.register_link import RegisterLink
+from urlink.motion.servo.reverse import ReverseLink
+from urlink.motion.servo.setpoints import MESSAGE_SIZE, STOP_MESSAGE, WAIT_MESSAGE
+from urlink.protocol.primary.robot_state import RobotState
+from urlink.protocol.realtime.packets import RealtimeState
 from urlink.robot import Robot
 from urlink.rtde import Rtde
+from urlink.script import wrapping
+from urlink.script.wrapping import Wrapped
 from urlink.simulator import Controller
-from urlink.simulator.ports.port import ScriptReceiver
+from urlink.simulator.interfaces.interface import ScriptReceiver
 from urlink.simulator.programs.pendant import Pendant
 from urlink.simulator.programs.program_world import ProgramWorld
-from urlink.urscript import wrapping
-from urlink.urscript.wrapping import Wrapped
 
 __all__ = ["ADMITS", "BRAKING", "Observed", "Sent", "here", "replaced"]
 
@@ -152,7 +152,7 @@ def here() -> Computer:
     """The computer whose thread runs."""
     scheduler = current()
     assert scheduler is not None
-    return scheduler.running.computer
+    return cast("Computer", scheduler.running.computer)
 
 
 class Observed:

@@ -25,7 +25,7 @@ from linkcore.simulated import Computer, Deadlock, Simulation, TimeLimit, simula
 from urlink.aio import awaited
 from urlink.compat.rtde_control import RTDEControlInterface
 from urlink.compat.urx import Robot as UrxRobot
-from urlink.interfaces.enums import ProgramState
+from urlink.protocol.enums import ProgramState
 from urlink.simulator import Controller, Still
 
 from . import acting
@@ -65,9 +65,9 @@ PREEMPTED = (
     "linkcore.streaming",
     "linkcore.threads",
     "urlink.aio",
-    "urlink.commanding",
+    "urlink.command",
     "urlink.compat",
-    "urlink.control",
+    "urlink.motion.control",
     "urlink.group",
     "urlink.motion",
     "urlink.robot",
@@ -180,7 +180,7 @@ class Run:
         self.world = world
         self.sim = sim
         self.robot = sim.computer("robot", HOST)
-        arm = "UR5e" if urlink.firmware.Firmware.parse(world.firmware).is_e_series else "UR5"
+        arm = "UR5e" if urlink.protocol.firmware.Firmware.parse(world.firmware).is_e_series else "UR5"
         pick = "def pick():\n  movej([0.2, -1.57, 1.4, -1.57, -1.57, 0.0], v=0.5)\n  sleep(0.2)\nend\n"
         with sim.on(self.robot):
             self.controller = Controller(

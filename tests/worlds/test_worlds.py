@@ -18,7 +18,7 @@ from tests.worlds.planted import NAMES
 from tests.worlds.running import run
 from tests.worlds.scenes import SCENES
 from tests.worlds.world import Ask, Client, Event, World
-from urlink.commanding.programs import Programs
+from urlink.command.programs import Programs
 
 # A client that is killed closes nothing.
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")

@@ -10,7 +10,7 @@ import pytest
 
 import urlink
 from lerobot_robot_urlink import UR
-from urlink import poses
+from urlink.arm import poses
 from urlink.simulator import Controller
 
 Q = [0.0, -1.5, 1.5, -1.5, -1.5, 0.0]

@@ -26,7 +26,7 @@ from lerobot.scripts import lerobot_rollout as rollout_script
 import urlink
 from adapters.mujoco.tests.placing import DOWN, TCP, arm_at
 from lerobot_robot_urlink import UR, URConfig
-from urlink.kinematics import Arm
+from urlink.arm.kinematics import Arm
 from urlink_mujoco import MujocoWorld
 
 #: A box of 2 kg on a table, whose near face is at y = 0.15.

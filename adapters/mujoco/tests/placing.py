@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from urlink.kinematics import Arm
+from urlink.arm.kinematics import Arm
 from urlink.simulator import HOME, Controller, Still
 from urlink_mujoco import MujocoWorld
 

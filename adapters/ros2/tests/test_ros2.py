@@ -21,7 +21,7 @@ import pytest
 
 import urlink
 from tests.waiting import until
-from urlink.kinematics import Arm
+from urlink.arm.kinematics import Arm
 from urlink.simulator import Controller
 from urlink_ros2 import JOINT_NAMES
 from urlink_ros2 import serve as serve_nodes

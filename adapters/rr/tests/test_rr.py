@@ -18,11 +18,11 @@ import RobotRaconteur as RR
 
 import rhdlink
 import urlink
-from rhdlink.plugins.turtle import Turtle
+from rhdlink.host.plugins.turtle import Turtle
 from tests.waiting import until
-from urlink import poses
+from urlink.arm import poses
+from urlink.arm.urdf import JOINTS as JOINT_NAMES
 from urlink.simulator import Controller
-from urlink.urdf import JOINTS as JOINT_NAMES
 from urlink_rr import open_node, register, register_rhd, serve
 from urlink_rr.description import HOME
 

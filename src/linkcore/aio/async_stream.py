@@ -8,7 +8,7 @@ from typing import Any, Generic, TypeVar
 
 from .. import clock
 from ..arguments import check_callable, check_seconds
-from ..attributes import StrictAttributes
+from ..names import StrictAttributes
 from ..streaming.connection_life import ConnectionState
 from ..streaming.feed import LAGGARD, Feed
 from ..streaming.history import History

@@ -20,9 +20,9 @@ from .. import clock
 from ..errors import Closed, ConnectionLost, LinkTimeout, LocalError, unraised
 from ..event_loop import happened, within
 from ..net.awaited import AwaitedTransport, watch
-from ..realtime import urgent
 from ..streaming.connection import Connection
 from ..streaming.receiver import Receiver
+from ..streaming.scheduling import urgent
 from ..threads import ReentrantEvent
 
 #: Seconds that another thread leaves to the loop to close a socket. After that it does so itself: what was given up

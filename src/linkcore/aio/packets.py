@@ -8,8 +8,8 @@ from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from ..attributes import StrictAttributes
 from ..errors import LocalError
+from ..names import StrictAttributes
 from ..streaming.feed import Feed
 from ..streaming.packet_queue import Policy, is_older
 from ..streaming.statistics import SubscriptionStatistics

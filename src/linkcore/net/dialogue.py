@@ -17,8 +17,8 @@ from .. import clock
 from ..errors import Cancelled, Closed, ConnectionLost, LinkTimeout, WrongPeer
 from ..pending_call import interruptible
 from ..threads import held
-from .recall import MAY_STILL
 from .transport import TcpTransport
+from .undo import MAY_STILL
 
 
 class DialogueProtocol(Protocol):

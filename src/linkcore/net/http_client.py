@@ -14,8 +14,8 @@ from .. import clock
 from ..errors import Cancelled, Closed, ConnectionLost, LinkTimeout, PacketError, WrongPeer
 from ..pending_call import interruptible
 from ..wire.http import HttpParser, HttpRequest, HttpResponse
-from .recall import MAY_STILL
 from .transport import TcpTransport
+from .undo import MAY_STILL
 
 #: Redirects that are followed.
 _MOST_REDIRECTS = 5

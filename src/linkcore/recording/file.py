@@ -28,9 +28,9 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
-from ..attributes import StrictAttributes
 from ..clock import Stamp
 from ..errors import BadRecording, BadValue, Closed
+from ..names import StrictAttributes
 from ..streaming.connection_life import Chunk, ConnectionEvent
 
 MAGIC = b"LINKREC1"

@@ -19,7 +19,7 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..lazy import needs
+from ..names import needs
 from .file import Progress
 from .table import Table
 

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from .. import clock
-from ..attributes import StrictAttributes
 from ..errors import BadRecording, LinkTimeout
+from ..names import StrictAttributes
 from ..streaming.connection_life import Traffic
 from ..streaming.packet_queue import block
 from ..streaming.stream import Stream

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arguments import check_choice, element_of
-from ..attributes import StrictAttributes
 from ..errors import BadValue
-from ..lazy import needs
+from ..names import StrictAttributes, needs
 from ..wire.cycles import Gap, Missing, gaps_of
 from .columns import ArrayColumns, Column, Columns, PacketColumns, is_continuous
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..arguments import check_fields
 from ..errors import BadRecording, BadValue
-from ..lazy import needs
+from ..names import needs
 from .file import Progress, unseen
 from .mcap_file import write_mcap
 from .table import Table, flat_columns

@@ -12,12 +12,9 @@ import itertools
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from .scheduler import Scheduler, Task
-
-if TYPE_CHECKING:
-    from .sockets import Socket
 
 #: Bytes that a kernel holds for one direction of a connection, at each end.
 BUFFER = 128 * 1024
@@ -48,6 +45,13 @@ class Route:
 
 #: Above every number that Linux gives a process, 2**22 at most.
 _PIDS = itertools.count(1 << 23)
+
+
+class Watcher(Protocol):
+    """The socket of a connection or a listener, which is told that something has happened to it."""
+
+    def changed(self) -> None:
+        """Look again whether there is something to read, or room to write."""
 
 
 @dataclass(eq=False)
@@ -140,7 +144,7 @@ class Listener:
     computer: Computer
     port: int
     backlog: int
-    owner: Socket
+    owner: Watcher
     accepted: deque[End] = field(default_factory=deque)
 
     def close(self) -> None:
@@ -175,7 +179,7 @@ class End:
         self.peer_name: tuple[str, int] = ("", 0)
         self.connecting_to: Computer | None = None
         self.refuse: Callable[[], object] = lambda: None
-        self.owner: Socket | None = None
+        self.owner: Watcher | None = None
         self.received = bytearray()
         self.error = 0
         self.is_connected = False

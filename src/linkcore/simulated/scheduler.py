@@ -22,10 +22,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from struct import Struct
 from types import FrameType
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from .network import Computer
+from typing import Any, Protocol
 
 #: As `sys.settrace` takes it.
 Tracer = Callable[[FrameType, str, Any], Any]
@@ -55,13 +52,24 @@ class Ended(SystemExit):
     """Raised in a task that still waits when the simulation ends, so that its thread ends too."""
 
 
+class TaskComputer(Protocol):
+    """The computer that a task runs on: `linkcore.simulated.network.Computer`, as the scheduler uses it."""
+
+    rate: float
+    offset: float
+    jumped: float
+    is_running: bool
+    starts_threads: bool
+    held: list[Task]
+
+
 @dataclass(eq=False, slots=True)
 class Task:
     """A thread that takes part."""
 
     name: str
     number: int
-    computer: Computer
+    computer: TaskComputer
     #: held while it does not run
     baton: LockType = field(default_factory=allocate_lock)
     ident: int = 0
@@ -129,14 +137,14 @@ class Scheduler:
 
     # -- tasks -----------------------------------------------------------------------------------------
 
-    def adopt(self, name: str, computer: Computer) -> Task:
+    def adopt(self, name: str, computer: TaskComputer) -> Task:
         """Make the calling thread the first task. It runs."""
         task = self.spawn(name, computer, is_ready=False)
         task.ident = self.ident = get_ident()
         self.running = task
         return task
 
-    def spawn(self, name: str, computer: Computer, *, is_ready: bool = True) -> Task:
+    def spawn(self, name: str, computer: TaskComputer, *, is_ready: bool = True) -> Task:
         """A task whose thread waits for its baton."""
         task = Task(name, len(self.tasks), computer)
         self.tasks.append(task)
@@ -242,7 +250,7 @@ class Scheduler:
         """Add what has happened to the trace."""
         self.trace = zlib.crc32(data, self.trace)
 
-    def suspend(self, computer: Computer) -> None:
+    def suspend(self, computer: TaskComputer) -> None:
         """No task of it runs until `resume`."""
         computer.is_running = False
         computer.held += [task for task in self._ready if task.computer is computer]
@@ -250,7 +258,7 @@ class Scheduler:
         if not self._is_choosing and self.running.computer is computer:
             self.yield_()
 
-    def resume(self, computer: Computer) -> None:
+    def resume(self, computer: TaskComputer) -> None:
         """Its tasks run again."""
         computer.is_running = True
         self._ready += computer.held

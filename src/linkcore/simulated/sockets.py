@@ -10,7 +10,7 @@ import selectors
 import socket as _socket
 import struct
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, cast
 
 from .network import BUFFER, Computer, End, Listener, Network
 from .scheduler import Scheduler, Task, current
@@ -413,7 +413,7 @@ class Sockets:
 
     def computer(self) -> Computer:
         """That of the task that runs."""
-        return self.scheduler.running.computer
+        return cast("Computer", self.scheduler.running.computer)
 
     def open(self, opened: Pollable) -> int:
         number = _FIRST

@@ -23,8 +23,8 @@ from concurrent.futures import thread as _pool
 from types import ModuleType
 from typing import Any
 
-from ..attributes import StrictAttributes
 from ..errors import BadValue, LocalError
+from ..names import StrictAttributes
 from . import primitives
 from .network import Computer, Network, Route
 from .preemption import Preemption, is_importing

@@ -17,9 +17,9 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from ..arguments import check_seconds
-from ..attributes import StrictAttributes
 from ..clock import Stamp
 from ..errors import BadValue, WrongPeer, unraised
+from ..names import StrictAttributes
 
 
 class ConnectionState(enum.Enum):

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from .. import clock
 from ..arguments import check_callable, check_seconds, element_of
-from ..attributes import Elsewhere, StrictAttributes
 from ..errors import BadValue, Closed, LinkTimeout
+from ..names import Elsewhere, StrictAttributes
 from ..pending_call import interruptible, pending_call
 from ..wire.packet import State
 from .connection import Connection

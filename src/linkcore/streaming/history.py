@@ -14,8 +14,8 @@ from numpy.typing import DTypeLike, NDArray
 
 from .. import clock
 from ..arguments import check_fields, element_of
-from ..attributes import StrictAttributes
 from ..errors import BadValue
+from ..names import StrictAttributes
 from ..threads import Closing
 from ..wire.packet import State
 from .subscription import Subscription

@@ -14,8 +14,8 @@ from typing import Any
 
 from .. import clock
 from ..arguments import check_callable, check_seconds
-from ..attributes import StrictAttributes
 from ..errors import BadValue
+from ..names import StrictAttributes
 from ..threads import Closing, started
 from .packet_queue import PacketQueue
 from .statistics import SLOW_INLINE, StreamCounters, SubscriptionStatistics, snapshot

@@ -11,10 +11,10 @@ from functools import partial
 
 from .. import clock
 from ..errors import LinkTimeout, LocalError
-from ..realtime import urgent
 from ..threads import started
 from .connection import Connection
 from .receiver import Receiver
+from .scheduling import urgent
 
 
 class ThreadConnection(Connection):

@@ -15,8 +15,8 @@ from linkcore.cli.terminal import Interruption
 from ..address import PORT
 from ..host.config import read_config
 from ..host.host import Host, Pacing
+from ..host.plugins.turtle import SmrTurtle, Turtle
 from ..host.service import Resend
-from ..plugins.turtle import SmrTurtle, Turtle
 from ..wire.decoder import Limits
 from ..wire.schema import WIDTHS
 from .options import WORLD, drawn, port, tell, world

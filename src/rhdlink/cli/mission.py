@@ -15,14 +15,14 @@ from linkcore.errors import LinkError
 from linkcore.text import printable
 
 from ..address import Address
-from ..plugins.turtle import SmrTurtle, Turtle
+from ..host.plugins.turtle import SmrTurtle, Turtle
+from ..host.world import World
 from ..smrcl.mission import Mission, MissionRun
 from ..smrcl.profile import PROFILES
 from ..smrcl.recipients import Said
 from ..smrcl.robot_conf import RobotConf, read_robot_conf
 from ..smrcl.robot_link import ClientLink, PluginLink, RobotLink
 from ..smrcl.server import PORT, MissionServer
-from ..world import World
 from .options import WORLD, connected, drawn, port, tell, world
 
 #: Seconds between two updates of the progress.

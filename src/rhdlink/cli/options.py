@@ -12,8 +12,8 @@ from linkcore.cli.progress import ProgressBar
 from linkcore.text import printable
 
 from ..client import Variables, connect
-from ..scene import Scene
-from ..world import World, save
+from ..host.scene import Scene
+from ..host.world import World, save
 
 #: The address of a robot, and how long to wait for it.
 ADDRESS = (
@@ -85,7 +85,7 @@ def drawn(world: World, args: argparse.Namespace, path: str, title: str = "") ->
     """Draw the path of a turtle into a file, and show the progress.
 
     Raises:
-        LinkError: See `rhdlink.world.save`.
+        LinkError: See `rhdlink.host.world.save`.
     """
     with ProgressBar(f"drawing {path}", args.quiet):
         save(world, path, title)

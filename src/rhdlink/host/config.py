@@ -6,7 +6,7 @@ The elements are those of docs/protocols/rhd.md, Configuration file::
       <scheduler> <period value="10000"/> <type value="itimer"/> </scheduler>      (or <sheduler>; microseconds)
       <server> <port value="24902"/> <clients number="10" allwriters="0"/> <mode value="synchronized"/>
                <address value="0.0.0.0"/> <width value="2"/> </server>      (the last two are this library's own)
-      <plugins> <turtle enable="true" lib="rhdlink.plugins.turtle:Turtle" critical="true" safety="1"/> </plugins>
+      <plugins> <turtle enable="true" lib="rhdlink.host.plugins.turtle:Turtle" critical="true" safety="1"/> </plugins>
     </rhd>
 
 The file may come from anywhere, so it is parsed with limits, and without what XML has for hiding or fetching things: a

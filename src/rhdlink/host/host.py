@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Literal
 
 from linkcore import clock
 from linkcore.arguments import check_choice, check_seconds, check_whole
-from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue, Closed, LocalError
+from linkcore.names import StrictAttributes
 from linkcore.threads import Runnable
 
 from ..address import Address

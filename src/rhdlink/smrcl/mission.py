@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 
 from linkcore import clock
 from linkcore.arguments import check_callable, check_seconds
-from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue, LinkTimeout, LocalError
 from linkcore.handle import Event, Handle, Lifecycle
+from linkcore.names import StrictAttributes
 from linkcore.threads import CallbackThread, started
 
 from ..errors import BadMission, MissionFailed, Mistake
-from ..world import Pose
+from ..host.world import Pose
 from .checking import check
 from .commands import RESERVED
 from .controller import MissionController

@@ -12,8 +12,8 @@ from collections.abc import Callable
 
 from linkcore import clock
 from linkcore.arguments import check_seconds
-from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue, Closed
+from linkcore.names import StrictAttributes
 from linkcore.net.loop import Connection, Handler, SelectorLoop
 from linkcore.threads import Runnable
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from linkcore.lazy import lazy_names
+from linkcore.names import lazy_names
 
 if TYPE_CHECKING:
     from linkcore.recording.table import Table as Table

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from linkcore.streaming.peer_clock import lowest_edge
 from linkcore.wire.cycles import gaps_of
 
-from ..firmware import RELEASES, Firmware, Release, release_of
-from ..identity import Identity
-from ..interfaces.primary.robot_message import VersionMessage
-from ..interfaces.rtde.packets import ControllerVersionReply
-from ..models import Model
+from ..arm.models import Model
+from ..protocol.firmware import RELEASES, Firmware, Release, release_of
+from ..protocol.primary.robot_message import VersionMessage
+from ..protocol.rtde.packets import ControllerVersionReply
+from ..session.identity import Identity
 from .evidence import Came, Evidence
 from .requirements import Check, Measured, NotTried, counted
 

@@ -23,8 +23,8 @@ from linkcore.errors import BadRecording, BadValue
 from linkcore.recording.file import Kind, RecordingFile, RecordingWriter
 from linkcore.text import strict_json
 
-from ..interfaces.dashboard.commands import COMMANDS
-from ..interfaces.primary.robot_message import KeyMessage
+from ..protocol.dashboard.commands import COMMANDS
+from ..protocol.primary.robot_message import KeyMessage
 from .evidence import Evidence
 from .logbook import NOTES
 from .requirements import Requirement, read, written

@@ -17,15 +17,15 @@ from linkcore.clock import Stamp
 from linkcore.errors import LinkError, PacketError
 from linkcore.recording.file import Kind, RecordingFile, described
 
-from ..firmware import Firmware
-from ..identity import Identity, described_identity
-from ..interfaces.primary.protocol import PrimaryProtocol
-from ..interfaces.primary.robot_state import RobotState
-from ..interfaces.realtime.packets import RealtimeState
-from ..interfaces.realtime.protocol import RealtimeProtocol
-from ..interfaces.rtde.packets import OutputsRequest, decode_request, split_names
-from ..interfaces.rtde.protocol import Requests, RtdeProtocol
-from ..interfaces.rtde.recipes import Outputs
+from ..protocol.firmware import Firmware
+from ..protocol.primary.protocol import PrimaryProtocol
+from ..protocol.primary.robot_state import RobotState
+from ..protocol.realtime.packets import RealtimeState
+from ..protocol.realtime.protocol import RealtimeProtocol
+from ..protocol.rtde.packets import OutputsRequest, decode_request, split_names
+from ..protocol.rtde.protocol import Requests, RtdeProtocol
+from ..protocol.rtde.recipes import Outputs
+from ..session.identity import Identity, described_identity
 from .logbook import NOTES, SENT
 
 

@@ -14,13 +14,13 @@ from linkcore.net.dialogue import Dialogue
 from linkcore.net.http_client import HttpClient
 from linkcore.net.transport import TcpTransport
 
-from ..address import RobotAddress
-from ..interfaces.dashboard.commands import COMMANDS
-from ..interfaces.dashboard.protocol import DashboardProtocol, parse_robot_mode, parse_safety_mode, parse_truth
-from ..interfaces.dashboard.robot_api import RobotApi, find
-from ..interfaces.rtde.packets import StartReply
+from ..protocol.dashboard.commands import COMMANDS
+from ..protocol.dashboard.protocol import DashboardProtocol, parse_robot_mode, parse_safety_mode, parse_truth
+from ..protocol.dashboard.robot_api import RobotApi, find
+from ..protocol.rtde.packets import StartReply
 from ..robot import Robot
 from ..rtde import OUTPUTS
+from ..session.address import RobotAddress
 from .agreement import RTDE_NAMES
 from .evidence import Evidence
 from .logbook import Logbook

@@ -18,7 +18,7 @@ from linkcore.handle import Motion
 
 from ..errors import SafetyStop
 from ..identification.exercise import SHOWS_SLIDER, Guard, slider_of
-from ..motion.trajectory import Trajectory
+from ..motion.moves.trajectory import Trajectory
 from ..robot import Robot
 from .logbook import Logbook
 from .person import Person, is_held_by

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ..interfaces.enums import ProgramState
-from ..interfaces.primary.robot_message import NO_TIMESTAMP, TextMessage
+from ..protocol.enums import ProgramState
+from ..protocol.primary.robot_message import NO_TIMESTAMP, TextMessage
 from .arrivals import moments
 from .evidence import Evidence
 from .requirements import Check, Measured, NotTried, counted

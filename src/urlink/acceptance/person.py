@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Literal, Protocol
 
 from ..identification.exercise import input_is_on
-from ..interfaces.realtime.packets import RealtimeState
+from ..protocol.realtime.packets import RealtimeState
 from ..simulator import Controller
 
 Deed = Literal["local", "remote", "protective-stop", "unlock"]

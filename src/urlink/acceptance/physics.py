@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import poses
-from ..dynamics import Dynamics
-from ..interfaces.enums import JointMode, ProgramState, RobotMode, RobotModeCB2, SafetyMode
-from ..interfaces.primary.robot_state import tool_offset
-from ..motors import motors_of
+from ..arm import poses
+from ..arm.dynamics import Dynamics
+from ..arm.motors import motors_of
+from ..protocol.enums import JointMode, ProgramState, RobotMode, RobotModeCB2, SafetyMode
+from ..protocol.primary.robot_state import tool_offset
 from .arrivals import known_arm, moments
 from .evidence import Evidence
 from .requirements import Check, Measured, NotTried, counted

@@ -59,7 +59,7 @@ class Measured(NamedTuple):
     Attributes:
         value: what was measured; compared with the limit.
         seen: in words.
-        contradicts: parameters of `urlink.parameters` that are refuted by it, each with what was measured.
+        contradicts: parameters of `urlink.arm.parameters` that are refuted by it, each with what was measured.
     """
 
     value: float

@@ -15,8 +15,8 @@ from linkcore import clock
 from linkcore.errors import BadValue, LinkError
 from linkcore.net.listener import local_address
 
-from ..address import RecordingAddress, SimulatorAddress, parse_address
 from ..robot import connect, simulated
+from ..session.address import RecordingAddress, SimulatorAddress, parse_address
 from .listening import listen
 from .logbook import Logbook
 from .moving import move

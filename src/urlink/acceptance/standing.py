@@ -9,15 +9,15 @@ from linkcore import clock
 from linkcore.errors import LinkError
 from linkcore.net.transport import TcpTransport
 
-from ..address import RobotAddress
 from ..errors import CompileError
-from ..firmware import Firmware
 from ..identification.exercise import SHOWS_SLIDER, slider_of
-from ..interfaces.primary.robot_message import TextMessage
-from ..interfaces.primary.robot_state import CartesianInfo, RobotModeData, tool_offset
-from ..interfaces.rtde.protocol import InputInUse
+from ..protocol.firmware import Firmware
+from ..protocol.primary.robot_message import TextMessage
+from ..protocol.primary.robot_state import CartesianInfo, RobotModeData, tool_offset
+from ..protocol.rtde.protocol import InputInUse
 from ..robot import Robot
 from ..rtde import INPUTS, OUTPUTS
+from ..session.address import RobotAddress
 from .logbook import Logbook
 from .person import Person
 

@@ -17,17 +17,17 @@ import numpy as np
 
 from linkcore.errors import BadRecording, BadValue, Cancelled, LinkError
 
-from ..arm_file import MOTORS, ArmFile, Estimate
-from ..firmware import Firmware
+from ..arm.arm_file import MOTORS, ArmFile, Estimate
+from ..arm.motors import joint_sizes
+from ..arm.parameters import Parameter, numbers, parameters
+from ..arm.vectors import JOINTS, FloatArray
 from ..identification import identify
 from ..identification.exercise import BESIDE, SWING, Exercise, Guard, exercise, plan_from_here, slider_of
 from ..identification.samples import COLUMNS, Samples
-from ..interfaces.realtime.packets import RealtimeState
-from ..motors import joint_sizes
-from ..parameters import Parameter, numbers, parameters
+from ..protocol.firmware import Firmware
+from ..protocol.realtime.packets import RealtimeState
 from ..robot import Robot
-from ..simulator.robot.robot_parameters import force_size
-from ..vectors import JOINTS, FloatArray
+from ..simulator.robot.characteristics import force_size
 from .arrivals import known_arm
 from .evidence import Evidence
 from .logbook import Logbook

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arm_file import Estimate
-from ..parameters import parameters
+from ..arm.arm_file import Estimate
+from ..arm.parameters import parameters
 from .arrivals import moments
 from .evidence import Evidence
 from .moving import FOLLOWED, SPEED, WATCHDOG, WRIST

@@ -8,8 +8,8 @@ from linkcore.errors import BadValue
 from linkcore.streaming.packet_queue import drop_oldest, latest
 
 from ..group import WAITING, Group
-from ..interfaces.realtime.packets import RealtimeState
-from ..motion.group_motion import GroupStream
+from ..motion.stream.group_motion import GroupStream
+from ..protocol.realtime.packets import RealtimeState
 from .async_robot import AsyncRobot
 from .awaited import AwaitedHandle, AwaitedPart, attribute, awaited, block, motion, stopping
 

@@ -15,15 +15,15 @@ from linkcore.event_loop import Opening, Workers, finished, running_loop
 from linkcore.net.awaited import AwaitedTcp
 
 from .. import robot as threaded
-from ..address import RecordingAddress, RobotAddress, SimulatorAddress
-from ..connect_options import ConnectOptions, takes_connect_options
-from ..firmware import Firmware
-from ..identity import Identity, Introduction
-from ..interfaces.primary.robot_state import RobotState
-from ..interfaces.realtime.packets import RealtimeState
-from ..ports import refusal_hint
-from ..robot_clock import RobotClock
-from ..source import networked
+from ..protocol.firmware import Firmware
+from ..protocol.ports import refusal_hint
+from ..protocol.primary.robot_state import RobotState
+from ..protocol.realtime.packets import RealtimeState
+from ..session.address import RecordingAddress, RobotAddress, SimulatorAddress
+from ..session.connect_options import ConnectOptions, takes_connect_options
+from ..session.identity import Identity, Introduction
+from ..session.robot_clock import RobotClock
+from ..session.source import networked
 from .awaited import AwaitedPart, AwaitedRtde, Block, awaited, block
 
 if TYPE_CHECKING:
@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
     from linkcore.recording.recorder import Recorder
 
-    from ..commanding.interpreter import Interpreter
-    from ..kinematics import Arm
+    from ..arm.kinematics import Arm
+    from ..command.interpreter import Interpreter
     from ..motion.teaching import Teaching
     from ..simulator import Controller
     from .parts import (
@@ -348,7 +348,7 @@ async def _identified(place: RobotAddress, options: ConnectOptions) -> Identity:
 
 
 async def _identify(host: str, port: int, timeout: float) -> Identity:
-    """As `urlink.identity.identify`."""
+    """As `urlink.session.identity.identify`."""
     introduction = Introduction(f"{host}:{port}", timeout)
     transport = AwaitedTcp(host, port, silence=timeout, refused=lambda: refusal_hint(None))
     await transport.connect(timeout)

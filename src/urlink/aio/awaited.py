@@ -14,15 +14,15 @@ from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any, Concatenate, Generic, ParamSpec, TypeVar, overload
 
 from linkcore import clock
-from linkcore.attributes import StrictAttributes
 from linkcore.clock import Stamp
 from linkcore.errors import BadValue, LinkTimeout
 from linkcore.event_loop import Workers, ended, running_loop
 from linkcore.handle import Handle
+from linkcore.names import StrictAttributes
 from linkcore.net.awaited import AwaitedTcp
 
-from ..interfaces.rtde.protocol import Requests
-from ..interfaces.rtde.transport import RtdeDialogue, RtdeTransport
+from ..protocol.rtde.protocol import Requests
+from ..protocol.rtde.transport import RtdeDialogue, RtdeTransport
 
 if TYPE_CHECKING:
     from typing_extensions import Self

@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 from linkcore.aio.async_stream import AsyncFeed, AsyncStream
 
-from ..commanding.interlock import Policy
-from ..commanding.interpreter import Interpreter, InterpreterState
-from ..commanding.io import IO
-from ..commanding.safety import Safety
-from ..commanding.scripts import Scripts
-from ..interfaces.dashboard.client import Dashboard
-from ..interfaces.gripper.client import Gripper
-from ..interfaces.rtde.recipes import Outputs
-from ..interfaces.tool_serial import ToolSerial
+from ..command.interpreter import Interpreter, InterpreterState
+from ..command.io import IO
+from ..command.safety import Safety
+from ..command.scripts import Scripts
 from ..motion import Motions, PointStream, Teaching
+from ..protocol.dashboard.client import Dashboard
+from ..protocol.gripper.client import Gripper
+from ..protocol.rtde.recipes import Outputs
+from ..protocol.tool_serial import ToolSerial
 from ..rtde import Inputs, OutputStream, Registers, Rtde
+from ..session.connect_options import Policy
 from .awaited import AwaitedHandle, AwaitedPart, Block, attribute, awaited, block, motion, stopping
 
 if TYPE_CHECKING:

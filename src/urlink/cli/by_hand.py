@@ -15,7 +15,7 @@ from linkcore.cli.progress import ProgressBar
 from linkcore.cli.terminal import Interruption
 from linkcore.errors import BadValue, LocalError
 
-from ..motion.jog import FULL_SPEED, FrameName, Jog
+from ..motion.servo.jog import FULL_SPEED, FrameName, Jog
 from ..motion.teaching import Taught
 from ..robot import Robot
 from .options import ADDRESS, connected

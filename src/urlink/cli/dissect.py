@@ -22,15 +22,15 @@ from linkcore.wire.framing import Framer
 from linkcore.wire.packet import State, plain
 from linkcore.wire.schema import Row, header_rows
 
-from ..decoding import decode
-from ..firmware import Firmware, known_firmware
-from ..interfaces.headers import PACKAGE
-from ..interfaces.primary.decoder import PackageDecoder
-from ..interfaces.primary.protocol import PackageBoundary
-from ..interfaces.primary.robot_message import VersionMessage
-from ..interfaces.primary.robot_state import RobotState
-from ..interfaces.realtime.protocol import RealtimeBoundary
-from ..ports import INTERFACES, Interface
+from ..protocol.decoding import decode
+from ..protocol.firmware import Firmware, known_firmware
+from ..protocol.headers import PACKAGE
+from ..protocol.ports import INTERFACES, Interface
+from ..protocol.primary.decoder import PackageDecoder
+from ..protocol.primary.protocol import PackageBoundary
+from ..protocol.primary.robot_message import VersionMessage
+from ..protocol.primary.robot_state import RobotState
+from ..protocol.realtime.protocol import RealtimeBoundary
 from .values import as_text
 
 _BOUNDARIES: dict[Interface, Callable[[], PackageBoundary | RealtimeBoundary]] = {

@@ -18,13 +18,13 @@ from linkcore.streaming.stream import Stream
 from linkcore.text import printable, strict_json
 from linkcore.wire.cycles import Missing
 
-from ..address import RecordingAddress, RobotAddress, SimulatorAddress, parse_address
-from ..firmware import RELEASES, Firmware
-from ..interfaces.enums import RobotMode, RobotModeCB2, SafetyMode
-from ..interfaces.primary.robot_state import RobotModeData, RobotState
-from ..interfaces.realtime.packets import RealtimeState
+from ..protocol.enums import RobotMode, RobotModeCB2, SafetyMode
+from ..protocol.firmware import RELEASES, Firmware
+from ..protocol.primary.robot_state import RobotModeData, RobotState
+from ..protocol.realtime.packets import RealtimeState
 from ..robot import Robot, connect
 from ..rtde import OUTPUTS
+from ..session.address import RecordingAddress, RobotAddress, SimulatorAddress, parse_address
 from .options import ADDRESS, Tap
 
 #: What each port is for, if it should be open.

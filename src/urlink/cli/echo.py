@@ -19,9 +19,9 @@ from linkcore.text import strict_json
 from linkcore.wire.packet import State
 
 from .. import packets
-from ..interfaces.primary.robot_state import RobotState
-from ..interfaces.realtime.packets import RealtimeState
-from ..ports import INTERFACES
+from ..protocol.ports import INTERFACES
+from ..protocol.primary.robot_state import RobotState
+from ..protocol.realtime.packets import RealtimeState
 from ..robot import Robot
 from .glance import counted
 from .options import ADDRESS, Tap, connected, interface_of

@@ -16,9 +16,9 @@ from linkcore.streaming.statistics import StreamStatistics
 from linkcore.text import printable
 from linkcore.wire.packet import State
 
-from ..interfaces.enums import AnalogDomain
-from ..interfaces.primary.robot_state import MasterboardData, RobotModeData, RobotState, ToolData
-from ..interfaces.realtime.packets import RealtimeState
+from ..protocol.enums import AnalogDomain
+from ..protocol.primary.robot_state import MasterboardData, RobotModeData, RobotState, ToolData
+from ..protocol.realtime.packets import RealtimeState
 
 #: Data older than this, in seconds, counts as old although the connection stands: five states of the 10 Hz
 #: interfaces, 60 and more of the real-time one.

@@ -17,7 +17,7 @@ from linkcore.cli.progress import ProgressBar
 from .options import ADDRESS, agrees, connected, tell
 
 if TYPE_CHECKING:
-    from ..arm_file import ArmFile, Estimate
+    from ..arm.arm_file import ArmFile, Estimate
     from ..identification.exercise import Exercise, Guard
     from ..identification.samples import Samples
     from ..robot import Robot
@@ -120,7 +120,7 @@ def _compare(args: argparse.Namespace) -> int:
       urlink compare run.csv --model UR3e
       urlink compare run.urlog --like arm.json --tolerance 0.005
     """
-    from ..arm_file import ArmFile, read_arm_file
+    from ..arm.arm_file import ArmFile, read_arm_file
     from ..identification import identify
     from ..identification.comparison import QUANTITIES, compare
 
@@ -206,7 +206,7 @@ def _objects(found: ArmFile) -> Sequence[str]:
 
 
 def _lines(found: ArmFile) -> Sequence[str]:
-    from ..parameters import parameters
+    from ..arm.parameters import parameters
 
     units = {name: row.unit for (name, _), row in parameters().items()}
     units |= {"payload": "kg", "payload_cog": "m", "calibration": "m rms", "clock_drift": ""}

@@ -10,11 +10,11 @@ from linkcore.cli.options import argument, command
 from linkcore.cli.progress import ProgressBar
 from linkcore.text import printable, strict_json
 
-from ..address import RecordingAddress, RobotAddress, SimulatorAddress, parse_address
-from ..data.recording import load
-from ..firmware import release_of
-from ..interfaces.primary.robot_state import SUB_PACKAGES
+from ..protocol.firmware import release_of
+from ..protocol.primary.robot_state import SUB_PACKAGES
+from ..recording.recording import load
 from ..robot import Robot
+from ..session.address import RecordingAddress, RobotAddress, SimulatorAddress, parse_address
 from .options import ADDRESS, connected
 
 

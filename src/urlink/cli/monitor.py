@@ -18,9 +18,9 @@ from linkcore.errors import LinkError, LinkTimeout
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from linkcore.streaming.stream import Stream
 
-from ..address import RecordingAddress, SimulatorAddress, parse_address
-from ..interfaces.primary.robot_message import RobotMessage, UnnamedMessage12, VersionMessage
+from ..protocol.primary.robot_message import RobotMessage, UnnamedMessage12, VersionMessage
 from ..robot import Robot
+from ..session.address import RecordingAddress, SimulatorAddress, parse_address
 from .glance import Glance, Reading, StreamStatus, counted, line, read, status_of
 from .options import ADDRESS, connected, interface_of, tell
 from .values import as_text

@@ -28,7 +28,7 @@ from linkcore.streaming.stream import Stream
 from linkcore.text import strict_json
 from linkcore.wire.packet import State
 
-from ..ports import INTERFACES
+from ..protocol.ports import INTERFACES
 from ..robot import connect
 from .echo import PRINTED, echo, kind_of, shower
 from .options import ADDRESS, connected, tell
@@ -176,7 +176,7 @@ def _export(args: argparse.Namespace) -> int:
       urlink export run.urlog run.parquet --rate 100
       urlink export run.urlog run.mcap
     """
-    from ..data.recording import load  # which `record` and `replay` do without
+    from ..recording.recording import load  # which `record` and `replay` do without
 
     return export(args, load, lambda recording: f"{recording.duration:.1f} s of {', '.join(recording.tables)}", tell)
 
@@ -201,7 +201,7 @@ def _plot(args: argparse.Namespace) -> int:
       urlink plot run.urlog q_actual --output q.svg
       urlink plot run.urlog tcp_force --start 2 --end 4.5 --output contact.png
     """
-    from ..data.recording import load
+    from ..recording.recording import load
 
     with ProgressBar(f"reading {args.file}", args.quiet) as progress:
         recording = load(args.file, progress=progress)

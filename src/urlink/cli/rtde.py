@@ -18,7 +18,7 @@ from linkcore.errors import BadValue
 from linkcore.text import strict_json
 from linkcore.wire.packet import State, plain
 
-from ..interfaces.rtde.recipes import Outputs
+from ..protocol.rtde.recipes import Outputs
 from ..robot import Robot
 from ..rtde import INPUTS, OUTPUTS, OutputStream, Variable
 from .echo import measure

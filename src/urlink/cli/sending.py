@@ -13,7 +13,7 @@ from linkcore.errors import BadValue, LinkError, LinkTimeout, LocalError
 from linkcore.text import printable
 
 from ..errors import ScriptError
-from ..interfaces.dashboard.commands import COMMANDS, COULD_NOT_UNDERSTAND
+from ..protocol.dashboard.commands import COMMANDS, COULD_NOT_UNDERSTAND
 from ..robot import Robot
 from .options import ADDRESS, connected, tell
 

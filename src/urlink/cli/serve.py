@@ -14,9 +14,9 @@ from linkcore.cli.progress import ProgressBar
 from linkcore.cli.terminal import Interruption
 from linkcore.errors import BadAddress, LocalError
 
-from ..address import RobotAddress, SimulatorAddress, parse_address
-from ..commanding.interlock import Policy
 from ..robot import Robot
+from ..session.address import RobotAddress, SimulatorAddress, parse_address
+from ..session.connect_options import Policy
 from .options import CONNECT_TIMEOUT, connected, tell
 
 #: The group of entry points in which a distribution names its adapter.

@@ -10,7 +10,7 @@ from linkcore.cli.options import DURATION, argument, command
 from linkcore.cli.progress import ProgressBar
 from linkcore.cli.terminal import Interruption
 
-from ..address import Motion
+from ..session.address import Motion
 from .options import tell
 
 #: rad. The joints of URSim when it starts, as the vendor's integration tests find them.

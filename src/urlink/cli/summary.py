@@ -13,10 +13,10 @@ from linkcore.text import printable
 from linkcore.wire.cycles import Missing
 from linkcore.wire.framing import PacketProtocol
 
-from ..interfaces.primary.protocol import PrimaryProtocol
-from ..interfaces.realtime.protocol import RealtimeProtocol
-from ..interfaces.rtde.protocol import RtdeProtocol
-from ..interfaces.rtde.recipes import Outputs
+from ..protocol.primary.protocol import PrimaryProtocol
+from ..protocol.realtime.protocol import RealtimeProtocol
+from ..protocol.rtde.protocol import RtdeProtocol
+from ..protocol.rtde.recipes import Outputs
 from ..rtde.outputs import recorded_plan
 
 #: A gap is a silence of at least so many usual periods, and at least so many seconds.

@@ -12,9 +12,9 @@ from linkcore.text import printable
 from linkcore.wire.fields import OpenInt
 from linkcore.wire.packet import State, plain
 
-from ..interfaces.primary.robot_message import OtherPackage
-from ..interfaces.primary.robot_state import SUB_PACKAGES, RobotState, UnknownSubPackage, snake_case
-from ..interfaces.realtime.packets import RealtimeState
+from ..protocol.primary.robot_message import OtherPackage
+from ..protocol.primary.robot_state import SUB_PACKAGES, RobotState, UnknownSubPackage, snake_case
+from ..protocol.realtime.packets import RealtimeState
 
 
 class NoSuchField(ValueError):

@@ -16,10 +16,10 @@ from linkcore.errors import LocalError, WrongPeer
 from linkcore.streaming.connection_life import ConnectionState
 from linkcore.streaming.stream import Stream
 
-from ..address import RecordingAddress, parse_address
-from ..data.live import FoxgloveServer, RobotView
-from ..kinematics import Arm
+from ..arm.kinematics import Arm
+from ..recording.live import FoxgloveServer, RobotView
 from ..robot import Robot
+from ..session.address import RecordingAddress, parse_address
 from ..view.arm_view import ArmView
 from ..view.page import LOOPBACK, Page
 from ..view.windows import LiveWindow, RecordedWindow, Window
@@ -129,7 +129,7 @@ def _view(args: argparse.Namespace) -> int:
             if isinstance(place, RecordingAddress):
                 if args.jog:
                     raise LocalError(f"{args.address} is a recording, so it cannot be moved")
-                from ..data.recording import load
+                from ..recording.recording import load
 
                 recording = load(place.path, progress=progress)
                 table = recording.realtime if "realtime" in recording.channels else recording.rtde

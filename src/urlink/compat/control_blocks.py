@@ -8,11 +8,11 @@ from typing import Literal
 
 import numpy as np
 
+from urlink.arm.poses import rotvec_to_matrix
+from urlink.arm.vectors import six
 from urlink.motion import Freedrive, Jog, Servo
-from urlink.motion.yielding import ForceMode, Torque
-from urlink.poses import rotvec_to_matrix
-from urlink.urscript import text
-from urlink.vectors import six
+from urlink.motion.servo.force_control import ForceMode, Torque
+from urlink.script import text
 
 from .control_moves import ControlMoves
 from .interface import succeeds

@@ -9,12 +9,12 @@ from typing import Any, overload
 from linkcore.errors import BadValue
 from linkcore.handle import Motion
 
-from ..interfaces.primary.robot_state import CartesianInfo, tool_offset
-from ..kinematics import Unreachable
+from ..arm.kinematics import Unreachable
+from ..arm.vectors import six
 from ..motion import PathMotion
-from ..motion.path import Joint, Linear, Waypoint
-from ..urscript import text
-from ..vectors import six
+from ..motion.moves.path import Joint, Linear, Waypoint
+from ..protocol.primary.robot_state import CartesianInfo, tool_offset
+from ..script import text
 from .interface import Blocks, NotOffered, RtdeInterface, is_given, succeeds
 
 __all__ = ["LONGEST", "STATE_TIMEOUT", "AsyncOperationStatus", "ControlMoves", "Path", "PathEntry"]

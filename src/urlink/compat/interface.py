@@ -18,8 +18,8 @@ import urlink
 from linkcore import clock
 from linkcore.errors import Cancelled, LocalError, RemoteError
 from linkcore.text import printable
-from urlink.interfaces.rtde.protocol import InputInUse
-from urlink.motion.linked_block import LinkedBlock
+from urlink.motion.servo.block_motion import LinkedBlock
+from urlink.protocol.rtde.protocol import InputInUse
 
 if TYPE_CHECKING:
     from typing_extensions import Self

@@ -15,9 +15,9 @@ from typing import Any, NoReturn
 
 from linkcore import clock
 from linkcore.errors import BadValue, LinkTimeout
+from urlink.arm.poses import compose
 from urlink.packets import RobotModeData, TextMessage
-from urlink.poses import compose
-from urlink.urscript import text
+from urlink.script import text
 
 from .control_blocks import ControlBlocks, Feature
 from .control_moves import LONGEST, STATE_TIMEOUT, AsyncOperationStatus, Path, PathEntry
@@ -282,8 +282,8 @@ class RTDEControlInterface(ControlBlocks):
     stopContactDetection = _not_offered("stopContactDetection", "robot.motion.until_contact")
     getFreedriveStatus = _not_offered("getFreedriveStatus", "nothing: freedrive ends where it cannot go on")
     setCustomScriptFile = _not_offered("setCustomScriptFile", "robot.script.run")
-    getMassMatrix = _not_offered("getMassMatrix", "urlink.dynamics.Dynamics")
-    getCoriolisAndCentrifugalTorques = _not_offered("getCoriolisAndCentrifugalTorques", "urlink.dynamics.Dynamics")
+    getMassMatrix = _not_offered("getMassMatrix", "urlink.arm.dynamics.Dynamics")
+    getCoriolisAndCentrifugalTorques = _not_offered("getCoriolisAndCentrifugalTorques", "urlink.arm.dynamics.Dynamics")
     getJacobian = _not_offered("getJacobian", "robot.kinematics.jacobian")
     getJacobianTimeDerivative = _not_offered("getJacobianTimeDerivative", "robot.kinematics.jacobian")
     getTargetJointAccelerations = _not_offered("getTargetJointAccelerations", "getTargetQdd of the receive interface")

@@ -13,7 +13,7 @@ import urlink
 from linkcore.errors import BadValue, LocalError
 from linkcore.streaming.packet_queue import block
 from linkcore.streaming.subscription import Subscription
-from urlink.interfaces.enums import SafetyStatusBits
+from urlink.protocol.enums import SafetyStatusBits
 from urlink.rtde import OutputStream
 
 from .interface import RtdeInterface, is_given, succeeds

@@ -16,10 +16,10 @@ from linkcore.errors import BadValue, LinkError, LocalError
 from linkcore.handle import Motion
 from linkcore.streaming.feed import Feed
 from linkcore.threads import Closing
-from urlink import poses
-from urlink.motion.path import Joint, Linear, Waypoint
-from urlink.urscript import text
-from urlink.vectors import six
+from urlink.arm import poses
+from urlink.arm.vectors import six
+from urlink.motion.moves.path import Joint, Linear, Waypoint
+from urlink.script import text
 
 __all__ = ["Robot", "RobotException"]
 

@@ -8,9 +8,9 @@ import numpy as np
 
 from linkcore.errors import BadValue
 
-from .. import models
-from ..arm_file import MOTORS, ArmFile, Estimate
-from ..kinematics import DhTable
+from ..arm import models
+from ..arm.arm_file import MOTORS, ArmFile, Estimate
+from ..arm.kinematics import DhTable
 from .calibration import fit_calibration
 from .joints import fit_joints
 from .samples import Samples

@@ -1,9 +1,9 @@
 """The calibration of an arm from joint positions and the poses of its TCP, as a controller computes them.
 
 Six DH parameters are not good coordinates for three joint axes that are parallel but for some mrad (see
-`urlink.kinematics.geometry`), so the links are fitted in the parameters of Hayati and Mirmirani, in which small changes
-of the arm are small changes of the numbers; the DH table that a controller would send follows from the joint axes. What
-the poses do not show, such as which part of the flange belongs to the tool, stays as published.
+`urlink.arm.kinematics.geometry`), so the links are fitted in the parameters of Hayati and Mirmirani, in which small
+changes of the arm are small changes of the numbers; the DH table that a controller would send follows from the joint
+axes. What the poses do not show, such as which part of the flange belongs to the tool, stays as published.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ import numpy as np
 
 from linkcore.errors import BadValue
 
-from .. import rigid
-from ..kinematics.geometry import ArmLink, DhTable, Geometry, angles, chain
-from ..models import Model
-from ..poses import compose, from_matrix, invert, rotvec_to_matrix, to_matrix
-from ..rigid import FLOATS, ROWS
-from ..vectors import FloatArray
+from ..arm import rigid
+from ..arm.kinematics.geometry import ArmLink, DhTable, Geometry, angles, chain
+from ..arm.models import Model
+from ..arm.poses import compose, from_matrix, invert, rotvec_to_matrix, to_matrix
+from ..arm.rigid import FLOATS, ROWS
+from ..arm.vectors import FloatArray
 
 # Of each link: offset, a, d, alpha, beta. Joints 2 and 3 have an angle beta instead of an offset d along parallel axes.
 _FREE = np.array(

@@ -16,9 +16,9 @@ import numpy as np
 
 from linkcore.recording.file import Progress, unseen
 
-from ..arm_file import ArmFile
+from ..arm.arm_file import ArmFile
+from ..arm.vectors import FloatArray
 from ..simulator import Controller, Still
-from ..vectors import FloatArray
 from .samples import COLUMNS, Samples
 
 #: rad by which the targets of a movement may be off for it to count as the same command.

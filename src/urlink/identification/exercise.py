@@ -18,13 +18,13 @@ from linkcore import clock
 from linkcore.errors import Cancelled, LinkTimeout
 from linkcore.handle import Motion
 
-from ..firmware import Firmware
-from ..interfaces.primary.robot_state import RobotModeData
-from ..interfaces.realtime.packets import RealtimeState
-from ..kinematics import Arm
-from ..motion.path import shown_tcp
+from ..arm.kinematics import Arm
+from ..arm.vectors import FloatArray
+from ..motion.moves.path import shown_tcp
+from ..protocol.firmware import Firmware
+from ..protocol.primary.robot_state import RobotModeData
+from ..protocol.realtime.packets import RealtimeState
 from ..robot import Robot
-from ..vectors import FloatArray
 
 #: rad by which each joint swings to either side, and by which it may be beside that before it is stopped.
 SWING, BESIDE = 0.3, 0.05

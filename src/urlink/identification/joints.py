@@ -13,11 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arm_file import SIDES, Estimate
-from ..dynamics import Dynamics
-from ..models import Model
-from ..motors import FULL_SPEED, motors_of
-from ..vectors import JOINTS, FloatArray
+from ..arm.arm_file import SIDES, Estimate
+from ..arm.dynamics import Dynamics
+from ..arm.models import Model
+from ..arm.motors import FULL_SPEED, motors_of
+from ..arm.vectors import JOINTS, FloatArray
 
 #: rad/s²: a joint that never accelerates by as much does not show its rotor.
 _ACCELERATION = 0.3

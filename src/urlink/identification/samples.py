@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from linkcore.errors import BadRecording
 from linkcore.recording.file import Progress
 
-from ..data.recording import load
-from ..vectors import FloatArray
+from ..arm.vectors import FloatArray
+from ..recording.recording import load
 
 #: RTDE's name of a column -> that of the real-time interface.
 COLUMNS = {

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..arm_file import Estimate
-from ..motors import FULL_SPEED
-from ..parameters import number
-from ..vectors import FloatArray
+from ..arm.arm_file import Estimate
+from ..arm.motors import FULL_SPEED
+from ..arm.parameters import number
+from ..arm.vectors import FloatArray
 from .joints import fit
 from .samples import Samples
 

@@ -1,15 +1,15 @@
 """Motions of the arm: `robot.motion` is a `Motions`, and this is what it begins and returns."""
 
-from .following import TrajectoryFeedback
-from .impedance import Impedance
-from .jog import Jog
 from .motions import Motions
-from .path import PathMotion, Waypoint
-from .point_stream import PointStream
-from .servo import Servo, ServoStatistics
-from .stream_points import PosePoint
+from .moves.path import PathMotion, Waypoint
+from .servo.following import TrajectoryFeedback
+from .servo.force_control import Contact, ContactMotion, ForceMode, Freedrive, Torque
+from .servo.impedance import Impedance
+from .servo.jog import Jog
+from .servo.servo import Servo, ServoStatistics
+from .stream.point_stream import PointStream
+from .stream.stream_points import PosePoint
 from .teaching import TaughtPoint, Teaching
-from .yielding import Contact, ContactMotion, ForceMode, Freedrive, Torque
 
 __all__ = [
     "Contact",

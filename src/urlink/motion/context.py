@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from linkcore import clock
 from linkcore.streaming.stream import Stream
 
-from ..commanding.channel import CommandChannel
-from ..commanding.programs import Programs
-from ..commanding.section import Section
-from ..identity import KnownIdentity
-from ..interfaces.realtime.packets import RealtimeState
-from .register_link import PointRegisterLink, RegisterLink, RegisterPort
-from .reverse import ReversePort
+from ..command.channel import CommandChannel
+from ..command.programs import Programs
+from ..command.section import Section
+from ..protocol.realtime.packets import RealtimeState
+from ..session.identity import KnownIdentity
+from .servo.register_link import PointRegisterLink, RegisterLink, RegisterPort
+from .servo.reverse import ReversePort
 
 
 @dataclass(frozen=True)

@@ -10,36 +10,37 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from linkcore.arguments import Default, check_choice, check_number, check_overridden, check_wait
-from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue, LocalError
 from linkcore.handle import Motion, waited
+from linkcore.names import StrictAttributes
 from linkcore.pending_call import starts_motion
 
-from ..bounds import JOINT_ACCELERATION, JOINT_SPEED, TOOL_ACCELERATION, TOOL_SPEED, check_pose, check_speeds
-from ..firmware import Firmware
-from ..interfaces.realtime.packets import RealtimeState
-from ..models import Model
-from ..urscript import commands, yielding
-from ..urscript.wrapping import HAS_REGISTERS
-from ..vectors import FloatArray, Numbers, numbers, six
+from ..arm.bounds import JOINT_ACCELERATION, JOINT_SPEED, TOOL_ACCELERATION, TOOL_SPEED, check_pose, check_speeds
+from ..arm.models import Model
+from ..arm.vectors import FloatArray, Numbers, numbers, six
+from ..command.controller_clock import ProgramClock, ScalingName, end_where_moved
+from ..protocol.firmware import Firmware
+from ..protocol.realtime.packets import RealtimeState
+from ..script import commands
+from ..script import force_control as yielding
+from ..script.wrapping import HAS_REGISTERS
 from .context import MotionContext
-from .controller_clock import ProgramClock, ScalingName, end_where_moved
-from .follower import Follower
-from .following import Following, Tolerances, TrajectoryFeedback, stands
-from .impedance import Impedance
-from .jerk_limited import joint_limits
-from .jog import UNLED, FrameName, HeldSpeed, Jog
-from .linked import Link, LinkedProgram
-from .path import PathMotion, Rates, Waypoint, plan, shown_tcp
-from .point_stream import PointStream
-from .register_link import RegisterPort
-from .servo import Servo
-from .setpoints import Servoing
-from .softness import Softness
-from .speed_limit import check_joint_speeds, largest_speeds
-from .trajectory import Trajectory
-from .waypoints import WaypointServer
-from .yielding import ContactMotion, ForceMode, Freedrive, Torque, axes_of, frame_of
+from .moves.path import PathMotion, Rates, Waypoint, plan, shown_tcp
+from .moves.speed_limit import check_joint_speeds, largest_speeds
+from .moves.trajectory import Trajectory
+from .servo.follower import Follower
+from .servo.following import Following, Tolerances, TrajectoryFeedback, stands
+from .servo.force_control import ContactMotion, ForceMode, Freedrive, Torque, axes_of, frame_of
+from .servo.impedance import Impedance
+from .servo.impedance_parameters import Softness
+from .servo.jerk_limited import joint_limits
+from .servo.jog import UNLED, FrameName, HeldSpeed, Jog
+from .servo.linked_program import Link, LinkedProgram
+from .servo.register_link import RegisterPort
+from .servo.servo import Servo
+from .servo.setpoints import Servoing
+from .servo.waypoints import WaypointServer
+from .stream.point_stream import PointStream
 
 #: The smallest value of what must be positive; and an hour: a longer duration is a mistake.
 _LEAST, _HOUR = 1e-3, 3600.0
@@ -152,7 +153,7 @@ class Motions(StrictAttributes):
             acceleration: m/s².
             wait: see `Motions`.
         """
-        from ..curves import Arc
+        from ..arm.curves import Arc
 
         seconds = check_wait(wait)
         between, goal = check_pose(via, "via"), check_pose(to, "to")
@@ -391,7 +392,7 @@ class Motions(StrictAttributes):
 
         With ``target_filter="jerk_limited"`` the loop sends targets instead: any, at any time, however far away. The
         arm moves to the newest one, and never exceeds the limits of speed, acceleration and jerk
-        (`urlink.motion.jerk_limited`).
+        (`urlink.motion.servo.jerk_limited`).
 
         Args:
             rate: set-points or targets per second that the loop intends to send, for the statistics; None for the

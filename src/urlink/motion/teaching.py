@@ -14,16 +14,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue, LocalError
+from linkcore.names import StrictAttributes
 from linkcore.pending_call import starts_motion
 from linkcore.streaming.stream import Stream
 
-from ..interfaces.enums import RobotStatusBits
-from ..interfaces.realtime.packets import RealtimeState
-from ..vectors import FloatArray, six
-from .path import Joint, PathMotion
-from .yielding import Freedrive
+from ..arm.vectors import FloatArray, six
+from ..protocol.enums import RobotStatusBits
+from ..protocol.realtime.packets import RealtimeState
+from .moves.path import Joint, PathMotion
+from .servo.force_control import Freedrive
 
 if TYPE_CHECKING:
     from typing_extensions import Self

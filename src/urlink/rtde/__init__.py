@@ -13,31 +13,30 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from linkcore.lazy import lazy_names
+from linkcore.names import lazy_names
 
 if TYPE_CHECKING:
-    from ..interfaces.rtde.packets import MessageLevel as MessageLevel
-    from ..interfaces.rtde.packets import RtdeMessage as RtdeMessage
-    from ..interfaces.rtde.recipes import Outputs as Outputs
-    from ..interfaces.rtde.variables import INPUTS as INPUTS
-    from ..interfaces.rtde.variables import OUTPUTS as OUTPUTS
-    from ..interfaces.rtde.variables import Variable as Variable
-    from .claims import Registers as Registers
+    from ..protocol.rtde.packets import MessageLevel as MessageLevel
+    from ..protocol.rtde.packets import RtdeMessage as RtdeMessage
+    from ..protocol.rtde.recipes import Outputs as Outputs
+    from ..protocol.rtde.variables import INPUTS as INPUTS
+    from ..protocol.rtde.variables import OUTPUTS as OUTPUTS
+    from ..protocol.rtde.variables import Variable as Variable
     from .client import Rtde as Rtde
     from .inputs import Inputs as Inputs
     from .outputs import OutputStream as OutputStream
+    from .registers import Registers as Registers
 
 else:
     __getattr__, __dir__, __all__ = lazy_names(
         __name__,
         {
-            "..interfaces.rtde.packets": "MessageLevel RtdeMessage",
-            "..interfaces.rtde.recipes": "Outputs",
-            "..interfaces.rtde.variables": "INPUTS OUTPUTS Variable",
+            "..protocol.rtde.packets": "MessageLevel RtdeMessage",
+            "..protocol.rtde.recipes": "Outputs",
+            "..protocol.rtde.variables": "INPUTS OUTPUTS Variable",
             ".client": "Rtde",
             ".inputs": "Inputs",
             ".outputs": "OutputStream",
-            ".claims": "Registers",
+            ".registers": "Registers",
         },
-        moved={"urlink": "InputInUse NoSuchVariable RtdeRefused"},
     )

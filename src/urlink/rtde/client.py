@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args, overload
 
 from linkcore import clock
 from linkcore.arguments import check_choice, check_number
-from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError
+from linkcore.names import StrictAttributes
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import Backoff
 from linkcore.streaming.receiver import Receiver
 from linkcore.streaming.statistics import StreamCounters
 from linkcore.threads import MadeOnce
 
-from ..firmware import Firmware
-from ..interfaces.rtde.packets import (
+from ..protocol.firmware import Firmware
+from ..protocol.rtde.packets import (
     LONGEST_NAMES,
     InputsReply,
     InputsRequest,
@@ -27,14 +27,15 @@ from ..interfaces.rtde.packets import (
     join_names,
     split_names,
 )
-from ..interfaces.rtde.protocol import Requests, RtdeProtocol, RtdeRefused, check_names
-from ..interfaces.rtde.recipes import Outputs
-from ..interfaces.rtde.transport import RtdeTransport
-from ..interfaces.rtde.variables import IN_USE, INPUTS, NOT_FOUND, OUTPUTS
-from ..source import Source
-from .claims import CLAIM_TIMEOUT, BriefClaims, Claims, Registers
+from ..protocol.rtde.protocol import Requests, RtdeProtocol, RtdeRefused, check_names
+from ..protocol.rtde.recipes import Outputs
+from ..protocol.rtde.transport import RtdeTransport
+from ..protocol.rtde.variables import IN_USE, INPUTS, NOT_FOUND, OUTPUTS
+from ..session.source import Source
+from .claims import CLAIM_TIMEOUT, BriefClaims, Claims
 from .inputs import Inputs, with_masks
 from .outputs import OutputStream, connection_of, declared, recorded_plan
+from .registers import Registers
 
 if TYPE_CHECKING:
     from .names import AnyOutputs, InputName, OutputName
@@ -75,7 +76,8 @@ class Rtde(StrictAttributes):
         self._lock = threading.RLock()  # re-entrant, since a signal handler may close the robot
         self._open: list[OutputStream[Any] | Inputs | Claims] = []
         self._claims: MadeOnce[Claims] = MadeOnce()
-        self._brief = BriefClaims(weakref.proxy(self))  # which holds them
+        rtde = weakref.proxy(self)  # which keeps the claims, and must not be kept by them
+        self._brief = BriefClaims(lambda plan: rtde._connect_briefly(plan))
         self._is_closed = False
 
     @property
@@ -194,7 +196,7 @@ class Rtde(StrictAttributes):
 
         `robot.registers` is the one without.
         """
-        return Registers(self, self._source.timeout, lower=lower)
+        return Registers(self._claimed, self.outputs, self._source.timeout, lower=lower)
 
     def _claimed(self) -> Claims:
         """The connection on which registers are claimed."""

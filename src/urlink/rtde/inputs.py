@@ -10,16 +10,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from linkcore.arguments import check_whole
-from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue, Closed, ConnectionLost
+from linkcore.names import StrictAttributes
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import ConnectionState
 from linkcore.threads import Closing, alone
 
-from ..interfaces.rtde.packets import join_names
-from ..interfaces.rtde.protocol import RtdeProtocol, check_names
-from ..interfaces.rtde.recipes import Recipe
-from ..interfaces.rtde.transport import RtdeTransport
+from ..protocol.rtde.packets import join_names
+from ..protocol.rtde.protocol import RtdeProtocol, check_names
+from ..protocol.rtde.recipes import Recipe
+from ..protocol.rtde.transport import RtdeTransport
 
 
 class _Masked(NamedTuple):

@@ -1,6 +1,6 @@
 """The names of all variables, and what type each has in a state: for type checkers and editors only.
 
-Made of `urlink.interfaces.rtde.variables`, which is the table; a test holds the two equal.
+Made of `urlink.protocol.rtde.variables`, which is the table; a test holds the two equal.
 """
 
 # fmt: off
@@ -11,7 +11,7 @@ from typing import Literal
 
 from linkcore.wire.packet import Vector
 
-from ..interfaces.enums import (
+from ..protocol.enums import (
     JointMode,
     ProgramState,
     RobotMode,
@@ -21,7 +21,7 @@ from ..interfaces.enums import (
     ToolMode,
     ToolOutputMode,
 )
-from ..interfaces.rtde.recipes import Outputs
+from ..protocol.rtde.recipes import Outputs
 
 __all__ = ["AnyOutputs", "InputName", "OutputName"]
 

@@ -14,15 +14,15 @@ from linkcore.streaming.fanout import FanOut
 from linkcore.streaming.stream import Stream
 from linkcore.threads import Closing
 
-from ..firmware import Firmware
 from ..foreign_names import name_on
-from ..interfaces.rtde.packets import REPLIES
-from ..interfaces.rtde.protocol import Requests, RtdeProtocol, check_names
-from ..interfaces.rtde.recipes import Outputs, Recipe
-from ..interfaces.rtde.transport import RtdeTransport
+from ..protocol.firmware import Firmware
+from ..protocol.rtde.packets import REPLIES
+from ..protocol.rtde.protocol import Requests, RtdeProtocol, check_names
+from ..protocol.rtde.recipes import Outputs, Recipe
+from ..protocol.rtde.transport import RtdeTransport
 
 if TYPE_CHECKING:
-    from ..source import Source
+    from ..session.source import Source
 
 T = TypeVar("T", bound=Outputs)
 

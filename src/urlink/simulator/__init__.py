@@ -5,12 +5,12 @@
 
 from __future__ import annotations
 
-from ..ports import PORTS
+from ..protocol.ports import PORTS
 from .controller import Controller
 from .faults import Faults, ScheduledFault, parse_fault
-from .robot.robot_parameters import ScalingParameters
+from .robot.characteristics import ScalingParameters
 from .robot.scene import Reaction, Scene
-from .robot.sources import HOME, Demonstration, Setpoint, SetpointSource, Still
+from .robot.setpoint_sources import HOME, Demonstration, Setpoint, SetpointSource, Still
 from .robot.surroundings import Plane, Spring, Surroundings
 from .state import Counters
 

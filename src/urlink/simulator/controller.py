@@ -12,39 +12,39 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Literal
 
 from linkcore import clock
-from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue, LocalError
-from urlink import models
-from urlink.address import RobotAddress
-from urlink.arm_file import ArmFile
-from urlink.firmware import NEWEST, RELEASES, Firmware
-from urlink.kinematics import Arm as Kinematics
-from urlink.kinematics import DenavitHartenberg
-from urlink.models import Model
-from urlink.ports import PORTS, interface
+from linkcore.names import StrictAttributes
+from urlink.arm import models
+from urlink.arm.arm_file import ArmFile
+from urlink.arm.kinematics import Arm as Kinematics
+from urlink.arm.kinematics import DenavitHartenberg
+from urlink.arm.models import Model
+from urlink.protocol.firmware import NEWEST, RELEASES, Firmware
+from urlink.protocol.ports import PORTS, interface
+from urlink.session.address import RobotAddress
 
 from .control_loop import ControlLoop, SteppedClock, passing
 from .faults import Faults, FaultSchedule, LinkFaults, ScheduledFault
 from .faults.schedule import checked
-from .ports.dashboard import DashboardPort
-from .ports.lines import GripperPort, InterpreterPort, SerialLinePort
-from .ports.port import Port, PortClient, ScriptReceiver
-from .ports.primary import PrimaryPort, SecondaryPort, StatePackages
-from .ports.realtime import RealtimePort
-from .ports.robot_api import RobotApiPort
-from .ports.rtde import RtdePort
+from .interfaces.dashboard import DashboardPort
+from .interfaces.interface import Port, PortClient, ScriptReceiver
+from .interfaces.lines import GripperPort, InterpreterPort, SerialLinePort
+from .interfaces.primary import PrimaryPort, SecondaryPort, StatePackages
+from .interfaces.realtime import RealtimePort
+from .interfaces.robot_api import RobotApiPort
+from .interfaces.rtde import RtdePort
 from .programs.loader import LineAssembler, ProgramLoader
 from .programs.pendant import Pendant
 from .programs.program_world import Target
 from .programs.runner import ProgramRunner
 from .registers import FIELDBUSES, RegisterBanks
 from .robot.arm import SimulatedArm
+from .robot.characteristics import ScalingParameters
 from .robot.gripper import ModbusGripper, SimulatedGripper
 from .robot.modes import Modes
-from .robot.robot_parameters import ScalingParameters
 from .robot.scene import open_scene
+from .robot.setpoint_sources import SetpointSource, Still
 from .robot.signals import ModbusSignals, Signals
-from .robot.sources import SetpointSource, Still
 from .robot.surroundings import Surroundings
 from .state import ControllerState, Counters, firmware_for
 

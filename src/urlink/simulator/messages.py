@@ -10,8 +10,8 @@ from __future__ import annotations
 from typing import Any
 
 from linkcore.wire.fields import Since
-from urlink.interfaces.enums import MessageSource, ReportDataType, ReportLevel, RequestedType, SafetyMode
-from urlink.interfaces.primary.robot_message import (
+from urlink.protocol.enums import MessageSource, ReportDataType, ReportLevel, RequestedType, SafetyMode
+from urlink.protocol.primary.robot_message import (
     NO_TIMESTAMP,
     KeyMessage,
     PopupMessage,

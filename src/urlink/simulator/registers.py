@@ -13,7 +13,7 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from typing import Literal
 
-from linkcore.attributes import StrictAttributes
+from linkcore.names import StrictAttributes
 
 #: Boolean registers, and registers of each kind of number.
 BITS, NUMBERS = 128, 48

@@ -17,13 +17,13 @@ from operator import add, mul
 from types import MappingProxyType
 from typing import Any
 
-from urlink.interfaces.enums import ProgramState, RobotStatusBits, SafetyStatusBits
-from urlink.interfaces.rtde.variables import INPUTS
-from urlink.parameters import number
+from urlink.arm.parameters import number
+from urlink.protocol.enums import ProgramState, RobotStatusBits, SafetyStatusBits
+from urlink.protocol.rtde.variables import INPUTS
 
 from .registers import BITS, NUMBERS, Bank
+from .robot.characteristics import EXECUTION_TIME
 from .robot.modes import StopState
-from .robot.robot_parameters import EXECUTION_TIME
 from .state import ControllerState
 
 #: s that `timestamp` begins with.

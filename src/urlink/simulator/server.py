@@ -13,11 +13,11 @@ import threading
 from collections.abc import Callable, Mapping
 
 from linkcore.net.loop import Connection, Handler, ListeningPort, SelectorLoop
-from urlink.ports import interface
+from urlink.protocol.ports import interface
 
 from .control_loop import ControlLoop, SteppedClock
 from .faults.link import LinkFaults, Segmenter
-from .ports.port import Port, ReadOnlyReceiver
+from .interfaces.interface import Port, ReadOnlyReceiver
 from .programs.loader import ProgramLoader
 from .state import ControllerState
 

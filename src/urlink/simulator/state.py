@@ -11,22 +11,22 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from linkcore.errors import BadValue
-from urlink.firmware import Firmware, existing_firmware
-from urlink.interfaces.enums import ControlMode, ProgramState, TimeScaleSource
-from urlink.kinematics import Arm as Kinematics
-from urlink.models import Model
+from urlink.arm.kinematics import Arm as Kinematics
+from urlink.arm.models import Model
+from urlink.protocol.enums import ControlMode, ProgramState, TimeScaleSource
+from urlink.protocol.firmware import Firmware, existing_firmware
 
 from .registers import InputClaims, RegisterBanks, Watchdogs
 from .robot.arm import SimulatedArm
+from .robot.characteristics import ScalingParameters, approached
 from .robot.generator import ArmDrive
 from .robot.modes import Modes, StopState
-from .robot.robot_parameters import ScalingParameters, approached
+from .robot.setpoint_sources import Setpoint, SetpointSource
 from .robot.signals import ModbusSignals, Signals
-from .robot.sources import Setpoint, SetpointSource
 from .robot.surroundings import Surroundings
 
 if TYPE_CHECKING:
-    from urlink.arm_file import ArmFile
+    from urlink.arm.arm_file import ArmFile
 
 #: Bytes of messages in one cycle above which texts and popups are lost; a program could make thousands of them.
 MOST_MESSAGES = 1 << 14

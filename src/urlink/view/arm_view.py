@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Any, get_args
 import numpy as np
 
 from linkcore import clock
-from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue, LinkError
+from linkcore.names import StrictAttributes
 from linkcore.plotting import element_names
 from linkcore.text import similar
 from linkcore.threads import Closing, ReentrantEvent
 
-from ..kinematics import Arm
-from ..motion.jog import FULL_SPEED, FrameName, Jog
-from ..vectors import JOINTS
+from ..arm.kinematics import Arm
+from ..arm.vectors import JOINTS
+from ..motion.servo.jog import FULL_SPEED, FrameName, Jog
 from .bodies import Bodies, wxyz
 from .page import Page
 from .windows import SPAN, LiveWindow, RecordedWindow, Window

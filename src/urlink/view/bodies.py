@@ -10,12 +10,12 @@ from xml.etree import ElementTree
 import numpy as np
 
 from linkcore.errors import LocalError
-from linkcore.lazy import needs
+from linkcore.names import needs
 
-from ..kinematics import Arm
-from ..poses import rotvec_to_quaternion, rpy_to_rotvec
-from ..urdf import LINKS, link_poses, to_urdf
-from ..vectors import FloatArray
+from ..arm.kinematics import Arm
+from ..arm.poses import rotvec_to_quaternion, rpy_to_rotvec
+from ..arm.urdf import LINKS, link_poses, to_urdf
+from ..arm.vectors import FloatArray
 
 #: Link of a URDF -> the frame of ours in which it is drawn. The vendor's base link for bodies is the controller's base.
 _FRAMES = {"base_link_inertia": "base_link", **{name: name for name in ("base_link", *LINKS, "tool0")}}

@@ -17,7 +17,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from linkcore.errors import BadAddress, ConnectFailed, LocalError
-from linkcore.lazy import needs
+from linkcore.names import needs
 from linkcore.net.listener import bound_socket
 from linkcore.threads import Closing
 

@@ -14,8 +14,8 @@ from linkcore.recording.table import Table
 from linkcore.streaming.connection_life import ConnectionState
 from linkcore.streaming.stream import Stream
 
-from ..interfaces.realtime.packets import RealtimeState
-from ..vectors import FloatArray
+from ..arm.vectors import FloatArray
+from ..protocol.realtime.packets import RealtimeState
 
 #: What is shown -> its names on the real-time interface and in RTDE.
 FIELDS: Mapping[str, tuple[str, ...]] = {

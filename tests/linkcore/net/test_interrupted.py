@@ -13,8 +13,8 @@ from linkcore import clock
 from linkcore.errors import Cancelled
 from linkcore.net.dialogue import Dialogue
 from linkcore.net.http_client import HttpClient
-from linkcore.net.recall import Recall, TakeBack
 from linkcore.net.transport import TcpTransport
+from linkcore.net.undo import Recall, TakeBack
 from linkcore.pending_call import PendingCall
 from linkcore.wire.http import HttpRequest
 from tests.waiting import until

@@ -15,7 +15,7 @@ from linkcore.streaming.history import History
 from linkcore.streaming.stream import Stream
 from tests.fakes.link import Count, ScriptedTransport, counts
 from tests.waiting import until
-from urlink.interfaces.realtime.packets import RealtimeState
+from urlink.protocol.realtime.packets import RealtimeState
 
 pytestmark = pytest.mark.simulated_time
 

@@ -2,11 +2,11 @@ from __future__ import annotations
 
 from tests.mutants.equivalent import Equivalent
 
-CHANNEL = "urlink/commanding/channel.py"
-INTERPRETER = "urlink/commanding/interpreter.py"
-IO = "urlink/commanding/io.py"
-MONITOR = "urlink/commanding/monitor.py"
-PROGRAMS = "urlink/commanding/programs.py"
+CHANNEL = "urlink/command/channel.py"
+INTERPRETER = "urlink/command/interpreter.py"
+IO = "urlink/command/io.py"
+MONITOR = "urlink/command/safety_monitor.py"
+PROGRAMS = "urlink/command/programs.py"
 
 EQUIVALENT: tuple[Equivalent, ...] = (
     Equivalent(CHANNEL, "_has_turn", "return False", "return None", "its only caller asks whether it is true"),

@@ -8,7 +8,7 @@ from tests.mutants.equivalent import Equivalent
 
 EQUIVALENT: tuple[Equivalent, ...] = (
     Equivalent(
-        "urlink/commanding/monitor.py",
+        "urlink/command/safety_monitor.py",
         "_subscribe",
         "listening.add(connection.silence.watch(seconds, partial(self._fall_silent, name))); on_event = partial(self._on_event, name, listening)",
         "swapped",
@@ -29,21 +29,21 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "both under the lock that who waits has to take",
     ),
     Equivalent(
-        "urlink/motion/stream_feed.py",
+        "urlink/motion/stream/stream_feed.py",
         "_take_back",
         "self._queue, self.mark = (deque(cut.queue), cut.mark); self._requests.appendleft(cut.request)",
         "swapped",
         "two attributes that nothing reads in between, under the section",
     ),
     Equivalent(
-        "urlink/motion/stream_feed.py",
+        "urlink/motion/stream/stream_feed.py",
         "step",
         "self._received = self._received[_REPORT.size:]",
         "after self._take(_Report(messages, epoch, head, base, passed / SCALE, phase))",
         "nothing that is called reads what was received",
     ),
     Equivalent(
-        "urlink/motion/trajectory.py",
+        "urlink/motion/moves/trajectory.py",
         "_build",
         "self._rows: list[list[list[float]]] = self._coefficients.transpose(0, 2, 1).tolist(); self._ends: list[list[float]] = [q[0].tolist(), q[-1].tolist()]",
         "swapped",
@@ -78,7 +78,7 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "closing the queues does not change the task",
     ),
     Equivalent(
-        "urlink/motion/path.py",
+        "urlink/motion/moves/path.py",
         "_curve",
         "_check_blends(blend, waypoint.blend, curve.length); self._q = self._follow(curve, rate, blend > 0.0, waypoint.blend > 0.0)",
         "swapped",
@@ -120,7 +120,7 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "ending a sink takes no lock of the fan-out",
     ),
     Equivalent(
-        "urlink/motion/follower.py",
+        "urlink/motion/servo/follower.py",
         "step",
         "self._passed += passed; self._stream.advance(passed, scaled)",
         "swapped",
@@ -148,7 +148,7 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "starting a stop does not look at the command",
     ),
     Equivalent(
-        "urlink/motion/stream_feed.py",
+        "urlink/motion/stream/stream_feed.py",
         "_resume",
         "step = self._brake.cut(t); self._resumed = self._head",
         "swapped",
@@ -162,21 +162,21 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "the rows are made of the tables, which were taken before",
     ),
     Equivalent(
-        "urlink/motion/point_stream.py",
+        "urlink/motion/stream/point_stream.py",
         "_join",
         "pace.is_paused = partial(getattr, self._program, 'is_paused'); self._life.on_end(pace.leave)",
         "swapped",
         "the pace is read by the feed alone, which has not begun",
     ),
     Equivalent(
-        "urlink/motion/stream_feed.py",
+        "urlink/motion/stream/stream_feed.py",
         "_next",
         "self._has_sent_pace = False",
         "after if aim.handed is not None and (not any((each.handed is aim.handed for each in self._queue))):",
         "nothing in between reads it, under the section",
     ),
     Equivalent(
-        "urlink/commanding/programs.py",
+        "urlink/command/programs.py",
         "_send_stop",
         "claim(); text = wrapping.program(self._name('urlink_stop'), commands.stop(_DECELERATION)).text",
         "swapped",
@@ -197,7 +197,7 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "giving back does not depend on the names",
     ),
     Equivalent(
-        "urlink/motion/linked.py",
+        "urlink/motion/servo/linked_program.py",
         "_talk",
         "self._pause.is_over = False",
         "after self._dialogue.resume(state)",

@@ -7,7 +7,7 @@ import pytest
 
 import rhdlink.cli
 from rhdlink import Host, Int32, Plugin, Read, Write
-from rhdlink.plugins.turtle import Turtle
+from rhdlink.host.plugins.turtle import Turtle
 from tests.spawning import spawning
 
 Run = Callable[..., tuple[int, str, str]]

@@ -22,7 +22,7 @@ CONFIG = """\
   <server> <port value="0"/> </server>
   <plugins>
     <robot enable="true" lib="{lib}" critical="true" start="7"/>
-    <turtle enable="true" lib="rhdlink.plugins.turtle:Turtle"/>
+    <turtle enable="true" lib="rhdlink.host.plugins.turtle:Turtle"/>
   </plugins>
 </rhd>
 """

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from rhdlink import Host
-from rhdlink.plugins.turtle import Turtle
+from rhdlink.host.plugins.turtle import Turtle
 from tests.waiting import until
 
 from .conftest import Run, Spawn

@@ -13,8 +13,8 @@ import rhdlink
 from linkcore.clock import Stamp
 from linkcore.recording.file import Kind, RecordingFile, RecordingWriter
 from rhdlink import Host
-from rhdlink.plugins.logger import Logger
-from rhdlink.plugins.turtle import Turtle
+from rhdlink.host.plugins.logger import Logger
+from rhdlink.host.plugins.turtle import Turtle
 from rhdlink.recording import play
 from rhdlink.variables import Database, TimeStamp
 from rhdlink.wire.messages import END

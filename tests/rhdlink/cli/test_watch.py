@@ -11,7 +11,7 @@ from linkcore.clock import Stamp
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from rhdlink import Host
 from rhdlink.cli.view import RateCounter
-from rhdlink.plugins.turtle import Turtle
+from rhdlink.host.plugins.turtle import Turtle
 from rhdlink.variables import Change, TimeStamp, Update
 from tests.harm import strict
 

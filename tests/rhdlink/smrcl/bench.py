@@ -7,13 +7,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from rhdlink.plugins.turtle import SmrTurtle, Turtle
+from rhdlink.host.plugins.turtle import SmrTurtle, Turtle
+from rhdlink.host.world import World
 from rhdlink.smrcl.controller import MissionController
 from rhdlink.smrcl.profile import SOUND, Profile, find_profile
 from rhdlink.smrcl.recipients import Said, SaidKind
 from rhdlink.smrcl.robot_conf import SMR, VELOMEGA, RobotConf
 from rhdlink.smrcl.robot_link import PluginLink
-from rhdlink.world import World
 
 #: Of a run that is not meant to end.
 FOREVER = 100_000

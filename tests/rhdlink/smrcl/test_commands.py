@@ -140,7 +140,7 @@ def steps() -> list[str]:
 SCRIPT = """
 import json
 from rhdlink.smrcl.mission import Mission
-from rhdlink.plugins.turtle import Turtle
+from rhdlink.host.plugins.turtle import Turtle
 mistakes = [str(each) for each in Mission('speed "a"\\nspeed 1 2\\nspeed = 1\\n').check()]
 run = Mission("speed 0.125\\nwait 0.1\\n", Turtle()).run()
 print(json.dumps([mistakes, run._execution.controller.vehicle.control.speed]))

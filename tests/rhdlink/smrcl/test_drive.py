@@ -13,10 +13,10 @@ import pytest
 
 from linkcore.errors import LinkError
 from rhdlink import BadValue, Cancelled, Closed, Drive, LinkTimeout, Phase
-from rhdlink.plugins.turtle import SmrTurtle, Turtle
-from rhdlink.scene import Scene, Tape
+from rhdlink.host.plugins.turtle import SmrTurtle, Turtle
+from rhdlink.host.scene import Scene, Tape
+from rhdlink.host.world import World
 from rhdlink.smrcl.robot_link import PluginLink
-from rhdlink.world import World
 from tests.waiting import interrupted, until
 
 pytestmark = pytest.mark.simulated_time

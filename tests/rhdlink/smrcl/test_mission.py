@@ -16,13 +16,13 @@ import pytest
 from rhdlink import BadMission, BadValue, Cancelled, LinkTimeout, Mission, MissionFailed, MissionLimit, Phase
 from rhdlink.errors import WrongVariables
 from rhdlink.host.config import BadConfiguration
-from rhdlink.plugins.turtle import SmrTurtle, Turtle
+from rhdlink.host.plugins.turtle import SmrTurtle, Turtle
+from rhdlink.host.world import World
 from rhdlink.smrcl.interpreter import MissionLimits
 from rhdlink.smrcl.mission import LARGEST, read_script
 from rhdlink.smrcl.recipients import Said, SaidKind
 from rhdlink.smrcl.robot_conf import VELOMEGA, InputRoute
 from rhdlink.smrcl.robot_link import PluginLink
-from rhdlink.world import World
 from tests.waiting import interrupted, until
 
 pytestmark = pytest.mark.simulated_time

@@ -9,7 +9,7 @@ import pytest
 
 from rhdlink import Host, connect
 from rhdlink.host.config import BadConfiguration
-from rhdlink.plugins.turtle import Turtle
+from rhdlink.host.plugins.turtle import Turtle
 from rhdlink.smrcl.motion.control import DriveKind
 from rhdlink.smrcl.robot_conf import RobotConf, parse_robot_conf, read_robot_conf
 from rhdlink.smrcl.robot_link import ClientLink, suitable_conf

@@ -12,9 +12,9 @@ import pytest
 
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkError, LinkTimeout
 from rhdlink import AccessDenied, Cancelled, Drive, Host, Mission, Phase, connect
-from rhdlink.plugins.turtle import SmrTurtle, Turtle
+from rhdlink.host.plugins.turtle import SmrTurtle, Turtle
+from rhdlink.host.world import World
 from rhdlink.smrcl.robot_link import ClientLink
-from rhdlink.world import World
 from tests.waiting import until
 
 pytestmark = pytest.mark.real_time

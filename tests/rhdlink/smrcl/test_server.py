@@ -11,11 +11,11 @@ import pytest
 
 from linkcore.errors import BadAddress, BadValue, Closed, ConnectFailed, ConnectionLost
 from rhdlink import Host
-from rhdlink.plugins.turtle import SmrTurtle, Turtle
+from rhdlink.host.plugins.turtle import SmrTurtle, Turtle
+from rhdlink.host.world import World
 from rhdlink.smrcl import MissionServer
 from rhdlink.smrcl.recipients import MOST_BACKLOG
 from rhdlink.smrcl.robot_link import PluginLink
-from rhdlink.world import World
 from tests.waiting import until
 
 pytestmark = pytest.mark.real_time

@@ -11,7 +11,7 @@ import pytest
 
 import rhdlink.smrcl
 from rhdlink.errors import BadMission
-from rhdlink.plugins.turtle import Turtle
+from rhdlink.host.plugins.turtle import Turtle
 from rhdlink.smrcl.mission import Mission
 from rhdlink.smrcl.profile import BOTH, MRC, SOUND, Profile, differences, find_profile
 from rhdlink.smrcl.recipients import SaidKind

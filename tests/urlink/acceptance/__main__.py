@@ -34,10 +34,10 @@ from urlink.acceptance.evidence import Evidence
 from urlink.acceptance.report import judge
 from urlink.acceptance.requirements import requirements
 from urlink.acceptance.stages import STAGES, run
-from urlink.firmware import RELEASES
-from urlink.models import MODELS
+from urlink.arm.models import MODELS
+from urlink.arm.vectors import JOINTS
+from urlink.protocol.firmware import RELEASES
 from urlink.simulator.state import firmware_for
-from urlink.vectors import JOINTS
 
 from .faulted import faulted
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from linkcore.clock import Stamp
 from urlink.acceptance.evidence import Evidence, Wire
-from urlink.interfaces.realtime.packets import RealtimeState
-from urlink.interfaces.rtde.recipes import Recipe
+from urlink.protocol.realtime.packets import RealtimeState
+from urlink.protocol.rtde.recipes import Recipe
 
 __all__ = ["DEFECTS", "Defect", "planted"]
 

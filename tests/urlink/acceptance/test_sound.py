@@ -11,9 +11,9 @@ from linkcore.clock import Stamp
 from urlink.acceptance.evidence import Came, Evidence, Note, Wire
 from urlink.acceptance.report import judge
 from urlink.acceptance.requirements import requirements
-from urlink.firmware import Firmware
 from urlink.identification.samples import COLUMNS
-from urlink.identity import described_identity
+from urlink.protocol.firmware import Firmware
+from urlink.session.identity import described_identity
 
 _PERIOD = 0.002
 

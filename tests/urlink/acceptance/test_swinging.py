@@ -19,9 +19,9 @@ from urlink.acceptance.report import Verdict, as_text, judge
 from urlink.acceptance.requirements import requirements
 from urlink.acceptance.stages import run
 from urlink.acceptance.swings import swing
-from urlink.arm_file import ArmFile, Estimate
+from urlink.arm.arm_file import ArmFile, Estimate
+from urlink.arm.models import MODELS
 from urlink.cli import main
-from urlink.models import MODELS
 from urlink.simulator import Controller
 
 OWN = {name: each for name, each in requirements().items() if each.stage == 3}

@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 
 import urlink
-from linkcore import process_end
+from linkcore import process
 from tests.urlink.afterwards import controller
 from urlink import Linear, Taught
 from urlink.compat import rtde_control, urx
 from urlink.motion import TaughtPoint
-from urlink.motion.trajectory import Trajectory
+from urlink.motion.moves.trajectory import Trajectory
 from urlink.robot import Robot
 
 #: rad; where the arm stands at first, and where a motion goes from there; it takes some 8 s.
@@ -269,7 +269,7 @@ def end(how: str, robot: Robot, block: contextlib.ExitStack, result: object) -> 
     elif how == "close":
         robot.close()
     elif how == "exit":
-        process_end._abandon_all("the interpreter exits", True)
+        process._abandon_all("the interpreter exits", True)
 
 
 def main(name: str, address: str) -> None:

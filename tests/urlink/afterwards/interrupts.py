@@ -25,7 +25,7 @@ import urlink
 from tests.urlink.afterwards import client, controller
 from urlink import Linear, Taught, TrajectoryPoint
 from urlink.motion import TaughtPoint
-from urlink.motion.trajectory import Trajectory
+from urlink.motion.moves.trajectory import Trajectory
 from urlink.robot import Robot
 
 __all__ = ["KINDS", "interrupted"]

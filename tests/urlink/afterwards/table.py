@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from linkcore.wire.fields import Since
-from urlink.firmware import Firmware
+from urlink.protocol.firmware import Firmware
 
 __all__ = ["CALLED", "COLUMNS", "FIRMWARES", "ROWS", "Row", "cases", "cells", "firmwares", "pages"]
 

@@ -16,7 +16,7 @@ from tests.cancelling import Sent, Trial, run_cancelled, sends, turns
 from tests.waiting import until
 from urlink import Circular, Joint, Linear
 from urlink.simulator import Controller, Still
-from urlink.simulator.ports.rtde import RtdeSession
+from urlink.simulator.interfaces.rtde import RtdeSession
 
 pytestmark = pytest.mark.simulated_time
 

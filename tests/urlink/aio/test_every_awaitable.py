@@ -17,8 +17,8 @@ import urlink
 from linkcore import clock
 from linkcore.errors import LinkError
 from rhdlink import Host
-from rhdlink.plugins.turtle import Turtle
-from rhdlink.world import World
+from rhdlink.host.plugins.turtle import Turtle
+from rhdlink.host.world import World
 from tests.cancelling import Turns
 from tests.urlink.aio.every_awaitable import CHANGES, OPEN, PROGRAM, READY, Cell, awaitables, is_busy, lacking, use_of
 from urlink.simulator import Controller, Still

@@ -18,9 +18,9 @@ from linkcore.aio.async_stream import AsyncFeed
 from urlink.aio import parts
 from urlink.aio.async_group import AsyncGroup, AsyncGroupStream
 from urlink.aio.awaited import AwaitedPart
-from urlink.interfaces.gripper.client import Gripper
-from urlink.interfaces.tool_serial import ToolSerial
-from urlink.motion.group_motion import GroupStream
+from urlink.motion.stream.group_motion import GroupStream
+from urlink.protocol.gripper.client import Gripper
+from urlink.protocol.tool_serial import ToolSerial
 
 ROOT = Path(__file__).parents[3]
 
@@ -137,14 +137,14 @@ def test_every_method_is_awaited_and_what_is_unknown_is_an_error(path: str) -> N
 
 #: Types of results there -> here.
 GIVEN = {
-    "urlink.commanding.interpreter.Interpreter": "urlink.aio.parts.AsyncInterpreter",
-    "urlink.motion.point_stream.PointStream": "urlink.aio.parts.AsyncPointStream",
-    "urlink.motion.group_motion.GroupStream": "urlink.aio.async_group.AsyncGroupStream",
+    "urlink.command.interpreter.Interpreter": "urlink.aio.parts.AsyncInterpreter",
+    "urlink.motion.stream.point_stream.PointStream": "urlink.aio.parts.AsyncPointStream",
+    "urlink.motion.stream.group_motion.GroupStream": "urlink.aio.async_group.AsyncGroupStream",
     "urlink.robot.Robot": "urlink.aio.async_robot.AsyncRobot",
     "typing.Iterator[tuple": "typing.AsyncIterator[tuple",
     "urlink.motion.teaching.Teaching": "urlink.aio.parts.AsyncTeaching",
     "urlink.rtde.inputs.Inputs": "urlink.aio.parts.AsyncInputs",
-    "urlink.rtde.claims.Registers": "urlink.aio.parts.AsyncRegisters",
+    "urlink.rtde.registers.Registers": "urlink.aio.parts.AsyncRegisters",
     "linkcore.streaming.feed.Feed": "linkcore.aio.async_stream.AsyncFeed",
     "typing.Iterator": "linkcore.aio.packets.Packets",
 }
@@ -156,7 +156,7 @@ from typing import Any, TypeVar
 import urlink
 from urlink.aio import parts
 from urlink.aio.async_group import AsyncGroup, AsyncGroupStream
-from urlink.motion.group_motion import GroupStream
+from urlink.motion.stream.group_motion import GroupStream
 
 T = TypeVar("T")
 

@@ -12,8 +12,8 @@ from linkcore.clock import Stamp
 from linkcore.recording.file import Kind, RecordingWriter
 from tests.harm import HOSTILE
 from tests.spawning import spawning
-from urlink.interfaces.primary.robot_state import MasterboardData, ToolData
 from urlink.packets import JointData, RealtimeState, RobotModeData, RobotState, TextMessage, VersionMessage
+from urlink.protocol.primary.robot_state import MasterboardData, ToolData
 from urlink.simulator import Controller
 
 Run = Callable[..., tuple[int, str, str]]

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from tests.waiting import until
-from urlink.interfaces.enums import RobotMode
+from urlink.protocol.enums import RobotMode
 from urlink.simulator import Controller
 
 from .conftest import Run

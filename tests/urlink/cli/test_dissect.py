@@ -17,8 +17,8 @@ from linkcore.recording.file import Kind, RecordingWriter
 from tests import real_captures
 from tests.harm import HOSTILE, assert_harmless, strict
 from urlink.cli.dissect import PacketPiece, cut, dissect, guess_interface
-from urlink.firmware import RELEASES
 from urlink.packets import JointData, RealtimeState, RobotModeData, RobotState, TextMessage, VersionMessage
+from urlink.protocol.firmware import RELEASES
 from urlink.simulator import Controller
 
 from .conftest import Run

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from tests.harm import HOSTILE, assert_harmless, strict
-from urlink.firmware import RELEASES, release_of
+from urlink.protocol.firmware import RELEASES, release_of
 from urlink.simulator import Controller
 
 from .conftest import Run, write

@@ -25,7 +25,7 @@ from tests.harm import HOSTILE, assert_harmless
 from urlink.cli import monitor
 from urlink.cli.glance import Glance, Reading, StreamStatus, age_text, line, read, status_of
 from urlink.cli.picture import Picture
-from urlink.firmware import RELEASES, Firmware
+from urlink.protocol.firmware import RELEASES, Firmware
 from urlink.simulator import Controller
 
 from .conftest import Run, write

@@ -9,8 +9,8 @@ import pytest
 from linkcore.clock import Stamp
 from linkcore.recording.file import Kind, RecordingWriter
 from tests.harm import HOSTILE, assert_harmless, strict
-from urlink.firmware import RELEASES
 from urlink.packets import RealtimeState
+from urlink.protocol.firmware import RELEASES
 from urlink.simulator import Controller
 
 from .conftest import Run, write

@@ -10,8 +10,8 @@ import pytest
 
 import urlink
 from tests.waiting import until
-from urlink.address import RobotAddress, parse_address
 from urlink.packets import SafetyMode
+from urlink.session.address import RobotAddress, parse_address
 
 from .conftest import Run
 

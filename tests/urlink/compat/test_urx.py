@@ -11,7 +11,7 @@ import pytest
 
 from linkcore.errors import BadValue, LocalError
 from tests.waiting import until
-from urlink import poses
+from urlink.arm import poses
 from urlink.compat import urx
 from urlink.simulator import HOME, Controller, Still
 

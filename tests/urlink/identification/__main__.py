@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from tests import trials
-from urlink.arm_file import Estimate
+from urlink.arm.arm_file import Estimate
 from urlink.identification import identify
 from urlink.identification.samples import Samples
 

@@ -9,15 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.urlink.arms import calibrated
-from urlink.arm_file import ArmFile, Estimate
-from urlink.dynamics import Dynamics
+from tests.urlink.arm.arms import calibrated
+from urlink.arm.arm_file import ArmFile, Estimate
+from urlink.arm.dynamics import Dynamics
+from urlink.arm.kinematics import DhTable
+from urlink.arm.models import MODELS
+from urlink.arm.motors import Motors
+from urlink.arm.vectors import FloatArray
 from urlink.identification.samples import Samples
-from urlink.kinematics import DhTable
-from urlink.models import MODELS
-from urlink.motors import Motors
 from urlink.simulator import Controller, Still
-from urlink.vectors import FloatArray
 
 MODEL = MODELS["UR5e"]
 PAYLOAD, COG = 1.8, (0.01, -0.02, 0.06)

@@ -13,7 +13,7 @@ import pytest
 import urlink
 from linkcore.errors import BadRecording, BadValue
 from tests.urlink.identification.planted import MODEL, PAYLOAD, planted, recorded
-from urlink.arm_file import ArmFile, Estimate, read_arm_file
+from urlink.arm.arm_file import ArmFile, Estimate, read_arm_file
 from urlink.cli import main
 from urlink.identification import identify
 from urlink.identification.comparison import compare

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from linkcore.errors import BadValue
-from tests.urlink.arms import calibrated
+from tests.urlink.arm.arms import calibrated
 from tests.urlink.identification.planted import motion
+from urlink.arm.kinematics import Arm
 from urlink.identification.calibration import fit_calibration
-from urlink.kinematics import Arm
 
 TCP = (0.01, -0.02, 0.15, 0.1, 0.2, -0.3)
 

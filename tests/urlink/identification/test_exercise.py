@@ -11,13 +11,13 @@ import pytest
 
 import urlink
 from linkcore.errors import BadValue, Cancelled
-from tests.urlink.arms import calibrated
+from tests.urlink.arm.arms import calibrated
 from tests.urlink.identification.planted import planted
-from urlink.arm_file import read_arm_file
+from urlink.arm.arm_file import read_arm_file
+from urlink.arm.kinematics import Arm, DhTable
+from urlink.arm.models import MODELS
 from urlink.cli import main
 from urlink.identification.exercise import BESIDE, SWING, Guard, exercise, input_is_on, plan, plan_from_here
-from urlink.kinematics import Arm, DhTable
-from urlink.models import MODELS
 from urlink.simulator import Controller, Still
 
 START = np.array([0.2, -1.4, 1.6, -1.7, -1.5, 0.3])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.urlink.identification.planted import COG, MODEL, MOTORS, PAYLOAD, POSTURES, columns
-from urlink.arm_file import Estimate
+from urlink.arm.arm_file import Estimate
 from urlink.identification.joints import JointFit, fit, fit_joints, of_ratio
 from urlink.identification.samples import COLUMNS, Samples
 from urlink.identification.tracking import start_rate

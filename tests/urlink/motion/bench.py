@@ -9,20 +9,20 @@ from typing import Any, Literal, cast
 import numpy as np
 
 from tests.fakes.rehearsal import HOME
-from urlink.firmware import Firmware
-from urlink.interfaces.enums import ProgramState
-from urlink.interfaces.realtime.packets import RealtimeState
-from urlink.kinematics import Arm
-from urlink.models import model
-from urlink.motion.paced import PacedSetpoints, PacedSource
-from urlink.motion.setpoints import MESSAGE_SIZE, WAIT_MESSAGE, Servoing, dated, read_message
-from urlink.motion.speed_limit import largest_speeds
+from urlink.arm.kinematics import Arm
+from urlink.arm.models import model
+from urlink.motion.moves.speed_limit import largest_speeds
+from urlink.motion.servo.resampling import PacedSetpoints, PacedSource
+from urlink.motion.servo.setpoints import MESSAGE_SIZE, WAIT_MESSAGE, Servoing, dated, read_message
+from urlink.protocol.enums import ProgramState
+from urlink.protocol.firmware import Firmware
+from urlink.protocol.realtime.packets import RealtimeState
+from urlink.script.links import ReverseSocket
+from urlink.script.wrapping import Permission, program
 from urlink.simulator.registers import RegisterBanks
 from urlink.simulator.robot.generator import MotionGenerator
-from urlink.simulator.robot.sources import Setpoint
+from urlink.simulator.robot.setpoint_sources import Setpoint
 from urlink.simulator.urscript import Execution, ScriptWorld, compile_script
-from urlink.urscript.links import ReverseSocket
-from urlink.urscript.wrapping import Permission, program
 
 #: Of a state whose program is executed at full speed.
 PLAYING: dict[str, Any] = {"speed_scaling": 1.0, "program_state": ProgramState.PLAYING}

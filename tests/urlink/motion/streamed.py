@@ -12,19 +12,19 @@ import numpy as np
 
 from tests.fakes.rehearsal import HOME
 from tests.urlink.motion.bench import Bench
-from urlink.firmware import Firmware
-from urlink.interfaces.realtime.packets import RealtimeState
-from urlink.kinematics import Arm
-from urlink.models import model
-from urlink.motion.jerk_limited import joint_limits
-from urlink.motion.setpoints import dated
-from urlink.motion.speed_limit import largest_speeds
-from urlink.motion.stream_feed import StreamFeed
-from urlink.motion.stream_points import PointReader, Points
-from urlink.motion.stream_steps import Bounds, Handed
-from urlink.urscript.buffering import buffering
-from urlink.urscript.links import ReverseSocket
-from urlink.vectors import FloatArray
+from urlink.arm.kinematics import Arm
+from urlink.arm.models import model
+from urlink.arm.vectors import FloatArray
+from urlink.motion.moves.speed_limit import largest_speeds
+from urlink.motion.servo.jerk_limited import joint_limits
+from urlink.motion.servo.setpoints import dated
+from urlink.motion.stream.stream_feed import StreamFeed
+from urlink.motion.stream.stream_points import PointReader, Points
+from urlink.motion.stream.stream_steps import Bounds, Handed
+from urlink.protocol.firmware import Firmware
+from urlink.protocol.realtime.packets import RealtimeState
+from urlink.script.buffering import buffering
+from urlink.script.links import ReverseSocket
 
 __all__ = ["ACCELERATION", "JERK", "Streamed"]
 

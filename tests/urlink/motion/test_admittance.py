@@ -11,10 +11,10 @@ import urlink
 from tests.urlink.motion.test_impedance import READY
 from tests.urlink.motion.test_tool_impedance import STIFFNESS, SoftTool, place
 from tests.urlink.motion.test_yielding_programs import LINK
-from urlink import poses
+from urlink.arm import poses
+from urlink.script.springs import ToolSprings, admittance
+from urlink.script.wrapping import program
 from urlink.simulator import Controller, Plane, Still
-from urlink.urscript.springs import ToolSprings, admittance
-from urlink.urscript.wrapping import program
 
 
 class Yielding(SoftTool):

@@ -16,13 +16,13 @@ from linkcore.handle import Phase
 from tests.fakes.rehearsal import FOLLOW, HOME, STOP, TIMEOUT, WAIT, Rehearsal, turned
 from tests.urlink.motion.test_servo import Beside
 from tests.waiting import until
+from urlink.arm.kinematics import Arm
+from urlink.arm.models import model
+from urlink.arm.vectors import FloatArray, Numbers
 from urlink.errors import NoContact, ProgramStopped
-from urlink.kinematics import Arm
-from urlink.models import model
-from urlink.motion.linked_block import LinkedBlock
 from urlink.motion.motions import LinkName
-from urlink.motion.yielding import ForceMode
-from urlink.vectors import FloatArray, Numbers
+from urlink.motion.servo.block_motion import LinkedBlock
+from urlink.motion.servo.force_control import ForceMode
 
 pytestmark = pytest.mark.simulated_time
 
@@ -245,7 +245,7 @@ def test_the_thread_of_a_block_is_urgent_within_it(robot: Rehearsal, monkeypatch
         yield
         seen.append("ends")
 
-    monkeypatch.setattr("urlink.motion.linked_block.urgent", urgent)
+    monkeypatch.setattr("urlink.motion.servo.block_motion.urgent", urgent)
     with entered(robot, robot.motion.jog()) as jog:
         assert seen == ["begins"]
         robot.finish()

@@ -9,7 +9,7 @@ import pytest
 
 from tests.contended import Contended
 from tests.urlink.motion.test_controller_clock import state
-from urlink.motion.common_time import CommonPace, CommonTime, MemberClock, MemberPace
+from urlink.motion.stream.common_time import CommonPace, CommonTime, MemberClock, MemberPace
 
 CYCLE = 0.008
 #: s by which the controllers' clocks are ahead of this computer's

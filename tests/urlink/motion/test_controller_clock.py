@@ -15,10 +15,10 @@ from linkcore.handle import Lifecycle
 from linkcore.streaming.packet_queue import latest
 from linkcore.streaming.stream import Stream
 from tests.fakes.line import Desk
+from urlink.command.controller_clock import Pause, ProgramClock, end_where_moved, is_paused, reported_scaling
 from urlink.errors import ToleranceExceeded
-from urlink.interfaces.enums import ProgramState
-from urlink.interfaces.realtime.packets import RealtimeState
-from urlink.motion.controller_clock import Pause, ProgramClock, end_where_moved, is_paused, reported_scaling
+from urlink.protocol.enums import ProgramState
+from urlink.protocol.realtime.packets import RealtimeState
 
 PLAYING, PAUSING, PAUSED = ProgramState.PLAYING, ProgramState.PAUSING, ProgramState.PAUSED
 

@@ -24,10 +24,10 @@ from linkcore.wire.fields import Since
 from tests.waiting import until
 from urlink import Joint, Linear, Taught
 from urlink.errors import NotRunning, SafetyStop
-from urlink.firmware import Firmware
-from urlink.interfaces.enums import ProgramState
 from urlink.motion import TaughtPoint
-from urlink.motion.trajectory import Trajectory, TrajectoryPoint
+from urlink.motion.moves.trajectory import Trajectory, TrajectoryPoint
+from urlink.protocol.enums import ProgramState
+from urlink.protocol.firmware import Firmware
 from urlink.robot import Robot
 from urlink.simulator import Controller, Still
 

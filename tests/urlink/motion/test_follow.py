@@ -22,13 +22,13 @@ from linkcore.streaming.subscription import Subscription
 from tests.fakes.rehearsal import FOLLOW, STOP, TIMEOUT, WAIT, Rehearsal, turned
 from tests.waiting import until
 from urlink.errors import NotEnabled, NotRunning, ProgramStopped, SafetyStop, ToleranceExceeded
-from urlink.firmware import Firmware
-from urlink.interfaces.enums import SafetyMode
-from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.motion import TrajectoryFeedback
-from urlink.motion.following import Following
 from urlink.motion.motions import _reporter
-from urlink.motion.trajectory import Trajectory
+from urlink.motion.moves.trajectory import Trajectory
+from urlink.motion.servo.following import Following
+from urlink.protocol.enums import SafetyMode
+from urlink.protocol.firmware import Firmware
+from urlink.protocol.realtime.packets import RealtimeState
 
 pytestmark = pytest.mark.real_time
 
@@ -129,7 +129,7 @@ def test_waits_until_the_arm_stands(led: Rehearsal) -> None:
 
 
 def test_an_arm_that_does_not_come_to_rest(led: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("urlink.motion.following._REST_TIMEOUT", 0.05)
+    monkeypatch.setattr("urlink.motion.servo.following._REST_TIMEOUT", 0.05)
     led.qd = [0.5] * 6
     motion = led.motion.follow(PATH)
     led.connect()
@@ -336,7 +336,7 @@ def test_goes_on_after_a_stop(led: Rehearsal) -> None:
 
 
 def test_the_link_is_cut_and_nobody_says_why(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("urlink.motion.linked._GRACE", 0.05)
+    monkeypatch.setattr("urlink.motion.servo.linked_program._GRACE", 0.05)
     motion = begun(robot)
     assert robot.link is not None
     robot.link.close()
@@ -410,7 +410,7 @@ def test_refused(robot: Rehearsal) -> None:
 
 
 def test_missing(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("urlink.motion.linked.CONNECT_TIMEOUT", 0.05)
+    monkeypatch.setattr("urlink.motion.servo.linked_program.CONNECT_TIMEOUT", 0.05)
     motion = robot.motion.follow(PATH)
     port = robot.port
     robot.until(lambda: motion.done)
@@ -535,8 +535,8 @@ def test_a_program_that_talks_nonsense(robot: Rehearsal) -> None:
 
 
 def test_a_program_that_falls_silent(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("urlink.motion.waypoints._SILENCE", 0.05)
-    monkeypatch.setattr("urlink.motion.linked._GRACE", 0.05)
+    monkeypatch.setattr("urlink.motion.servo.waypoints._SILENCE", 0.05)
+    monkeypatch.setattr("urlink.motion.servo.linked_program._GRACE", 0.05)
     motion = robot.motion.follow(PATH, low_bandwidth=True)
     robot.connect()
     for n in range(3):

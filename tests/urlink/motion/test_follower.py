@@ -15,17 +15,17 @@ from hypothesis import strategies as st
 from linkcore.errors import BadValue, LinkError, LinkTimeout
 from tests.fakes.rehearsal import FOLLOW, WAIT, turned
 from tests.urlink.motion.bench import PLAYING, Bench
+from urlink.arm.models import Model, model
+from urlink.command.controller_clock import ControllerClock, ProgramClock
 from urlink.errors import ToleranceExceeded
-from urlink.firmware import Firmware
-from urlink.interfaces.realtime.packets import RealtimeState
-from urlink.models import Model, model
-from urlink.motion.controller_clock import ControllerClock, ProgramClock
-from urlink.motion.follower import Follower
-from urlink.motion.following import Tolerances, stands
-from urlink.motion.setpoints import MESSAGE_SIZE, Servoing, setpoint
-from urlink.motion.speed_limit import EARLY, largest_speeds
-from urlink.motion.trajectory import Trajectory
-from urlink.urscript.links import ReverseSocket, missable
+from urlink.motion.moves.speed_limit import EARLY, largest_speeds
+from urlink.motion.moves.trajectory import Trajectory
+from urlink.motion.servo.follower import Follower
+from urlink.motion.servo.following import Tolerances, stands
+from urlink.motion.servo.setpoints import MESSAGE_SIZE, Servoing, setpoint
+from urlink.protocol.firmware import Firmware
+from urlink.protocol.realtime.packets import RealtimeState
+from urlink.script.links import ReverseSocket, missable
 
 TOKEN = 7
 LOOSE = Tolerances(path=None, goal=0.05, goal_time=5.0, start=0.05)

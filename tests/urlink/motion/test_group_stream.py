@@ -16,9 +16,9 @@ import pytest
 from linkcore.errors import BadValue, Cancelled, ConnectionLost, LinkTimeout, LocalError
 from linkcore.handle import Handle, Lifecycle, Phase
 from linkcore.threads import CallbackThread
-from urlink.motion.group_motion import GroupStream
-from urlink.motion.point_stream import PointStream
-from urlink.motion.stream_points import Points
+from urlink.motion.stream.group_motion import GroupStream
+from urlink.motion.stream.point_stream import PointStream
+from urlink.motion.stream.stream_points import Points
 
 
 class Callbacks:
@@ -374,7 +374,7 @@ def test_what_is_over_is_not_cleared(streams: Streams, monkeypatch: pytest.Monke
 def test_all_arms_are_waited_for_in_one_time(streams: Streams, monkeypatch: pytest.MonkeyPatch) -> None:
     now = [100.0]
     monkeypatch.setattr(
-        "urlink.motion.group_motion.clock",
+        "urlink.motion.stream.group_motion.clock",
         SimpleNamespace(now=lambda: now[0], left=lambda until: max(until - now[0], 0.0)),
     )
     monkeypatch.setattr(streams.left, "_await_room", lambda handed, seconds: now.__setitem__(0, now[0] + 45.0))

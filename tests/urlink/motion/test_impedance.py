@@ -16,12 +16,12 @@ from hypothesis import strategies as st
 from tests.urlink.motion.test_yielding_programs import LINK, Bench
 from tests.urlink.simulator.test_impedance import HORIZONTAL
 from tests.urlink.simulator.test_impedance import program as circle
-from urlink.models import model
+from urlink.arm.models import model
+from urlink.arm.vectors import FloatArray
+from urlink.script.links import FOLLOW, STOP
+from urlink.script.springs import GAINS, LOOSE, MARGIN, TOP, Springs, impedance
+from urlink.script.wrapping import program
 from urlink.simulator import Controller, Plane, Spring, Still
-from urlink.urscript.links import FOLLOW, STOP
-from urlink.urscript.springs import GAINS, LOOSE, MARGIN, TOP, Springs, impedance
-from urlink.urscript.wrapping import program
-from urlink.vectors import FloatArray
 
 READY = (0.0, -1.5, 2.0, -2.0, -1.57, 0.3)
 STIFFNESS, TORQUE = (1000.0, 1000.0, 500.0, 100.0, 100.0, 100.0), (28.0, 28.0, 14.0, 4.5, 4.5, 4.5)

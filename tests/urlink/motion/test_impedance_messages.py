@@ -9,14 +9,14 @@ import pytest
 from linkcore.errors import BadValue, LocalError
 from tests.fakes.rehearsal import HOME, TIMEOUT, Rehearsal
 from tests.urlink.motion.test_servo import Beside
+from urlink.arm.models import model
 from urlink.errors import ProgramStopped
-from urlink.interfaces.realtime.packets import RealtimeState
-from urlink.models import model
-from urlink.motion.impedance import _Messages
-from urlink.motion.path import check_joint_positions
-from urlink.motion.setpoints import read_message
-from urlink.urscript.links import FOLLOW
-from urlink.urscript.springs import GAINS, POSTURE
+from urlink.motion.moves.path import check_joint_positions
+from urlink.motion.servo.impedance import _Messages
+from urlink.motion.servo.setpoints import read_message
+from urlink.protocol.realtime.packets import RealtimeState
+from urlink.script.links import FOLLOW
+from urlink.script.springs import GAINS, POSTURE
 
 READY = [0.0, -1.57, 1.57, -1.57, -1.57, 0.0]
 GIVEN = [100.0, 200.0, 300.0, 400.0, 500.0, 600.0]

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from linkcore.errors import BadValue
 from tests.fakes.rehearsal import HOME, turned
 from tests.urlink.motion.bench import Led
-from urlink.firmware import Firmware
-from urlink.models import model
-from urlink.motion.jerk_limited import JointLimit, JointProfile, TargetFilter, joint_limits
-from urlink.motion.paced import FilteredTargets
+from urlink.arm.models import model
+from urlink.motion.servo.jerk_limited import JointLimit, JointProfile, TargetFilter, joint_limits
+from urlink.motion.servo.resampling import FilteredTargets
+from urlink.protocol.firmware import Firmware
 
 _limits = st.builds(JointLimit, st.floats(0.05, 4.0), st.floats(0.1, 40.0), st.floats(0.5, 500.0))
 _part = st.one_of(st.just(0.0), st.floats(-1.0, 1.0))

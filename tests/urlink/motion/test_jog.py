@@ -16,18 +16,18 @@ from tests.fakes.rehearsal import FOLLOW, HOME, STOP, TIMEOUT, WAIT, Rehearsal
 from tests.urlink.motion.bench import Bench
 from tests.urlink.motion.test_servo import Beside
 from tests.waiting import until
+from urlink.arm.kinematics import Arm
+from urlink.arm.models import model
+from urlink.arm.poses import rotvec_to_matrix
 from urlink.errors import ProgramStopped, SafetyStop
-from urlink.firmware import Firmware
-from urlink.interfaces.enums import SafetyMode
-from urlink.interfaces.realtime.packets import RealtimeState
-from urlink.kinematics import Arm
-from urlink.models import model
 from urlink.motion import Jog
-from urlink.motion.jog import FULL_SPEED, FrameName, _Holding
-from urlink.motion.setpoints import STOP_MESSAGE, WAIT_MESSAGE, read_message, setpoint
-from urlink.poses import rotvec_to_matrix
-from urlink.urscript.links import LINK_ENDED, STARVED, ReverseSocket
-from urlink.urscript.streaming import jogging
+from urlink.motion.servo.jog import FULL_SPEED, FrameName, _Holding
+from urlink.motion.servo.setpoints import STOP_MESSAGE, WAIT_MESSAGE, read_message, setpoint
+from urlink.protocol.enums import SafetyMode
+from urlink.protocol.firmware import Firmware
+from urlink.protocol.realtime.packets import RealtimeState
+from urlink.script.links import LINK_ENDED, STARVED, ReverseSocket
+from urlink.script.streaming import jogging
 
 _FIRMWARES = [Firmware.parse(each) for each in ("1.8", "3.1", "3.15", "5.11", "5.25")]
 _REST = [0.0] * 6

@@ -13,11 +13,11 @@ from linkcore.handle import Motion, Phase
 from tests.fakes.rehearsal import FOLLOW, TIMEOUT, WAIT, Rehearsal
 from tests.waiting import until
 from urlink.errors import NotRunning, ProgramStopped, SafetyStop, ToleranceExceeded
-from urlink.interfaces.enums import ProgramState, SafetyMode
-from urlink.interfaces.realtime.packets import RealtimeState
-from urlink.motion.linked import LinkedProgram
-from urlink.motion.setpoints import LinkDialogue, setpoint
-from urlink.urscript.links import InputRegisters, ReverseSocket
+from urlink.motion.servo.linked_program import LinkedProgram
+from urlink.motion.servo.setpoints import LinkDialogue, setpoint
+from urlink.protocol.enums import ProgramState, SafetyMode
+from urlink.protocol.realtime.packets import RealtimeState
+from urlink.script.links import InputRegisters, ReverseSocket
 
 pytestmark = pytest.mark.simulated_time
 

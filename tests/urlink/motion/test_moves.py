@@ -14,10 +14,10 @@ from linkcore.handle import Motion, Phase
 from tests.fakes.rehearsal import HOME, TIMEOUT, Rehearsal, turned
 from tests.waiting import until
 from urlink import Joint
+from urlink.arm.kinematics import Arm
 from urlink.errors import CompileError, NotEnabled, NotRunning, ProgramStopped, SafetyStop, ScriptFailed
-from urlink.interfaces.enums import RobotMode, SafetyMode
-from urlink.kinematics import Arm
-from urlink.urscript.wrapping import StartPlace, expiry_marker, start_marker
+from urlink.protocol.enums import RobotMode, SafetyMode
+from urlink.script.wrapping import StartPlace, expiry_marker, start_marker
 
 pytestmark = pytest.mark.simulated_time
 

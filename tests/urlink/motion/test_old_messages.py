@@ -15,13 +15,13 @@ from linkcore.errors import ConnectionLost
 from linkcore.simulated import Computer, Simulation, simulated_time
 from tests.fakes.rehearsal import turned
 from tests.urlink.motion.bench import Bench
-from urlink.firmware import Firmware
-from urlink.motion.setpoints import WAIT_MESSAGE, dated, setpoint
+from urlink.motion.servo.setpoints import WAIT_MESSAGE, dated, setpoint
+from urlink.protocol.firmware import Firmware
 from urlink.robot import Robot
+from urlink.script.force_control import Pressing, force_mode, freedrive
+from urlink.script.links import LINK_ENDED, STARVED, ReverseSocket
+from urlink.script.streaming import jogging, streaming
 from urlink.simulator import Controller, Still
-from urlink.urscript.links import LINK_ENDED, STARVED, ReverseSocket
-from urlink.urscript.streaming import jogging, streaming
-from urlink.urscript.yielding import Pressing, force_mode, freedrive
 
 STILL = [0.0] * 6
 LINK = ReverseSocket("10.0.0.1", 50001, 7)

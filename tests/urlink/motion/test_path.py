@@ -19,14 +19,14 @@ from tests.fakes.rehearsal import HOME, TIMEOUT, Rehearsal
 from tests.urlink.motion.bench import Bench
 from tests.waiting import interrupted, until
 from urlink import Circular, Joint, Linear
-from urlink.curves import Arc
-from urlink.firmware import Firmware
-from urlink.interfaces.realtime.packets import RealtimeState
-from urlink.kinematics import Arm
-from urlink.motion import path
-from urlink.motion.path import PathSection, Plan, Rates, Waypoint, plan
-from urlink.poses import compose
-from urlink.vectors import FloatArray
+from urlink.arm.curves import Arc
+from urlink.arm.kinematics import Arm
+from urlink.arm.poses import compose
+from urlink.arm.vectors import FloatArray
+from urlink.motion.moves import path
+from urlink.motion.moves.path import PathSection, Plan, Rates, Waypoint, plan
+from urlink.protocol.firmware import Firmware
+from urlink.protocol.realtime.packets import RealtimeState
 
 ARM = Arm("UR5e")
 #: rad; elbow up, tool down.

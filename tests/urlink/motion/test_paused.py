@@ -15,16 +15,16 @@ from linkcore.handle import Motion, Phase
 from tests.urlink.motion.bench import Bench
 from tests.urlink.motion.test_scaled import NEAR, READY, WAYS, Cell, curve, followed, moving
 from tests.waiting import until
+from urlink.arm.models import model
+from urlink.arm.vectors import FloatArray
 from urlink.errors import ProgramStopped, SafetyStop, ToleranceExceeded
-from urlink.firmware import Firmware
-from urlink.interfaces.enums import ProgramState
-from urlink.interfaces.primary.robot_state import RobotModeData
-from urlink.models import model
-from urlink.motion.setpoints import Servoing, dated, setpoint
-from urlink.motion.speed_limit import largest_speeds
-from urlink.motion.trajectory import Trajectory
-from urlink.urscript.links import ReverseSocket
-from urlink.vectors import FloatArray
+from urlink.motion.moves.speed_limit import largest_speeds
+from urlink.motion.moves.trajectory import Trajectory
+from urlink.motion.servo.setpoints import Servoing, dated, setpoint
+from urlink.protocol.enums import ProgramState
+from urlink.protocol.firmware import Firmware
+from urlink.protocol.primary.robot_state import RobotModeData
+from urlink.script.links import ReverseSocket
 
 pytestmark = pytest.mark.simulated_time
 

@@ -14,12 +14,12 @@ import pytest
 from linkcore.errors import BadValue, Cancelled, Closed, ConnectionLost, LinkTimeout, LocalError
 from tests.fakes.rehearsal import HOME, Rehearsal, turned
 from tests.urlink.motion.test_blocks import entered
-from urlink.kinematics import Arm
+from urlink.arm.kinematics import Arm
 from urlink.motion import PosePoint
-from urlink.motion.common_time import MemberPace
-from urlink.motion.stream_feed import StreamFeed
-from urlink.motion.stream_steps import Aim
-from urlink.motion.trajectory import Trajectory, TrajectoryPoint
+from urlink.motion.moves.trajectory import Trajectory, TrajectoryPoint
+from urlink.motion.stream.common_time import MemberPace
+from urlink.motion.stream.stream_feed import StreamFeed
+from urlink.motion.stream.stream_steps import Aim
 
 pytestmark = pytest.mark.simulated_time
 

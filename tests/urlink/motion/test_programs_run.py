@@ -8,13 +8,13 @@ import pytest
 from tests.fakes.line import START_PLACE
 from tests.fakes.rehearsal import HOME, turned
 from tests.urlink.motion.bench import Bench
-from urlink.firmware import Firmware
-from urlink.motion.setpoints import STOP_MESSAGE, WAIT_MESSAGE, setpoint
-from urlink.motion.trajectory import Trajectory
-from urlink.urscript import commands, links, waypoints
-from urlink.urscript.streaming import streaming as streaming_program
-from urlink.urscript.text import number
-from urlink.urscript.wrapping import Permission, expiry_marker, grant
+from urlink.motion.moves.trajectory import Trajectory
+from urlink.motion.servo.setpoints import STOP_MESSAGE, WAIT_MESSAGE, setpoint
+from urlink.protocol.firmware import Firmware
+from urlink.script import commands, links, waypoints
+from urlink.script.streaming import streaming as streaming_program
+from urlink.script.text import number
+from urlink.script.wrapping import Permission, expiry_marker, grant
 
 TOKEN = 0x01020304
 #: rad/s, of each joint of a UR5.

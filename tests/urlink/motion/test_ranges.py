@@ -13,8 +13,8 @@ from linkcore.errors import BadValue, LocalError
 from tests.fakes.rehearsal import HOME, Rehearsal, turned
 from tests.urlink.motion.test_servo import opened
 from urlink import Linear
-from urlink.models import model
-from urlink.motion.trajectory import Trajectory
+from urlink.arm.models import model
+from urlink.motion.moves.trajectory import Trajectory
 
 pytestmark = pytest.mark.simulated_time
 
@@ -125,7 +125,7 @@ def test_each_joint_has_a_speed_of_its_own(rehearsal: Callable[..., Rehearsal], 
 
 def test_what_the_delay_is_measured_with(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
     measured: list[tuple[int, float, float]] = []
-    monkeypatch.setattr("urlink.motion.servo.measure", lambda states, send, *how: measured.append(how))
+    monkeypatch.setattr("urlink.motion.servo.servo.measure", lambda states, send, *how: measured.append(how))
     ranges: list[tuple[str, Call, float, float]] = [
         ("joint", lambda s, x: s.measure_delay(x), 0, 5),
         ("amplitude", lambda s, x: s.measure_delay(amplitude=x), -0.5, 0.5),

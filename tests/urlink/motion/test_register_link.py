@@ -12,13 +12,13 @@ import pytest
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout
 from tests.fakes.rehearsal import HOME, turned
 from tests.urlink.motion.bench import Bench
-from urlink.firmware import Firmware
-from urlink.motion.register_link import SETPOINT_INPUTS, RegisterLink, RegisterPort
-from urlink.motion.setpoints import STOP_MESSAGE, WAIT_MESSAGE, dated, setpoint
-from urlink.motion.trajectory import Trajectory
+from urlink.motion.moves.trajectory import Trajectory
+from urlink.motion.servo.register_link import SETPOINT_INPUTS, RegisterLink, RegisterPort
+from urlink.motion.servo.setpoints import STOP_MESSAGE, WAIT_MESSAGE, dated, setpoint
+from urlink.protocol.firmware import Firmware
+from urlink.script import links
+from urlink.script.streaming import streaming
 from urlink.simulator.registers import Bank
-from urlink.urscript import links
-from urlink.urscript.streaming import streaming
 
 FIRMWARES = [Firmware(3, 15), Firmware(5, 11), Firmware(10, 12)]
 #: rad/s, of each joint of a UR5.

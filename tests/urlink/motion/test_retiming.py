@@ -10,12 +10,12 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from linkcore.errors import BadValue
-from tests.urlink.arms import calibrated
+from tests.urlink.arm.arms import calibrated
 from urlink import Trajectory
-from urlink.kinematics import Arm, Unreachable
-from urlink.motion import retiming
-from urlink.motion.retiming import retime
-from urlink.vectors import FloatArray
+from urlink.arm.kinematics import Arm, Unreachable
+from urlink.arm.vectors import FloatArray
+from urlink.motion.moves import retiming
+from urlink.motion.moves.retiming import retime
 
 SPEED = np.array([2.0, 2.0, 3.0, 3.0, 3.0, 3.0])
 ACCELERATION = np.array([5.0, 4.0, 8.0, 10.0, 10.0, 10.0])

@@ -10,7 +10,7 @@ import pytest
 
 from linkcore.errors import BadAddress, ConnectFailed, ConnectionLost, LinkTimeout
 from tests.waiting import until
-from urlink.motion.reverse import ReverseLink, ReversePort
+from urlink.motion.servo.reverse import ReverseLink, ReversePort
 
 pytestmark = pytest.mark.simulated_time
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
-from urlink.motion.jerk_limited import root
+from urlink.motion.servo.jerk_limited import root
 
 PRECISION = 1e-12
 

@@ -18,20 +18,20 @@ import urlink
 from linkcore.errors import BadValue, LocalError
 from linkcore.handle import Motion, Phase
 from tests.urlink.motion.bench import PLAYING, Bench
+from urlink.arm.models import model
+from urlink.arm.vectors import FloatArray
 from urlink.errors import ToleranceExceeded
-from urlink.firmware import Firmware
-from urlink.interfaces.realtime.packets import RealtimeState
-from urlink.models import model
 from urlink.motion import TrajectoryFeedback
-from urlink.motion.follower import Follower
-from urlink.motion.following import Tolerances
-from urlink.motion.setpoints import Servoing
-from urlink.motion.speed_limit import largest_speeds
-from urlink.motion.trajectory import Trajectory
+from urlink.motion.moves.speed_limit import largest_speeds
+from urlink.motion.moves.trajectory import Trajectory
+from urlink.motion.servo.follower import Follower
+from urlink.motion.servo.following import Tolerances
+from urlink.motion.servo.setpoints import Servoing
+from urlink.protocol.firmware import Firmware
+from urlink.protocol.realtime.packets import RealtimeState
 from urlink.robot import Robot
+from urlink.script.links import ReverseSocket
 from urlink.simulator import Controller, Still
-from urlink.urscript.links import ReverseSocket
-from urlink.vectors import FloatArray
 
 pytestmark = pytest.mark.simulated_time
 

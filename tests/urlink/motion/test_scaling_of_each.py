@@ -15,7 +15,7 @@ import pytest
 import urlink
 from linkcore.errors import BadValue
 from tests.urlink.motion.test_scaled import READY, Cell
-from urlink.motion.trajectory import Trajectory
+from urlink.motion.moves.trajectory import Trajectory
 
 pytestmark = pytest.mark.simulated_time
 

@@ -17,17 +17,17 @@ from tests.urlink.motion.bench import PLAYING, Led
 from tests.urlink.motion.test_servo import opened
 from tests.waiting import until
 from urlink import Circular, Joint, Linear
-from urlink.firmware import Firmware
-from urlink.interfaces.realtime.packets import RealtimeState
-from urlink.kinematics import Arm, Unreachable
-from urlink.models import model
-from urlink.motion.follower import Follower
-from urlink.motion.following import Tolerances
-from urlink.motion.paced import Schedule
-from urlink.motion.servo_delay import measure
-from urlink.motion.setpoints import read_message, setpoint
-from urlink.motion.trajectory import Trajectory
-from urlink.poses import compose, invert
+from urlink.arm.kinematics import Arm, Unreachable
+from urlink.arm.models import model
+from urlink.arm.poses import compose, invert
+from urlink.motion.moves.trajectory import Trajectory
+from urlink.motion.servo.follower import Follower
+from urlink.motion.servo.following import Tolerances
+from urlink.motion.servo.resampling import Schedule
+from urlink.motion.servo.servo_delay import measure
+from urlink.motion.servo.setpoints import read_message, setpoint
+from urlink.protocol.firmware import Firmware
+from urlink.protocol.realtime.packets import RealtimeState
 
 pytestmark = pytest.mark.simulated_time
 
@@ -383,7 +383,7 @@ class TestServo:
 
         with opened(robot) as servo:
             with monkeypatch.context() as patched:
-                patched.setattr("urlink.motion.servo.PacedSetpoints", interrupt)
+                patched.setattr("urlink.motion.servo.servo.PacedSetpoints", interrupt)
                 with pytest.raises(KeyboardInterrupt):
                     servo.schedule(HOME, at=robot.time + 1)
             assert servo.schedule(HOME, at=robot.time + 1) is not None

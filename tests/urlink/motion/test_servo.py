@@ -16,17 +16,17 @@ from linkcore.handle import Phase
 from tests.fakes.rehearsal import FOLLOW, HOME, STOP, Rehearsal, turned
 from tests.urlink.motion.bench import PLAYING
 from tests.waiting import until
+from urlink.arm.models import model
 from urlink.errors import ProgramStopped, SafetyStop
-from urlink.firmware import Firmware
-from urlink.interfaces.enums import SafetyMode
-from urlink.interfaces.realtime.packets import RealtimeState
-from urlink.models import model
 from urlink.motion import Servo, ServoStatistics
-from urlink.motion.paced import PacedSetpoints
-from urlink.motion.servo import _Leading
-from urlink.motion.setpoints import WAIT_MESSAGE, Servoing
-from urlink.motion.speed_limit import largest_speeds
-from urlink.motion.trajectory import Trajectory
+from urlink.motion.moves.speed_limit import largest_speeds
+from urlink.motion.moves.trajectory import Trajectory
+from urlink.motion.servo.resampling import PacedSetpoints
+from urlink.motion.servo.servo import _Leading
+from urlink.motion.servo.setpoints import WAIT_MESSAGE, Servoing
+from urlink.protocol.enums import SafetyMode
+from urlink.protocol.firmware import Firmware
+from urlink.protocol.realtime.packets import RealtimeState
 
 pytestmark = pytest.mark.simulated_time
 
@@ -148,7 +148,7 @@ def test_half_of_the_intervals_deviate_by_less(robot: Rehearsal) -> None:
 
 
 def test_statistics_of_a_loop_that_goes_on_for_long(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("urlink.motion.servo._REMEMBERED", 2)
+    monkeypatch.setattr("urlink.motion.servo.servo._REMEMBERED", 2)
     with opened(robot, rate=2.0, watchdog=5.0) as servo:
         for interval in (2.0, 0.5, 0.75):
             servo.send(HOME)
@@ -184,7 +184,7 @@ def test_the_way_between_two_set_points_at_once_after_a_hold_up_is_no_speed(led:
 
 
 def test_speeds_are_of_the_last_set_points_only(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("urlink.motion.servo.LONGEST_PERIOD", 0.25)
+    monkeypatch.setattr("urlink.motion.servo.servo.LONGEST_PERIOD", 0.25)
     servo = robot.motion.servo()
 
     def speeds(*sent: tuple[float, float]) -> list[float]:
@@ -440,7 +440,7 @@ def test_the_link_is_cut(robot: Rehearsal) -> None:
 
 
 def test_the_link_is_cut_and_only_sending_shows_it(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("urlink.motion.linked_block._REASON", 0.05)
+    monkeypatch.setattr("urlink.motion.servo.block_motion._REASON", 0.05)
     with opened(robot) as servo:
         assert robot.link is not None
         robot.link.close()
@@ -474,7 +474,7 @@ def test_superseded(led: Rehearsal) -> None:
 
 
 def test_does_not_connect(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("urlink.motion.linked.CONNECT_TIMEOUT", 0.05)
+    monkeypatch.setattr("urlink.motion.servo.linked_program.CONNECT_TIMEOUT", 0.05)
     over = threading.Event()
 
     def run() -> None:

@@ -11,12 +11,11 @@ import pytest
 
 from linkcore.errors import LinkTimeout
 from tests.urlink.motion.bench import PLAYING
-from urlink.firmware import Firmware
-from urlink.interfaces.realtime.packets import RealtimeState
-from urlink.models import model
-from urlink.motion.jerk_limited import TargetFilter, joint_limits
-from urlink.motion.paced import FilteredTargets, PacedSetpoints
-from urlink.motion.setpoints import (
+from urlink.arm.models import model
+from urlink.motion.moves.speed_limit import EARLY, largest_speeds
+from urlink.motion.servo.jerk_limited import TargetFilter, joint_limits
+from urlink.motion.servo.resampling import FilteredTargets, PacedSetpoints
+from urlink.motion.servo.setpoints import (
     STOP_MESSAGE,
     WAIT_MESSAGE,
     Servoing,
@@ -25,8 +24,9 @@ from urlink.motion.setpoints import (
     read_message,
     setpoint,
 )
-from urlink.motion.speed_limit import EARLY, largest_speeds
-from urlink.urscript.links import STOP, WAIT
+from urlink.protocol.firmware import Firmware
+from urlink.protocol.realtime.packets import RealtimeState
+from urlink.script.links import STOP, WAIT
 
 UR5E = model("UR5e")
 #: rad/s of each joint of a UR5e.

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from linkcore.errors import BadValue, LocalError
-from urlink.firmware import Firmware
-from urlink.models import Model, model
-from urlink.motion.softness import Softness
-from urlink.urscript.springs import Springs
-from urlink.vectors import JOINTS
+from urlink.arm.models import Model, model
+from urlink.arm.vectors import JOINTS
+from urlink.motion.servo.impedance_parameters import Softness
+from urlink.protocol.firmware import Firmware
+from urlink.script.springs import Springs
 
 UR5E = model("UR5e")
 DIRECT, MEASURED, NONE = Firmware(5, 23), Firmware(5, 10), Firmware(5, 9)

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from urlink.models import MODELS, model
-from urlink.motion.speed_limit import EARLY, LATE, LONGEST_PERIOD, SpeedLimit, largest_speeds
+from urlink.arm.models import MODELS, model
+from urlink.motion.moves.speed_limit import EARLY, LATE, LONGEST_PERIOD, SpeedLimit, largest_speeds
 
 UR5E = model("UR5e")
 #: rad/s of each joint of a UR5e.

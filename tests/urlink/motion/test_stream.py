@@ -13,12 +13,12 @@ import pytest
 from linkcore.errors import BadValue, Cancelled
 from tests.fakes.rehearsal import HOME, turned
 from tests.urlink.motion.streamed import ACCELERATION, JERK, Streamed
-from urlink.firmware import Firmware
-from urlink.kinematics import Arm, Unreachable
+from urlink.arm.kinematics import Arm, Unreachable
+from urlink.arm.vectors import FloatArray
 from urlink.motion import PosePoint
-from urlink.motion.trajectory import Trajectory, TrajectoryPoint
-from urlink.urscript.links import STARVED
-from urlink.vectors import FloatArray
+from urlink.motion.moves.trajectory import Trajectory, TrajectoryPoint
+from urlink.protocol.firmware import Firmware
+from urlink.script.links import STARVED
 
 FIRMWARES = [Firmware.parse(each) for each in ("3.4", "5.11", "10.12")]
 E_SERIES = Firmware(5, 11)

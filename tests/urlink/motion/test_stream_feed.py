@@ -19,14 +19,14 @@ from tests.fakes.rehearsal import HOME, turned
 from tests.urlink.motion.streamed import ACCELERATION, JERK, Streamed
 from tests.urlink.motion.test_stream import E_SERIES, FIRMWARES, wave, waves
 from urlink.errors import ToleranceExceeded
-from urlink.firmware import Firmware
-from urlink.interfaces.realtime.packets import RealtimeState
-from urlink.motion.common_time import MemberPace
-from urlink.motion.stream_feed import StreamFeed
-from urlink.motion.stream_steps import Handed, Mark
-from urlink.motion.trajectory import TrajectoryPoint
-from urlink.urscript.buffering import BRAKING, CUT, MESSAGE, PACING, POINT, RESTING, PointRegisters
-from urlink.urscript.links import SCALE, STOP, WAIT, ReverseSocket
+from urlink.motion.moves.trajectory import TrajectoryPoint
+from urlink.motion.stream.common_time import MemberPace
+from urlink.motion.stream.stream_feed import StreamFeed
+from urlink.motion.stream.stream_steps import Handed, Mark
+from urlink.protocol.firmware import Firmware
+from urlink.protocol.realtime.packets import RealtimeState
+from urlink.script.buffering import BRAKING, CUT, MESSAGE, PACING, POINT, RESTING, PointRegisters
+from urlink.script.links import SCALE, STOP, WAIT, ReverseSocket
 
 STILL = [0.0] * 6
 

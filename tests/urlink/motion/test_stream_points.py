@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 from linkcore.errors import BadValue
-from urlink.models import model
+from urlink.arm.models import model
+from urlink.arm.vectors import FloatArray
 from urlink.motion import PosePoint
-from urlink.motion.jerk_limited import JointLimit
-from urlink.motion.stream_points import PointReader
-from urlink.motion.stream_steps import Bounds, JointMoment, Mark, Step
-from urlink.motion.trajectory import Trajectory, TrajectoryPoint
-from urlink.vectors import FloatArray
+from urlink.motion.moves.trajectory import Trajectory, TrajectoryPoint
+from urlink.motion.servo.jerk_limited import JointLimit
+from urlink.motion.stream.stream_points import PointReader
+from urlink.motion.stream.stream_steps import Bounds, JointMoment, Mark, Step
 
 SHORTEST = 0.004
 STILL = [0.0] * 6

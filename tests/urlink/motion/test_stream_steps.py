@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from linkcore.errors import BadValue
-from urlink.models import model
-from urlink.motion.jerk_limited import JointLimit
-from urlink.motion.stream_steps import Aim, Bounds, JointMoment, Step, _sampled, onto
-from urlink.urscript.buffering import BRAKING_FACTOR, STRAY
+from urlink.arm.models import model
+from urlink.motion.servo.jerk_limited import JointLimit
+from urlink.motion.stream.stream_steps import Aim, Bounds, JointMoment, Step, _sampled, onto
+from urlink.script.buffering import BRAKING_FACTOR, STRAY
 
 LIMITS = (JointLimit(3.0, 2.0, 50.0),) * 6
 

@@ -20,8 +20,8 @@ from linkcore.errors import BadValue, Cancelled, LocalError
 from tests.waiting import until
 from urlink import Joint, Taught
 from urlink.errors import SafetyStop
-from urlink.interfaces.enums import RobotStatusBits
 from urlink.motion import TaughtPoint, Teaching
+from urlink.protocol.enums import RobotStatusBits
 from urlink.robot import Robot
 from urlink.simulator import Controller, Still
 

@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 from tests.urlink.motion.test_impedance import READY, TORQUE, Soft, World, hardest_cycle, turned
 from tests.urlink.simulator.test_impedance import HORIZONTAL
 from tests.urlink.simulator.test_impedance import program as circle
-from urlink import poses
-from urlink.models import model
+from urlink.arm import poses
+from urlink.arm.models import model
+from urlink.arm.vectors import FloatArray
+from urlink.script.springs import MARGIN, POSTURE, ToolSprings
 from urlink.simulator import Controller, Plane, Still
-from urlink.urscript.springs import MARGIN, POSTURE, ToolSprings
-from urlink.vectors import FloatArray
 
 STIFFNESS = (500.0, 500.0, 500.0, 30.0, 30.0, 30.0)
 

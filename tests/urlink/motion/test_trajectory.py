@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linkcore.errors import BadValue, LocalError
-from urlink.models import model
-from urlink.motion.trajectory import Trajectory, TrajectoryPoint
-from urlink.vectors import JOINTS, FloatArray
+from urlink.arm.models import model
+from urlink.arm.vectors import JOINTS, FloatArray
+from urlink.motion.moves.trajectory import Trajectory, TrajectoryPoint
 
 UR5E = model("UR5e")
 
@@ -330,7 +330,7 @@ def test_retimed_is_told_places_beside_the_points(monkeypatch: pytest.MonkeyPatc
         assert closest == 2e-4
         return [0.0, 1.0], q[[0, -1]], np.zeros((2, 6))
 
-    monkeypatch.setattr("urlink.motion.trajectory.retime", told)
+    monkeypatch.setattr("urlink.motion.moves.trajectory.retime", told)
     for segments, places in ((1, 200), (2, 100), (50, 20), (100, 20), (400, 5), (1500, 3)):
         trajectory = tool(*range(segments + 1))
         trajectory.retimed(1.0, 1.0)

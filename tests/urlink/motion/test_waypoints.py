@@ -14,11 +14,11 @@ from linkcore.errors import BadValue, ConnectionLost, LinkTimeout
 from tests.fakes.rehearsal import HOME, turned
 from tests.urlink.motion.bench import PLAYING, Bench
 from urlink.errors import ProgramStopped, ToleranceExceeded
-from urlink.firmware import Firmware
-from urlink.motion.following import Tolerances
-from urlink.motion.trajectory import Trajectory
-from urlink.motion.waypoints import WaypointServer
-from urlink.urscript.links import ReverseSocket
+from urlink.motion.moves.trajectory import Trajectory
+from urlink.motion.servo.following import Tolerances
+from urlink.motion.servo.waypoints import WaypointServer
+from urlink.protocol.firmware import Firmware
+from urlink.script.links import ReverseSocket
 
 #: Times differ, so that each point says how long after the last one it is.
 PATH = Trajectory.from_arrays([0.0, 0.5, 2.0], [HOME, turned(0.3), turned(0.5)])

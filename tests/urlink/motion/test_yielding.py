@@ -14,7 +14,7 @@ from linkcore.errors import BadValue, LinkError, LocalError
 from tests.waiting import until
 from urlink.errors import NoContact
 from urlink.motion.motions import LinkName
-from urlink.motion.yielding import ForceMode
+from urlink.motion.servo.force_control import ForceMode
 from urlink.robot import Robot
 from urlink.simulator import Controller, Plane, Still
 

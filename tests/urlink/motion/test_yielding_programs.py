@@ -6,15 +6,16 @@ from collections.abc import Sequence
 
 import pytest
 
-from urlink.firmware import Firmware
-from urlink.interfaces.realtime.packets import RealtimeState
-from urlink.motion.linked_block import KeptMessage
-from urlink.motion.setpoints import STOP_MESSAGE, WAIT_MESSAGE, read_message
+from urlink.motion.servo.block_motion import KeptMessage
+from urlink.motion.servo.setpoints import STOP_MESSAGE, WAIT_MESSAGE, read_message
+from urlink.protocol.firmware import Firmware
+from urlink.protocol.realtime.packets import RealtimeState
+from urlink.script import force_control as yielding
+from urlink.script import links
+from urlink.script.force_control import Pressing
+from urlink.script.links import FOLLOW, STOP, InputRegisters
+from urlink.script.wrapping import program
 from urlink.simulator import Controller, Plane, Still
-from urlink.urscript import links, yielding
-from urlink.urscript.links import FOLLOW, STOP, InputRegisters
-from urlink.urscript.wrapping import program
-from urlink.urscript.yielding import Pressing
 
 LINK = InputRegisters(first_float=36, first_integer=44, token=77)
 DOWN = (False, False, True, False, False, False)

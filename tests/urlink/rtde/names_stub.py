@@ -8,14 +8,14 @@ from __future__ import annotations
 import textwrap
 from pathlib import Path
 
-from urlink.interfaces.rtde.variables import INPUTS, OUTPUTS, TYPES, Variable
+from urlink.protocol.rtde.variables import INPUTS, OUTPUTS, TYPES, Variable
 
 PATH = Path(__file__).resolve().parents[3] / "src" / "urlink" / "rtde" / "names.pyi"
 
 _HEAD = '''\
 """The names of all variables, and what type each has in a state: for type checkers and editors only.
 
-Made of `urlink.interfaces.rtde.variables`, which is the table; a test holds the two equal.
+Made of `urlink.protocol.rtde.variables`, which is the table; a test holds the two equal.
 """
 
 # fmt: off
@@ -26,7 +26,7 @@ from typing import Literal
 
 from linkcore.wire.packet import Vector
 
-from ..interfaces.enums import (
+from ..protocol.enums import (
     JointMode,
     ProgramState,
     RobotMode,
@@ -36,7 +36,7 @@ from ..interfaces.enums import (
     ToolMode,
     ToolOutputMode,
 )
-from ..interfaces.rtde.recipes import Outputs
+from ..protocol.rtde.recipes import Outputs
 
 __all__ = ["AnyOutputs", "InputName", "OutputName"]
 

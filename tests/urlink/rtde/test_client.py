@@ -20,9 +20,8 @@ from tests.fakes.rtde import ScriptedRtde
 from tests.urlink.rtde import names_stub
 from tests.waiting import until
 from urlink import InputInUse, NoSuchVariable
-from urlink.firmware import Firmware
-from urlink.identity import Identity
-from urlink.interfaces.rtde.packets import (
+from urlink.protocol.firmware import Firmware
+from urlink.protocol.rtde.packets import (
     InputsReply,
     InputsRequest,
     MessageLevel,
@@ -31,7 +30,8 @@ from urlink.interfaces.rtde.packets import (
     StartRequest,
 )
 from urlink.rtde import Outputs, Rtde
-from urlink.source import Source
+from urlink.session.identity import Identity
+from urlink.session.source import Source
 
 pytestmark = pytest.mark.simulated_time
 

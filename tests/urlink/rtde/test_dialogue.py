@@ -17,8 +17,8 @@ from linkcore.wire.framing import Framer
 from linkcore.wire.packet import State
 from tests import real_captures
 from tests.fakes.rtde import RequestBoundary, ScriptedRtde
-from tests.urlink.interfaces.rtde_material import Recorded, recordings, replies
-from urlink.interfaces.rtde.packets import (
+from tests.urlink.protocol.rtde_material import Recorded, recordings, replies
+from urlink.protocol.rtde.packets import (
     ControllerVersionReply,
     DataPackage,
     InputsReply,
@@ -36,16 +36,9 @@ from urlink.interfaces.rtde.packets import (
     decode_request,
     split_names,
 )
-from urlink.interfaces.rtde.protocol import (
-    InputInUse,
-    NoSuchVariable,
-    Requests,
-    RtdeProtocol,
-    RtdeRefused,
-    check_names,
-)
-from urlink.interfaces.rtde.recipes import Outputs, Recipe
-from urlink.interfaces.rtde.transport import RtdeTransport
+from urlink.protocol.rtde.protocol import InputInUse, NoSuchVariable, Requests, RtdeProtocol, RtdeRefused, check_names
+from urlink.protocol.rtde.recipes import Outputs, Recipe
+from urlink.protocol.rtde.transport import RtdeTransport
 
 pytestmark = pytest.mark.simulated_time
 

@@ -6,8 +6,8 @@ import struct
 from collections.abc import Sequence
 from typing import Any
 
-from urlink.interfaces.rtde.recipes import Recipe
-from urlink.interfaces.rtde.variables import INPUTS, OUTPUTS
+from urlink.protocol.rtde.recipes import Recipe
+from urlink.protocol.rtde.variables import INPUTS, OUTPUTS
 from urlink.simulator import Controller
 
 __all__ = ["Peer", "package", "packages", "step"]

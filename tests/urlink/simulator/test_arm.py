@@ -8,16 +8,16 @@ import pytest
 from hypothesis import strategies as st
 
 from linkcore.errors import BadValue
-from urlink.dynamics import GRAVITY, Dynamics
-from urlink.interfaces.realtime.packets import RealtimeState
-from urlink.kinematics import Arm
-from urlink.models import MODELS
-from urlink.motors import motors_of
-from urlink.parameters import number
+from urlink.arm.dynamics import GRAVITY, Dynamics
+from urlink.arm.kinematics import Arm
+from urlink.arm.models import MODELS
+from urlink.arm.motors import motors_of
+from urlink.arm.parameters import number
+from urlink.protocol.realtime.packets import RealtimeState
 from urlink.simulator import Controller
-from urlink.simulator.robot.robot_parameters import SensorParameters
+from urlink.simulator.robot.characteristics import SensorParameters
 from urlink.simulator.robot.sensors import Sample, Sensors
-from urlink.simulator.robot.sources import HOME, Demonstration, Setpoint, Still
+from urlink.simulator.robot.setpoint_sources import HOME, Demonstration, Setpoint, Still
 from urlink.simulator.rtde_variables import robot_current
 
 ANGLES = st.lists(st.floats(-6.0, 6.0), min_size=6, max_size=6)

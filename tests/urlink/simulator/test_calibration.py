@@ -9,10 +9,10 @@ import pytest
 
 import urlink
 from linkcore.errors import BadValue
-from tests.urlink.arms import calibration
-from urlink.kinematics import Arm
-from urlink.models import MODELS, model
-from urlink.poses import compose, invert
+from tests.urlink.arm.arms import calibration
+from urlink.arm.kinematics import Arm
+from urlink.arm.models import MODELS, model
+from urlink.arm.poses import compose, invert
 from urlink.simulator import Controller, Still
 
 TABLE = calibration(model("UR5e"), 1)

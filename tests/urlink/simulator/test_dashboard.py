@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.fakes.dashboard import FIRMWARES, play, protective_stop, stepped, wait
-from urlink.interfaces.dashboard.commands import COMMANDS, NOT_IN_REMOTE_CONTROL
-from urlink.interfaces.enums import SafetyMode
+from urlink.protocol.dashboard.commands import COMMANDS, NOT_IN_REMOTE_CONTROL
+from urlink.protocol.enums import SafetyMode
 from urlink.simulator import Demonstration
 from urlink.simulator.robot.modes import Power, StopState
 

@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linkcore.errors import BadValue
-from urlink.firmware import Firmware
-from urlink.interfaces.enums import RobotMode, SafetyMode
-from urlink.interfaces.primary.robot_message import SafetyModeMessage, VersionMessage
-from urlink.interfaces.realtime.packets import RealtimeState
+from urlink.protocol.enums import RobotMode, SafetyMode
+from urlink.protocol.firmware import Firmware
+from urlink.protocol.primary.robot_message import SafetyModeMessage, VersionMessage
+from urlink.protocol.realtime.packets import RealtimeState
 from urlink.simulator import Controller, Demonstration, ScheduledFault, parse_fault
 from urlink.simulator.faults import FAULTS
 from urlink.simulator.faults.link import (

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 import urlink
 from linkcore.errors import BadValue
-from urlink.dynamics import Dynamics
-from urlink.interfaces.enums import ControlMode, SafetyMode
-from urlink.poses import rotvec_to_matrix
+from urlink.arm.dynamics import Dynamics
+from urlink.arm.poses import rotvec_to_matrix
+from urlink.protocol.enums import ControlMode, SafetyMode
 from urlink.simulator import Controller, Plane, Spring, Still
 
 DOWN = "p[0,0,0,0,0,0], [0,0,1,0,0,0], [0,0,{force},0,0,0]"

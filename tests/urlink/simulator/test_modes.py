@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from urlink.interfaces.enums import (
+from urlink.protocol.enums import (
     JointMode,
     MasterOnOffState,
     MasterSafetyState,
@@ -12,8 +12,8 @@ from urlink.interfaces.enums import (
     SafetyMode,
     ToolMode,
 )
-from urlink.interfaces.primary.robot_state import MasterboardData, RobotModeData, ToolData
-from urlink.interfaces.realtime.packets import RealtimeState
+from urlink.protocol.primary.robot_state import MasterboardData, RobotModeData, ToolData
+from urlink.protocol.realtime.packets import RealtimeState
 from urlink.simulator import Controller, Demonstration
 
 CASES = [

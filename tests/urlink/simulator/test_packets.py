@@ -5,16 +5,18 @@ import pytest
 
 from linkcore.errors import BadValue, LocalError
 from linkcore.wire.packet import State
-from urlink.firmware import NEWEST, RELEASES, Firmware, Release, infer, release_of
-from urlink.interfaces.enums import JointMode, RobotMode, RobotModeCB2, SafetyMode
-from urlink.interfaces.primary.robot_message import (
+from urlink.arm.kinematics import Arm
+from urlink.arm.models import MODELS, UnknownModel
+from urlink.protocol.enums import JointMode, RobotMode, RobotModeCB2, SafetyMode
+from urlink.protocol.firmware import NEWEST, RELEASES, Firmware, Release, infer, release_of
+from urlink.protocol.primary.robot_message import (
     NO_TIMESTAMP,
     SafetyComplianceTolerances,
     SafetyModeMessage,
     UnnamedMessage12,
     VersionMessage,
 )
-from urlink.interfaces.primary.robot_state import (
+from urlink.protocol.primary.robot_state import (
     SUB_PACKAGES,
     CartesianInfo,
     ConfigurationData,
@@ -26,13 +28,11 @@ from urlink.interfaces.primary.robot_state import (
     RobotState,
     SubPackage,
 )
-from urlink.interfaces.realtime.packets import RealtimeState
-from urlink.kinematics import Arm
-from urlink.models import MODELS, UnknownModel
+from urlink.protocol.realtime.packets import RealtimeState
 from urlink.simulator import Controller, Demonstration
-from urlink.simulator.ports.port import Form
-from urlink.simulator.ports.primary import _CHANGING, _UNCHANGING
-from urlink.simulator.ports.realtime import _fields
+from urlink.simulator.interfaces.interface import Form
+from urlink.simulator.interfaces.primary import _CHANGING, _UNCHANGING
+from urlink.simulator.interfaces.realtime import _fields
 
 
 def suits(release: Release, name: str) -> bool:

@@ -11,12 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import urlink
-from urlink.interfaces.enums import ProgramState, SafetyMode
+from urlink.protocol.enums import ProgramState, SafetyMode
 from urlink.simulator import Controller
-from urlink.simulator.ports.dashboard import UNLOCK_AFTER
+from urlink.simulator.interfaces.dashboard import UNLOCK_AFTER
 from urlink.simulator.programs.runner import MOST_SECONDARY
 from urlink.simulator.robot.modes import Power
-from urlink.simulator.robot.sources import HOME, Demonstration, Still
+from urlink.simulator.robot.setpoint_sources import HOME, Demonstration, Still
 
 TURN = "def turn():\n  movej([0.5, -1.2, 1.2, -1.2, -1.2, 0.3], a=1, v=0.5)\nend\n"
 SPIN = "def spin():\n  speedj([0.5, 0, 0, 0, 0, 0], 1, 60)\nend\n"

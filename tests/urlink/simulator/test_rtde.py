@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 import urlink
 from linkcore.errors import BadValue
 from tests.urlink.simulator.rtde_peer import Peer, package, step, types_of
-from urlink.dynamics import Dynamics
-from urlink.firmware import Firmware
-from urlink.interfaces.rtde.variables import INPUTS, OUTPUTS
+from urlink.arm.dynamics import Dynamics
+from urlink.protocol.firmware import Firmware
+from urlink.protocol.rtde.variables import INPUTS, OUTPUTS
 from urlink.simulator import Controller, Demonstration, Still
-from urlink.simulator.ports.rtde import MOST_NAMES, UNREAD
+from urlink.simulator.interfaces.rtde import MOST_NAMES, UNREAD
 
 FIRMWARES = ["3.4", "3.9", "3.15", "5.0", "5.4", "5.11", "5.25", "10.12"]
 LOOP = """def loop():

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from tests.urlink.simulator.rtde_peer import Peer, package, packages, step
-from urlink.interfaces.rtde.variables import INPUTS
+from urlink.protocol.rtde.variables import INPUTS
 from urlink.simulator import Controller, Still
 from urlink.simulator.registers import FIELDBUSES
 

@@ -15,7 +15,7 @@ import pytest
 
 from tests import real_captures
 from tests.urlink.simulator.rtde_peer import Peer, package, packages, step
-from urlink.interfaces.rtde.recipes import Recipe
+from urlink.protocol.rtde.recipes import Recipe
 from urlink.simulator import Controller, Still
 
 pytestmark = pytest.mark.captures("rtde")

@@ -11,12 +11,12 @@ import urlink
 from linkcore.errors import BadValue
 from tests.urlink.simulator.generator.stepping import CYCLE, cycles, finish, standing, trapezoid
 from tests.urlink.simulator.rtde_peer import Peer, step
-from urlink.interfaces.enums import TimeScaleSource
-from urlink.kinematics import Arm
-from urlink.models import model
+from urlink.arm.kinematics import Arm
+from urlink.arm.models import model
+from urlink.protocol.enums import TimeScaleSource
 from urlink.simulator import Controller, ScalingParameters, Still
 from urlink.simulator.robot.generator import MotionGenerator
-from urlink.simulator.robot.sources import HOME, Setpoint
+from urlink.simulator.robot.setpoint_sources import HOME, Setpoint
 
 REST = [0.0] * 6
 TURN = f"def turn():\n  movej([0.4, {', '.join(map(str, HOME[1:]))}], a=1.4, v=1.05)\nend\n"

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import urlink
-from urlink.interfaces.enums import SafetyMode
+from urlink.protocol.enums import SafetyMode
 from urlink.simulator import Controller, Reaction, Setpoint
 from urlink.simulator.controller import Controller as Made
 

@@ -13,11 +13,11 @@ import pytest
 import urlink
 from linkcore.errors import BadValue
 from tests.waiting import until
-from urlink.firmware import Firmware
-from urlink.interfaces.enums import ProgramState, RobotMode
+from urlink.protocol.enums import ProgramState, RobotMode
+from urlink.protocol.firmware import Firmware
 from urlink.simulator import Controller
 from urlink.simulator.programs.loader import BUDGET, LEAST, LONG, MOST_WAITING
-from urlink.simulator.robot.sources import Still
+from urlink.simulator.robot.setpoint_sources import Still
 from urlink.simulator.urscript import Script, compile_script
 
 pytestmark = pytest.mark.simulated_time

@@ -18,11 +18,11 @@ import urlink
 from linkcore.errors import BadAddress, BadValue, LocalError
 from tests.fakes.clock import Clock
 from tests.waiting import until
-from urlink.interfaces.enums import SafetyMode
-from urlink.interfaces.primary.robot_message import RobotCommMessage, SafetyModeMessage, VersionMessage
-from urlink.interfaces.realtime.packets import RealtimeState
+from urlink.protocol.enums import SafetyMode
+from urlink.protocol.primary.robot_message import RobotCommMessage, SafetyModeMessage, VersionMessage
+from urlink.protocol.realtime.packets import RealtimeState
 from urlink.simulator import PORTS, Controller, Reaction, Setpoint, Still
-from urlink.simulator.ports.port import LONGEST_LINE
+from urlink.simulator.interfaces.interface import LONGEST_LINE
 from urlink.simulator.robot.signals import ToolCommunication
 
 pytestmark = pytest.mark.simulated_time

@@ -14,9 +14,9 @@ import urlink.cli
 from linkcore.recording.file import Kind, RecordingWriter
 from linkcore.streaming.connection_life import ConnectionState
 from tests.waiting import until
-from urlink.kinematics import Arm
+from urlink.arm.kinematics import Arm
+from urlink.arm.poses import compose, quaternion_to_rotvec
 from urlink.packets import RealtimeState, RobotMode, SafetyMode, Stamp
-from urlink.poses import compose, quaternion_to_rotvec
 from urlink.simulator import Controller
 from urlink.view.arm_view import ArmView
 from urlink.view.bodies import Bodies

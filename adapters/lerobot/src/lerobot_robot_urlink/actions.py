@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from urlink import BadValue, Robot, poses
+from urlink import BadValue, Robot
+from urlink.arm import poses
 from urlink.packets import RealtimeState
 
 from .joints import JOINT_DELTAS, POSE, POSE_DELTAS, POSITIONS, named

@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
+from urlink.arm.urdf import JOINTS, LINKS
 from urlink.simulator import Reaction, Setpoint
-from urlink.urdf import JOINTS, LINKS
 
 from .fingers import Fingers
 

@@ -29,8 +29,8 @@ import mujoco
 import numpy as np
 
 from urlink import BadValue, LocalError
-from urlink.mjcf import to_mjcf
-from urlink.poses import quaternion_to_rotvec, rotvec_to_quaternion
+from urlink.arm.mjcf import to_mjcf
+from urlink.arm.poses import quaternion_to_rotvec, rotvec_to_quaternion
 
 from .arms import MountedArm
 from .drawing import STATE, Drawing

@@ -16,8 +16,8 @@ from std_msgs.msg import Float64
 
 from linkcore import clock
 from urlink import BadValue, Expiry, LinkError, LocalError, Robot, SafetyStop, drop_oldest
+from urlink.arm.urdf import JOINTS as JOINT_NAMES
 from urlink.packets import RealtimeState
-from urlink.urdf import JOINTS as JOINT_NAMES
 
 from .services import create_services
 from .states import STREAMED, StatePublishers

@@ -10,9 +10,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, String, UInt32
 
-from urlink import LocalError, Robot, poses
+from urlink import LocalError, Robot
+from urlink.arm import poses
+from urlink.arm.urdf import to_urdf
 from urlink.packets import ProgramState, RealtimeState
-from urlink.urdf import to_urdf
 
 __all__ = ["LATCHED", "STREAMED", "StatePublishers"]
 

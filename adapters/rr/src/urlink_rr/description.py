@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from urlink import Robot, poses
-from urlink.kinematics import Arm
-from urlink.urdf import JOINTS as JOINT_NAMES
+from urlink import Robot
+from urlink.arm import poses
+from urlink.arm.kinematics import Arm
+from urlink.arm.urdf import JOINTS as JOINT_NAMES
 
 __all__ = ["CAPABILITIES", "HOME", "pose_array", "robot_info"]
 

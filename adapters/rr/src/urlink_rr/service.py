@@ -14,7 +14,8 @@ import RobotRaconteur as RR
 from RobotRaconteurCompanion.Util.DateTimeUtil import DateTimeUtil
 
 from linkcore import clock
-from urlink import BadValue, Expiry, LocalError, Motion, Robot, drop_oldest, poses
+from urlink import BadValue, Expiry, LocalError, Motion, Robot, drop_oldest
+from urlink.arm import poses
 from urlink.packets import RealtimeState, RobotModeData, SafetyMode
 
 from .commander import Commander

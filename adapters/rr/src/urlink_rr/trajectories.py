@@ -11,7 +11,7 @@ import RobotRaconteur as RR
 
 from linkcore import clock
 from urlink import BadValue, LinkError, Motion, Trajectory
-from urlink.urdf import JOINTS as JOINT_NAMES
+from urlink.arm.urdf import JOINTS as JOINT_NAMES
 
 from .errors import raised
 

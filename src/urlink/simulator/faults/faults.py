@@ -12,14 +12,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
-from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue
-from urlink.firmware import Firmware
-from urlink.interfaces.rtde.packets import MessageLevel
-from urlink.ports import PORTS, interface
+from linkcore.names import StrictAttributes
+from urlink.protocol.firmware import Firmware
+from urlink.protocol.ports import PORTS, interface
+from urlink.protocol.rtde.packets import MessageLevel
 
-from ..ports.port import package
-from ..ports.rtde import Disturbance, RtdePort, RtdeSession
+from ..interfaces.interface import package
+from ..interfaces.rtde import Disturbance, RtdePort, RtdeSession
 from ..programs.runner import ProgramRunner
 from ..state import ControllerState, firmware_for
 from .link import LinkFaults

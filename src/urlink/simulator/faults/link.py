@@ -10,8 +10,8 @@ from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from itertools import cycle
 
-from ...ports import PORTS, interface
-from ..ports.port import package
+from ...protocol.ports import PORTS, interface
+from ..interfaces.interface import package
 
 #: How many pieces of garbage wait for the next packet of a port; the newest ones.
 _WAITING = 16

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from linkcore.errors import BadValue, LocalError
-from urlink.firmware import Firmware
-from urlink.models import Model
+from urlink.arm.models import Model
+from urlink.protocol.firmware import Firmware
 
 from ..state import firmware_for
 from .faults import Faults, checked_seconds, checked_sizes, port_names, request_byte, type_byte

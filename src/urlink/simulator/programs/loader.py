@@ -20,7 +20,7 @@ from collections import deque
 from collections.abc import Callable
 
 from linkcore import clock
-from urlink.firmware import Firmware
+from urlink.protocol.firmware import Firmware
 
 from .. import messages
 from ..robot.modes import StopState

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 
 from linkcore.errors import BadValue
 
-from ...interfaces.enums import ProgramState
+from ...protocol.enums import ProgramState
 from ..robot.generator import ArmDrive, OutOfReach
 from ..state import ControllerState
 from ..urscript import ProgramError, compile_script

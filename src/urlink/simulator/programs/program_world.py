@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, TypeVar, cast
 
 from linkcore.errors import BadValue
 from linkcore.net.polled import PolledConnection, State
-from urlink.interfaces.rtde.variables import INPUTS, OUTPUTS
+from urlink.protocol.rtde.variables import INPUTS, OUTPUTS
 
 from ..messages import popup_message, text_message
 from ..registers import Action

@@ -18,10 +18,10 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from ...interfaces.enums import ControlMode
+from ...protocol.enums import ControlMode
 from .. import messages
 from ..robot.generator import ArmDrive, LimitViolation
-from ..robot.sources import Setpoint, SetpointSource, Still
+from ..robot.setpoint_sources import Setpoint, SetpointSource, Still
 from ..state import ControllerState
 from ..urscript import Execution, Script
 from .program_world import ProgramWorld, Route

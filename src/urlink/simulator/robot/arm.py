@@ -11,17 +11,17 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from linkcore.errors import BadValue
-from urlink.dynamics import GRAVITY, Dynamics
-from urlink.kinematics import Arm as Kinematics
-from urlink.motors import motors_of
+from urlink.arm.dynamics import GRAVITY, Dynamics
+from urlink.arm.kinematics import Arm as Kinematics
+from urlink.arm.motors import motors_of
 
-from .robot_parameters import SensorParameters
+from .characteristics import SensorParameters
 from .sensors import Sample, Sensors
-from .sources import BRAKING, Setpoint
+from .setpoint_sources import BRAKING, Setpoint
 from .surroundings import ForceSensor, Surroundings
 
 if TYPE_CHECKING:
-    from urlink.arm_file import ArmFile
+    from urlink.arm.arm_file import ArmFile
 
 _ZERO = [0.0] * 6
 

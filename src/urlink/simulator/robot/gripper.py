@@ -15,9 +15,9 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Sequence
 
-from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue
-from urlink.interfaces.gripper.protocol import READABLE, WRITABLE
+from linkcore.names import StrictAttributes
+from urlink.protocol.gripper.protocol import READABLE, WRITABLE
 
 #: m between the open fingers.
 STROKE = 0.085
@@ -38,7 +38,7 @@ class SimulatedGripper(StrictAttributes):
         clock: seconds of the controller.
 
     Attributes:
-        registers: the values that were set, by name; see `urlink.interfaces.gripper.protocol`.
+        registers: the values that were set, by name; see `urlink.protocol.gripper.protocol`.
         is_connected: whether the controller is connected to it; if not, it answers `?`.
         fault: the number of its fault, `FLT`; can be set. Activating clears it.
     """

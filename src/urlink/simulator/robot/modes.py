@@ -1,6 +1,6 @@
 """The modes of robot, joints, safety and program, and how they depend on each other.
 
-Numbers and names are in `urlink.interfaces.enums`. How the modes depend on each other is taken from manuals, drivers
+Numbers and names are in `urlink.protocol.enums`. How the modes depend on each other is taken from manuals, drivers
 and three captures of standing robots; what is a guess is marked:
 
 - the times that powering on takes, and that a reboot is over with the arm running: guesses, made short for tests;
@@ -17,8 +17,7 @@ import enum
 from typing import NamedTuple
 
 from linkcore.wire.fields import Since
-from urlink.firmware import Firmware
-from urlink.interfaces.enums import (
+from urlink.protocol.enums import (
     JointMode,
     MasterOnOffState,
     MasterSafetyState,
@@ -28,6 +27,7 @@ from urlink.interfaces.enums import (
     SafetyMode,
     ToolMode,
 )
+from urlink.protocol.firmware import Firmware
 
 
 class Power(enum.Enum):

@@ -14,7 +14,7 @@ from typing import NamedTuple, Protocol
 
 from linkcore.errors import BadValue, LocalError
 
-from .sources import Setpoint
+from .setpoint_sources import Setpoint
 
 #: The group of entry points in which a distribution names what opens a scene, by the ending of its file.
 _GROUP = "urlink.scenes"

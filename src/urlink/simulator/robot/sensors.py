@@ -3,7 +3,8 @@
 - **positions and poses** agree: every pose is the forward kinematics of the joint positions beside it;
 - **speeds** are the derivatives of the positions, TCP speeds the Jacobian times the joint speeds;
 - **moments** are those of the rigid bodies and of the rotors (`urlink.dynamics`);
-- **currents** are these moments over the torque constants, plus friction (`urlink.motors`), less what acts on the tool.
+- **currents** are these moments over the torque constants, plus friction (`urlink.arm.motors`), less what acts on the
+tool.
   A joint at rest is held by its stiction too, so that the actual current is off by a part of it, which differs from
   rest to rest;
 - **positions at rest** are off by some encoder steps, which differ from rest to rest too;
@@ -26,14 +27,14 @@ from operator import add
 
 import numpy as np
 
-from urlink.dynamics import GRAVITY, Dynamics
-from urlink.kinematics import Arm as Kinematics
-from urlink.kinematics.geometry import chain, flange, velocity
-from urlink.motors import Motors
-from urlink.rigid import FLOATS, IDENTITY, Rigid, from_pose, product, to_pose
+from urlink.arm.dynamics import GRAVITY, Dynamics
+from urlink.arm.kinematics import Arm as Kinematics
+from urlink.arm.kinematics.geometry import chain, flange, velocity
+from urlink.arm.motors import Motors
+from urlink.arm.rigid import FLOATS, IDENTITY, Rigid, from_pose, product, to_pose
 
-from .robot_parameters import AMBIENT, JOINT_VOLTAGE, STEPS, TEMPERATURE_RISE, WARMING, SensorParameters
-from .sources import Setpoint
+from .characteristics import AMBIENT, JOINT_VOLTAGE, STEPS, TEMPERATURE_RISE, WARMING, SensorParameters
+from .setpoint_sources import Setpoint
 
 _ZERO = [0.0] * 6
 # Random numbers are drawn once and then read in turn; with a prime length the channels do not repeat together.

@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue
+from linkcore.names import StrictAttributes
 
 
 class ToolCommunication(NamedTuple):
@@ -38,7 +38,7 @@ class Signals(StrictAttributes):
     """The inputs and outputs; all can be read and set.
 
     Attributes:
-        digital_inputs: bit mask; see `urlink.interfaces.enums.DigitalBits`.
+        digital_inputs: bit mask; see `urlink.protocol.enums.DigitalBits`.
         digital_outputs: bit mask.
         analog_inputs: four values: 0 and 1 of the control box, 2 and 3 of the tool; A or V, as `analog_input_ranges`.
         analog_outputs: two values, A or V, as `analog_output_domains`.

@@ -26,17 +26,17 @@ from typing import Protocol
 
 import numpy as np
 
-from linkcore.attributes import StrictAttributes
 from linkcore.errors import BadValue
-from urlink.dynamics import GRAVITY
-from urlink.kinematics import Arm
-from urlink.parameters import number
-from urlink.poses import rotvec_to_matrix
-from urlink.rigid import floats
-from urlink.vectors import FloatArray
+from linkcore.names import StrictAttributes
+from urlink.arm.dynamics import GRAVITY
+from urlink.arm.kinematics import Arm
+from urlink.arm.parameters import number
+from urlink.arm.poses import rotvec_to_matrix
+from urlink.arm.rigid import floats
+from urlink.arm.vectors import FloatArray
 
 from .scene import Reaction, Scene
-from .sources import Setpoint
+from .setpoint_sources import Setpoint
 
 #: m/s of sliding at which friction has three quarters of its full size.
 _SLIDING = 1e-3

@@ -15,7 +15,7 @@ from collections import ChainMap
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Literal
 
-from urlink.firmware import Firmware
+from urlink.protocol.firmware import Firmware
 
 from . import instructions, operations
 from .builtins import find

@@ -15,7 +15,7 @@ programs in the field: they bound the work of one controller cycle and the memor
 
 from __future__ import annotations
 
-from ...firmware import Firmware
+from ...protocol.firmware import Firmware
 
 
 class ProgramError(Exception):

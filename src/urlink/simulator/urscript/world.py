@@ -8,11 +8,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Literal, Protocol
 
-from urlink.dynamics import Dynamics
-from urlink.firmware import Firmware
-from urlink.kinematics import Arm
-from urlink.motors import Motors
-from urlink.vectors import FloatArray
+from urlink.arm.dynamics import Dynamics
+from urlink.arm.kinematics import Arm
+from urlink.arm.motors import Motors
+from urlink.arm.vectors import FloatArray
+from urlink.protocol.firmware import Firmware
 
 from ..registers import Action, RegisterBanks
 from ..robot.generator import ForceTask

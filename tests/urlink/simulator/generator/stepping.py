@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from urlink.kinematics import Arm
-from urlink.models import MODELS, Model
+from urlink.arm.kinematics import Arm
+from urlink.arm.models import MODELS, Model
 from urlink.simulator.robot.generator import Command, MotionGenerator
-from urlink.simulator.robot.sources import HOME, Setpoint
+from urlink.simulator.robot.setpoint_sources import HOME, Setpoint
 
 CYCLE = 0.002
 UR5E = MODELS["UR5e"]

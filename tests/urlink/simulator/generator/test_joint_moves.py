@@ -22,9 +22,9 @@ from tests.urlink.simulator.generator.stepping import (
     to_rest,
     trapezoid,
 )
-from urlink.models import MODELS, Model
+from urlink.arm.models import MODELS, Model
 from urlink.simulator.robot.generator import OutOfReach
-from urlink.simulator.robot.sources import HOME
+from urlink.simulator.robot.setpoint_sources import HOME
 
 arms = st.sampled_from(list(MODELS.values()))
 postures = st.lists(st.floats(-3.0, 3.0), min_size=6, max_size=6)

@@ -23,10 +23,10 @@ from tests.urlink.simulator.generator.stepping import (
     to_rest,
     trapezoid,
 )
-from urlink.kinematics import Arm
-from urlink.models import MODELS, Model
+from urlink.arm.kinematics import Arm
+from urlink.arm.models import MODELS, Model
 from urlink.simulator.robot.generator import Command, LimitViolation, MotionGenerator, OutOfReach
-from urlink.simulator.robot.sources import HOME, Setpoint
+from urlink.simulator.robot.setpoint_sources import HOME, Setpoint
 
 HARDEST = 2.5 * UR5E.max_acceleration
 

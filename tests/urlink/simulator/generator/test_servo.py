@@ -24,7 +24,7 @@ from tests.urlink.simulator.generator.stepping import (
 )
 from urlink.simulator.robot.generator import LimitViolation, MotionGenerator
 from urlink.simulator.robot.generator.streamed_motion import lag_of
-from urlink.simulator.robot.sources import HOME, Setpoint
+from urlink.simulator.robot.setpoint_sources import HOME, Setpoint
 
 #: lookahead_time and gain; the last is firmware that has neither
 ARGUMENTS = [(0.03, 300.0), (0.1, 300.0), (0.03, 2000.0), (0.2, 100.0), (0.0, 0.0)]

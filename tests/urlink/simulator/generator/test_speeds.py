@@ -20,9 +20,9 @@ from tests.urlink.simulator.generator.stepping import (
     standing,
     to_rest,
 )
-from urlink.kinematics import Arm
+from urlink.arm.kinematics import Arm
 from urlink.simulator.robot.generator import Command, LimitViolation
-from urlink.simulator.robot.sources import HOME
+from urlink.simulator.robot.setpoint_sources import HOME
 
 
 def test_joints_speed_up_in_proportion_and_keep_their_speed() -> None:

@@ -23,11 +23,11 @@ from tests.urlink.simulator.generator.stepping import (
     standing,
     trapezoid,
 )
-from urlink.kinematics import Arm
-from urlink.models import MODELS, Model
-from urlink.poses import compose, invert
+from urlink.arm.kinematics import Arm
+from urlink.arm.models import MODELS, Model
+from urlink.arm.poses import compose, invert
 from urlink.simulator.robot.generator import LimitViolation, MotionGenerator, OutOfReach
-from urlink.simulator.robot.sources import HOME, Setpoint
+from urlink.simulator.robot.setpoint_sources import HOME, Setpoint
 
 TOOL = [0.01, -0.02, 0.1, 0.1, 0.2, 0.3]
 

@@ -6,7 +6,7 @@ import pytest
 
 from tests.fakes.world import NotedWorld
 from tests.urlink.simulator.urscript.corpus import programs
-from urlink.firmware import Firmware
+from urlink.protocol.firmware import Firmware
 from urlink.simulator.urscript import Execution, compile_script
 
 PROGRAMS = dict(programs())

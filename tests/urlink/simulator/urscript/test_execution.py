@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.fakes.world import NotedWorld, run
-from urlink.firmware import NEWEST, Firmware
+from urlink.protocol.firmware import NEWEST, Firmware
 from urlink.simulator.urscript import Execution, ProgramError, compile_script
 from urlink.simulator.urscript.builtins import find
 

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator
 import pytest
 
 from tests.fakes.world import NotedWorld, run
-from urlink.firmware import Firmware
+from urlink.protocol.firmware import Firmware
 from urlink.simulator.urscript import Execution, ProgramError, compile_script
 from urlink.simulator.urscript.errors import (
     MAX_CALL_DEPTH,

@@ -11,7 +11,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from tests.fakes.world import NotedWorld, run
-from urlink.firmware import Firmware
+from urlink.protocol.firmware import Firmware
 from urlink.simulator.urscript import ProgramError, Script, compile_script
 from urlink.simulator.urscript.builtins import BUILTINS
 

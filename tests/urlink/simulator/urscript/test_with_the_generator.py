@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import pytest
 
 from tests.fakes.world import NotedWorld
-from urlink.kinematics import Arm
-from urlink.models import MODELS
+from urlink.arm.kinematics import Arm
+from urlink.arm.models import MODELS
 from urlink.simulator.robot.generator import MotionGenerator
-from urlink.simulator.robot.sources import HOME, Setpoint
+from urlink.simulator.robot.setpoint_sources import HOME, Setpoint
 from urlink.simulator.urscript import Execution, compile_script
 
 

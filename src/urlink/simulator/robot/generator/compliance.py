@@ -9,7 +9,7 @@ controller stops the arm.
 
 Under **direct torque** it moves under the torques that a program gives for one cycle and those from outside. The
 controller compensates gravity, as the vendor says; what the program does not have compensated of its friction is that
-of the joints (`urlink.motors`). In a cycle without a torque the arm brakes.
+of the joints (`urlink.arm.motors`). In a cycle without a torque the arm brakes.
 
 In force mode the tool yields along some axes until a force is there, and follows its path along the others.
 How a controller does this is not published beyond the purpose of the arguments; this model keeps to that.
@@ -34,13 +34,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from urlink.dynamics import Dynamics
-from urlink.motors import Motors
-from urlink.parameters import number, numbers
-from urlink.poses import rotvec_to_matrix
-from urlink.vectors import FloatArray
+from urlink.arm.dynamics import Dynamics
+from urlink.arm.motors import Motors
+from urlink.arm.parameters import number, numbers
+from urlink.arm.poses import rotvec_to_matrix
+from urlink.arm.vectors import FloatArray
 
-from ..sources import REST, Setpoint
+from ..setpoint_sources import REST, Setpoint
 from .joint_limits import ArmWithTool, LimitViolation, moved
 from .path_motion import Command
 from .streamed_motion import JointSpeed

@@ -14,11 +14,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from urlink.interfaces.enums import ControlMode
+from urlink.protocol.enums import ControlMode
 
 from ..arm import SimulatedArm
-from ..robot_parameters import ScalingParameters
-from ..sources import Setpoint
+from ..characteristics import ScalingParameters
+from ..setpoint_sources import Setpoint
 from .compliance import Compliance, ForceTask, FreeJoints, free_tool
 from .motion_generator import MotionGenerator
 

@@ -13,13 +13,13 @@ from operator import le, mul, sub
 from typing import NamedTuple
 
 from linkcore.errors import BadValue
-from urlink.kinematics import Arm, Unreachable
-from urlink.models import Model
-from urlink.parameters import number
-from urlink.poses import compose
-from urlink.vectors import JOINTS, FloatArray
+from urlink.arm.kinematics import Arm, Unreachable
+from urlink.arm.models import Model
+from urlink.arm.parameters import number
+from urlink.arm.poses import compose
+from urlink.arm.vectors import JOINTS, FloatArray
 
-from ..sources import Setpoint
+from ..setpoint_sources import Setpoint
 
 # Fraction by which a set-point may exceed the largest speed of a joint: rounding, and rough interpolation by clients.
 _TOLERANCE = number("joint_speed_tolerance")

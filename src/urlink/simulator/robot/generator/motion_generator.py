@@ -16,14 +16,14 @@ import math
 from collections.abc import Sequence
 
 from linkcore.errors import BadValue
-from urlink.curves import Arc, Line
-from urlink.dynamics import Dynamics
-from urlink.kinematics import Arm
-from urlink.motors import Motors
-from urlink.vectors import FloatArray
+from urlink.arm.curves import Arc, Line
+from urlink.arm.dynamics import Dynamics
+from urlink.arm.kinematics import Arm
+from urlink.arm.motors import Motors
+from urlink.arm.vectors import FloatArray
 
-from ..robot_parameters import ScalingParameters, approached
-from ..sources import BRAKING, REST, Setpoint
+from ..characteristics import ScalingParameters, approached
+from ..setpoint_sources import BRAKING, REST, Setpoint
 from .compliance import TorqueMotion
 from .joint_limits import ArmWithTool, JointLimits, LimitViolation, OutOfReach, checked, positive
 from .path_motion import Blend, Command, JointPath, MotionPath, PathMove, ToolPath, Trapezoid, timed

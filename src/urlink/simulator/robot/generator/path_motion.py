@@ -12,10 +12,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from functools import cached_property
 
-from urlink.curves import Curve
-from urlink.parameters import number
+from urlink.arm.curves import Curve
+from urlink.arm.parameters import number
 
-from ..sources import REST, Setpoint
+from ..setpoint_sources import REST, Setpoint
 from .joint_limits import ArmWithTool, LimitViolation
 
 #: m that count as much as a turn of 1 rad, at least, so that a tool which turns in place takes its time. A guess.

@@ -25,10 +25,10 @@ from functools import lru_cache
 from itertools import repeat
 from operator import le, mul, sub
 
-from urlink.parameters import number
-from urlink.vectors import JOINTS
+from urlink.arm.parameters import number
+from urlink.arm.vectors import JOINTS
 
-from ..sources import REST, Setpoint
+from ..setpoint_sources import REST, Setpoint
 from .joint_limits import ArmWithTool, JointLimits, LimitViolation, moved
 from .path_motion import Command
 

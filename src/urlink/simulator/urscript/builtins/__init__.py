@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from urlink.firmware import Firmware
+from urlink.protocol.firmware import Firmware
 
 # For what they declare.
 from . import (  # noqa: F401

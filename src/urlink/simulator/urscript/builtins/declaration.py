@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from linkcore.wire.fields import Since
-from urlink.firmware import Firmware
+from urlink.protocol.firmware import Firmware
 
 from ..errors import Fault, type_error
 from ..values import NUMBERS, PoseValue, type_name

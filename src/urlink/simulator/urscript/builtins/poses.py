@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from urlink import poses, rigid
-from urlink.kinematics import Unreachable
+from urlink.arm import poses, rigid
+from urlink.arm.kinematics import Unreachable
 
 from ..errors import Fault, type_error
 from ..machine import ScriptThread

@@ -1,0 +1,397 @@
+"""The forces in an arm: mass matrix, Coriolis and gravity torques, and what a movement takes.
+
+    >>> from urlink.arm.dynamics import Dynamics
+    >>> arm = Dynamics("UR5e", payload=2.0, payload_cog=(0, 0, 0.05))
+    >>> arm.gravity_torque([0, -1.57, 1.57, -1.57, -1.57, 0]).round(1)[1:4].tolist()
+    [-30.0, -29.9, -3.8]
+
+The equation of motion is `M(q) qdd + c(q, qd) + g(q) = torque`, with torques in Nm that are positive where the joint
+angle grows. It is computed in the base frame, with spatial vectors about its origin (Featherstone, "Rigid Body Dynamics
+Algorithms", 2008): forces link by link from the tool down, the mass matrix from the inertias of whatever a joint
+carries.
+
+**How good it is.** As good as the published masses and inertias (`urlink.models`), with which the gravity torques of
+simulated arms agree, those of a real UR3e within 2 mNm (with its calibration and payload), those of a real CB2 UR5
+within 1.4 Nm. With `rotors` it has the inertia of motors and gears (`urlink.arm.motors`) too, which nobody has
+published: a log of a UR3e shows it, and with it these are that controller's moments to 0.02 Nm. At the wrists it is far
+more than that of the links. Friction is not in it, as it is not in a controller's moments but in its currents.
+"""
+
+from __future__ import annotations
+
+from itertools import accumulate
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from linkcore.arguments import check_number
+from linkcore.errors import BadValue
+from linkcore.names import StrictAttributes
+
+from . import rigid
+from .kinematics import Arm
+from .kinematics.geometry import angles, chain
+from .models import Model
+from .motors import motors_of
+from .rigid import FLOATS, ROWS, Number, Rigid
+from .vectors import FloatArray
+
+__all__ = ["GRAVITY", "Dynamics"]
+
+#: m/s². What a controller assumes until a program calls set_gravity.
+GRAVITY = 9.82
+
+# Mass, centre of mass and inertia about it along the axes of the frame at the end of the link: xx xy xz yy yz zz.
+_Body = tuple[float, tuple[float, float, float], tuple[float, float, float, float, float, float]]
+# Mass; mass times position; inertia about the origin of the base, xx xy xz yy yz zz. All in the base frame.
+_Inertia = tuple[Number, Number, Number, Number, Number, Number, Number, Number, Number, Number]
+# Angular over linear, at the origin of the base: a velocity, an acceleration, or a torque and a force.
+_Spatial = tuple[Number, Number, Number, Number, Number, Number]
+
+
+class Dynamics(StrictAttributes):
+    """The masses of one arm and of what it carries.
+
+    Every method takes one row of six, or any number of rows in an array (..., 6).
+
+    Args:
+        arm: an `Arm`, which may be calibrated, or the name of a model, or a `Model`.
+        payload: mass at the flange, kg.
+        payload_cog: (3,) its centre of mass in the frame of the flange, m.
+        payload_inertia: (6,) its inertia about the centre of mass along the axes of the flange, ixx, iyy, izz, ixy,
+            ixz, iyz in kg m²: the order of URScript's set_target_payload.
+        gravity: (3,) acceleration of free fall in the base frame, m/s². The default is that of an arm that stands
+            upright; one that hangs has (0, 0, 9.82).
+        rotors: whether the inertia of motors and gears counts, as it does for a controller; or (6,) that inertia, kg m²
+            at the joint, where it is known of this very arm.
+
+    Raises:
+        UnknownModel: no arm is called that.
+        BadValue: a payload that is not a mass, a negative inertia, or vectors of another size.
+    """
+
+    __slots__ = ("_arm", "_bodies", "_gravity", "_rotors")
+
+    def __init__(
+        self,
+        arm: Arm | Model | str,
+        *,
+        payload: float = 0.0,
+        payload_cog: ArrayLike = (0.0, 0.0, 0.0),
+        payload_inertia: ArrayLike = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+        gravity: ArrayLike = (0.0, 0.0, -GRAVITY),
+        rotors: bool | ArrayLike = False,
+    ) -> None:
+        self._arm = arm if isinstance(arm, Arm) else Arm(arm)
+        if isinstance(rotors, bool):
+            self._rotors = motors_of(self._arm.model).rotor_inertias if rotors else (0.0,) * 6
+        else:
+            self._rotors = tuple(rigid.floats(rotors, 6, "rotor inertias"))
+            if min(self._rotors) < 0.0:
+                raise BadValue(f"a rotor inertia is zero or more, not {min(self._rotors)!r} kg m²")
+        x, y, z = rigid.floats(gravity, 3, "a gravity")
+        self._gravity = x, y, z
+        payload = check_number(payload, "payload", 0.0, unit="kg")
+        cog = np.array(rigid.floats(payload_cog, 3, "a centre of mass"))
+        xx, yy, zz, xy, xz, yz = rigid.floats(payload_inertia, 6, "an inertia")
+        model = self._arm.model
+        masses, cogs, inertias = model.link_masses.copy(), model.link_cogs.copy(), model.link_inertias.copy()
+        # The payload is one with the last link.
+        both = masses[5] + payload
+        middle = (masses[5] * cogs[5] + payload * cog) / both
+        inertias[5] += np.array([(xx, xy, xz), (xy, yy, yz), (xz, yz, zz)])
+        inertias[5] += _away(masses[5], cogs[5] - middle) + _away(payload, cog - middle)
+        masses[5], cogs[5] = both, middle
+        self._bodies: list[_Body] = [
+            (mass, (x, y, z), (t[0][0], t[0][1], t[0][2], t[1][1], t[1][2], t[2][2]))
+            for mass, (x, y, z), t in zip(masses.tolist(), cogs.tolist(), inertias.tolist(), strict=True)
+        ]
+
+    @property
+    def arm(self) -> Arm:
+        """The kinematics that it is computed with."""
+        return self._arm
+
+    def torque(self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> FloatArray:
+        """The torques that a movement takes (inverse dynamics).
+
+        Args:
+            q: (..., 6) joint positions, rad.
+            qd: (..., 6) joint speeds, rad/s.
+            qdd: (..., 6) joint accelerations, rad/s².
+
+        Returns:
+            (..., 6) Nm.
+
+        Raises:
+            BadValue: not six finite numbers each, or shapes that do not broadcast.
+        """
+        return self._torque(q, qd, qdd, self._gravity)
+
+    def gravity_torque(self, q: ArrayLike) -> FloatArray:
+        """The torques that hold a resting arm against its own weight and that of its payload: g(q).
+
+        Args:
+            q: (..., 6) joint positions, rad.
+
+        Returns:
+            (..., 6) Nm.
+
+        Raises:
+            BadValue: not joint positions.
+        """
+        if rigid.is_single(q):
+            return np.array(self._held(self._frames(q)))
+        given = rigid.rows(q, (6,), "joint positions")
+        return np.stack(self._held(self._frames_of_rows(given.reshape(-1, 6))), axis=-1).reshape(given.shape)
+
+    def coriolis_torque(self, q: ArrayLike, qd: ArrayLike) -> FloatArray:
+        """The Coriolis and centrifugal torques: what constant joint speeds take, weight left out; c(q, qd).
+
+        Args:
+            q: (..., 6) joint positions, rad.
+            qd: (..., 6) joint speeds, rad/s.
+
+        Returns:
+            (..., 6) Nm.
+
+        Raises:
+            BadValue: not six finite numbers each, or shapes that do not broadcast.
+        """
+        return self._torque(q, qd, _ZERO, (0.0, 0.0, 0.0))
+
+    def mass_matrix(self, q: ArrayLike) -> FloatArray:
+        """The joint-space inertia: times joint accelerations, the torques that they take, M(q).
+
+        Args:
+            q: (..., 6) joint positions, rad.
+
+        Returns:
+            (..., 6, 6) symmetric, kg m².
+
+        Raises:
+            BadValue: not joint positions.
+        """
+        if rigid.is_single(q):
+            return np.array(self._mass_matrix(self._frames(q)))
+        given = rigid.rows(q, (6,), "joint positions")
+        table = self._mass_matrix(self._frames_of_rows(given.reshape(-1, 6)))
+        matrices: FloatArray = np.moveaxis(
+            np.array([np.broadcast_arrays(*row) for row in table], dtype=np.float64), -1, 0
+        )
+        return matrices.reshape(*given.shape, 6)
+
+    def acceleration(self, q: ArrayLike, qd: ArrayLike, torque: ArrayLike) -> FloatArray:
+        """How the joints accelerate under torques (forward dynamics).
+
+        Args:
+            q: (..., 6) joint positions, rad.
+            qd: (..., 6) joint speeds, rad/s.
+            torque: (..., 6) Nm.
+
+        Returns:
+            (..., 6) rad/s².
+
+        Raises:
+            BadValue: not six finite numbers each, or shapes that do not broadcast.
+        """
+        given = rigid.rows(torque, (6,), "torques")
+        left = given - self.torque(q, qd, _ZERO)
+        return np.asarray(np.linalg.solve(self.mass_matrix(q), left[..., np.newaxis])[..., 0], dtype=np.float64)
+
+    # --- within ---
+
+    def _frames(self, q: ArrayLike) -> list[Rigid[float]]:
+        """The ends of the links, at the joint positions of one row."""
+        return chain(self._arm.geometry, FLOATS, angles(rigid.floats(q, 6, "joint positions")))
+
+    def _frames_of_rows(self, q: FloatArray) -> list[Rigid[FloatArray]]:
+        """The ends of the links, at joint positions (n, 6)."""
+        return chain(self._arm.geometry, ROWS, angles(np.ascontiguousarray(q.T)))
+
+    def _torque(self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, gravity: tuple[float, float, float]) -> FloatArray:
+        if rigid.is_single(q) and rigid.is_single(qd) and rigid.is_single(qdd):
+            frames = self._frames(q)
+            speeds, rates = rigid.floats(qd, 6, "joint speeds"), rigid.floats(qdd, 6, "joint accelerations")
+            return np.array(self._newton_euler(frames, speeds, rates, gravity))
+        given = (
+            rigid.rows(q, (6,), "joint positions"),
+            rigid.rows(qd, (6,), "joint speeds"),
+            rigid.rows(qdd, (6,), "joint accelerations"),
+        )
+        (at, speed, rate), shape = rigid.aligned(*given)
+        torques = self._newton_euler(self._frames_of_rows(at), list(speed.T), list(rate.T), gravity)
+        return np.stack(torques, axis=-1).reshape(*shape, 6)
+
+    def _held(self, frames: list[Rigid[Number]]) -> list[Number]:
+        """The gravity torques, from the weight of all that a joint carries: a fifth of the cost of `_newton_euler`."""
+        gx, gy, gz = self._gravity
+        none = 0.0 * frames[0][9]
+        # Of what is carried: mass, and mass times position.
+        mass, mx, my, mz = 0.0, none, none, none
+        torques = []
+        for joint in range(5, -1, -1):
+            weight, (cx, cy, cz), _ = self._bodies[joint]
+            r00, r01, r02, r10, r11, r12, r20, r21, r22, px, py, pz = frames[joint]
+            mass += weight
+            mx = mx + weight * (r00 * cx + r01 * cy + r02 * cz + px)
+            my = my + weight * (r10 * cx + r11 * cy + r12 * cz + py)
+            mz = mz + weight * (r20 * cx + r21 * cy + r22 * cz + pz)
+            if joint == 0:
+                torques.append(my * gx - mx * gy)
+                break
+            _, _, zx, _, _, zy, _, _, zz, ox, oy, oz = frames[joint - 1]
+            lx, ly, lz = mx - mass * ox, my - mass * oy, mz - mass * oz
+            torques.append(zx * (lz * gy - ly * gz) + zy * (lx * gz - lz * gx) + zz * (ly * gx - lx * gy))
+        return torques[::-1]
+
+    def _newton_euler(
+        self, frames: list[Rigid[Number]], qd: list[Number], qdd: list[Number], gravity: tuple[float, float, float]
+    ) -> list[Number]:
+        """Velocities and accelerations from the base to the tool, forces from the tool to the base."""
+        none = 0.0 * qd[0]
+        inertias = self._inertias(frames)
+        velocity: _Spatial[Number] = (none, none, none, none, none, none)
+        gx, gy, gz = gravity
+        # An arm in a field of gravity is pressed as one whose base accelerates in the opposite direction.
+        acceleration: _Spatial[Number] = (none, none, none, none - gx, none - gy, none - gz)
+        forces = []
+        axes = _axes(frames)
+        for axis, speed, rate, inertia in zip(axes, qd, qdd, inertias, strict=True):
+            moved = _scaled(axis, speed)
+            acceleration = _sum(acceleration, _sum(_scaled(axis, rate), _cross(velocity, moved)))
+            velocity = _sum(velocity, moved)
+            momentum = _momentum(inertia, velocity)
+            forces.append(_sum(_momentum(inertia, acceleration), _cross_force(velocity, momentum)))
+        torques = []
+        carried: _Spatial[Number] = (none, none, none, none, none, none)
+        for axis, force in zip(reversed(axes), reversed(forces), strict=True):
+            carried = _sum(carried, force)
+            torques.append(_dot(axis, carried))
+        return [torque + j * rate for torque, j, rate in zip(torques[::-1], self._rotors, qdd, strict=True)]
+
+    def _mass_matrix(self, frames: list[Rigid[Number]]) -> list[list[Number]]:
+        """Row by row, from the inertia of all that a joint carries (composite rigid bodies)."""
+        axes = _axes(frames)
+        table: list[list[Number]] = [[axes[0][0]] * 6 for _ in range(6)]
+        carried = accumulate(reversed(self._inertias(frames)), _added)
+        for i, inertia in zip(range(5, -1, -1), carried, strict=True):
+            momentum = _momentum(inertia, axes[i])
+            for j in range(i + 1):
+                table[i][j] = table[j][i] = _dot(axes[j], momentum)
+            table[i][i] = table[i][i] + self._rotors[i]
+        return table
+
+    def _inertias(self, frames: list[Rigid[Number]]) -> list[_Inertia[Number]]:
+        """Of each link about the origin of the base."""
+        return [_inertia(frame, body) for frame, body in zip(frames, self._bodies, strict=True)]
+
+
+_ZERO = np.zeros(6)
+
+
+def _away(mass: float, off: FloatArray) -> FloatArray:
+    """What the inertia of a mass gains at a distance from its centre (parallel axes)."""
+    return np.asarray(mass * (off @ off * np.eye(3) - np.outer(off, off)))
+
+
+def _axes(frames: list[Rigid[Number]]) -> list[_Spatial[Number]]:
+    """The velocity that 1 rad/s of each joint is, at the origin of the base."""
+    none = 0.0 * frames[0][9]
+    found: list[_Spatial[Number]] = [(none, none, none + 1.0, none, none, none)]
+    for _, _, zx, _, _, zy, _, _, zz, px, py, pz in frames[:5]:
+        found.append((zx, zy, zz, py * zz - pz * zy, pz * zx - px * zz, px * zy - py * zx))
+    return found
+
+
+def _inertia(frame: Rigid[Number], body: _Body) -> _Inertia[Number]:
+    """The inertia of a body about the origin of the base, in the base frame."""
+    r00, r01, r02, r10, r11, r12, r20, r21, r22, px, py, pz = frame
+    mass, (cx, cy, cz), (ixx, ixy, ixz, iyy, iyz, izz) = body
+    x = r00 * cx + r01 * cy + r02 * cz + px
+    y = r10 * cx + r11 * cy + r12 * cz + py
+    z = r20 * cx + r21 * cy + r22 * cz + pz
+    # Rows of the rotation times the tensor, then times the rotation's transpose.
+    ax, ay, az = r00 * ixx + r01 * ixy + r02 * ixz, r00 * ixy + r01 * iyy + r02 * iyz, r00 * ixz + r01 * iyz + r02 * izz
+    bx, by, bz = r10 * ixx + r11 * ixy + r12 * ixz, r10 * ixy + r11 * iyy + r12 * iyz, r10 * ixz + r11 * iyz + r12 * izz
+    dx, dy, dz = r20 * ixx + r21 * ixy + r22 * ixz, r20 * ixy + r21 * iyy + r22 * iyz, r20 * ixz + r21 * iyz + r22 * izz
+    mx, my, mz = mass * x, mass * y, mass * z
+    return (
+        0.0 * x + mass,
+        mx,
+        my,
+        mz,
+        ax * r00 + ay * r01 + az * r02 + my * y + mz * z,
+        ax * r10 + ay * r11 + az * r12 - mx * y,
+        ax * r20 + ay * r21 + az * r22 - mx * z,
+        bx * r10 + by * r11 + bz * r12 + mx * x + mz * z,
+        bx * r20 + by * r21 + bz * r22 - my * z,
+        dx * r20 + dy * r21 + dz * r22 + mx * x + my * y,
+    )
+
+
+# --- spatial vectors ---
+
+
+def _added(one: _Inertia[Number], other: _Inertia[Number]) -> _Inertia[Number]:
+    a0, a1, a2, a3, a4, a5, a6, a7, a8, a9 = one
+    b0, b1, b2, b3, b4, b5, b6, b7, b8, b9 = other
+    return a0 + b0, a1 + b1, a2 + b2, a3 + b3, a4 + b4, a5 + b5, a6 + b6, a7 + b7, a8 + b8, a9 + b9
+
+
+def _sum(one: _Spatial[Number], other: _Spatial[Number]) -> _Spatial[Number]:
+    a0, a1, a2, a3, a4, a5 = one
+    b0, b1, b2, b3, b4, b5 = other
+    return a0 + b0, a1 + b1, a2 + b2, a3 + b3, a4 + b4, a5 + b5
+
+
+def _scaled(vector: _Spatial[Number], by: Number) -> _Spatial[Number]:
+    a0, a1, a2, a3, a4, a5 = vector
+    return a0 * by, a1 * by, a2 * by, a3 * by, a4 * by, a5 * by
+
+
+def _dot(one: _Spatial[Number], other: _Spatial[Number]) -> Number:
+    a0, a1, a2, a3, a4, a5 = one
+    b0, b1, b2, b3, b4, b5 = other
+    return a0 * b0 + a1 * b1 + a2 * b2 + a3 * b3 + a4 * b4 + a5 * b5
+
+
+def _momentum(inertia: _Inertia[Number], velocity: _Spatial[Number]) -> _Spatial[Number]:
+    m, hx, hy, hz, xx, xy, xz, yy, yz, zz = inertia
+    wx, wy, wz, vx, vy, vz = velocity
+    return (
+        xx * wx + xy * wy + xz * wz + hy * vz - hz * vy,
+        xy * wx + yy * wy + yz * wz + hz * vx - hx * vz,
+        xz * wx + yz * wy + zz * wz + hx * vy - hy * vx,
+        m * vx + wy * hz - wz * hy,
+        m * vy + wz * hx - wx * hz,
+        m * vz + wx * hy - wy * hx,
+    )
+
+
+def _cross(velocity: _Spatial[Number], other: _Spatial[Number]) -> _Spatial[Number]:
+    """How a velocity changes that moves with another one."""
+    wx, wy, wz, vx, vy, vz = velocity
+    ax, ay, az, bx, by, bz = other
+    return (
+        wy * az - wz * ay,
+        wz * ax - wx * az,
+        wx * ay - wy * ax,
+        wy * bz - wz * by + vy * az - vz * ay,
+        wz * bx - wx * bz + vz * ax - vx * az,
+        wx * by - wy * bx + vx * ay - vy * ax,
+    )
+
+
+def _cross_force(velocity: _Spatial[Number], force: _Spatial[Number]) -> _Spatial[Number]:
+    """How a momentum changes that moves with a velocity."""
+    wx, wy, wz, vx, vy, vz = velocity
+    nx, ny, nz, fx, fy, fz = force
+    return (
+        wy * nz - wz * ny + vy * fz - vz * fy,
+        wz * nx - wx * nz + vz * fx - vx * fz,
+        wx * ny - wy * nx + vx * fy - vy * fx,
+        wy * fz - wz * fy,
+        wz * fx - wx * fz,
+        wx * fy - wy * fx,
+    )

@@ -1,0 +1,448 @@
+"""`Arm`: forward and inverse kinematics and velocities of one arm."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from linkcore.arguments import other_unit
+from linkcore.errors import BadValue
+from linkcore.names import StrictAttributes
+
+from .. import rigid
+from ..bounds import TURN, check_length, check_rotations
+from ..models import Model
+from ..models import model as model_called
+from ..rigid import FLOATS, ROWS, MathFunctions, Number, Rigid
+from ..vectors import FloatArray
+from .closed_form import BRANCHES, wrapped, wrist_place
+from .geometry import Angles, DenavitHartenberg, Geometry, calibrated, chain, flange, jacobian, nominal, velocity
+from .inverse import around, branches, branches_of_rows, closest, closest_of_rows, distance
+
+# Solutions closer than this, rad, count as one: where two branches meet, rounding errors separate them by about the
+# square root of the precision.
+_SAME = 1e-6
+
+
+class Unreachable(BadValue):
+    """The pose is out of reach: no joint positions put the tool there."""
+
+    __module__ = "urlink"  # where users import it from, and what a traceback shows
+
+
+class Arm(StrictAttributes):
+    """Forward and inverse kinematics of one arm.
+
+    Joint positions are six numbers, rad, from base to wrist 3. A pose is x, y, z in m and a rotation vector in rad, in
+    the base frame, as the controller has it; `urlink.poses` converts them. A TCP is a pose in the frame of the flange.
+    Methods take one row of six numbers or an array (..., 6) of rows, which costs a few microseconds per row.
+
+    `Arm(model)` has the geometry that the vendor publishes, `Arm.calibrated` that of one particular robot. Collisions
+    of the arm with itself or its surroundings are not checked.
+
+    Args:
+        model: name as the vendor writes it, in upper or lower case, or a `Model`.
+
+    Raises:
+        UnknownModel: no arm has this name.
+
+    >>> arm = Arm("UR5e")
+    >>> pose = arm.forward([0, -1.57, 1.57, -1.57, -1.57, 0])
+    >>> pose.round(3).tolist()
+    [-0.492, -0.133, 0.488, 2.221, 2.221, 0.0]
+    >>> arm.inverse(pose, near=[0, -1.5, 1.5, -1.5, -1.5, 0]).round(3).tolist()
+    [0.0, -1.57, 1.57, -1.57, -1.57, 0.0]
+    """
+
+    __slots__ = ("_geometry", "_model", "_table")
+
+    def __init__(self, model: str | Model) -> None:
+        self._model = model if isinstance(model, Model) else model_called(model)
+        self._table: DenavitHartenberg = self._model
+        self._geometry = nominal(self._model)
+
+    @classmethod
+    def calibrated(cls, model: str | Model, table: DenavitHartenberg) -> Arm:
+        """The arm with the DH parameters that its controller sends, which are accurate to about 0.1 mm.
+
+        Args:
+            model: of the robot.
+            table: its DH parameters, `dh_theta`, `dh_a`, `dh_d` and `dh_alpha`, (6,) each: the `KinematicsInfo` in the
+                first robot state of each connection.
+
+        Raises:
+            UnknownModel: no arm has this name.
+            BadValue: the parameters are not those of this model; the message names the link, and both values.
+        """
+        arm = cls(model)
+        arm._table = table
+        arm._geometry = calibrated(arm._model, table)
+        return arm
+
+    def __repr__(self) -> str:
+        return f"<Arm {self._model.name}, {'calibrated' if self.is_calibrated else 'as published'}>"
+
+    @property
+    def model(self) -> Model:
+        """Lengths, limits and masses as published."""
+        return self._model
+
+    @property
+    def is_calibrated(self) -> bool:
+        """Whether the geometry differs from the published one."""
+        return not self._geometry.is_nominal
+
+    @property
+    def table(self) -> DenavitHartenberg:
+        """The DH parameters that this arm was made from: `dh_theta`, `dh_a`, `dh_d` and `dh_alpha`, (6,) each."""
+        return self._table
+
+    @property
+    def geometry(self) -> Geometry:
+        """The links as they are used in the computations."""
+        return self._geometry
+
+    @property
+    def position_limits(self) -> FloatArray:
+        """(6, 2) lowest and highest joint position, rad; infinite for a joint that turns without limit. Read-only."""
+        return self._model.position_limits
+
+    def within_limits(self, q: ArrayLike) -> NDArray[np.bool_]:
+        """Whether joint positions are within the position limits.
+
+        Args:
+            q: (..., 6) joint positions, rad.
+
+        Returns:
+            (...) booleans.
+
+        Raises:
+            BadValue: `q` does not have this shape, or holds a number that is not finite.
+        """
+        given = rigid.rows(q, (6,), "joint positions")
+        low, high = self.position_limits.T
+        return np.asarray(((low <= given) & (given <= high)).all(axis=-1))
+
+    # --- forward ---
+
+    def forward(self, q: ArrayLike, tcp: ArrayLike | None = None) -> FloatArray:
+        """The pose of the tool.
+
+        Args:
+            q: (..., 6) joint positions, rad.
+            tcp: (6,) pose of the TCP in the frame of the flange; None for the flange.
+
+        Returns:
+            (..., 6) poses in the base frame; rotation vectors of an angle of 0 to pi.
+
+        Raises:
+            BadValue: `q` or `tcp` does not have this shape, or holds a number that is not finite.
+        """
+        if rigid.is_single(q):
+            return np.array(rigid.to_pose(_with(self._flange(FLOATS, _one(q)), tcp)))
+        given = rigid.rows(q, (6,), "joint positions")
+        return rigid.to_poses(_with(self._flange(ROWS, _rows(given)), tcp)).reshape(given.shape)
+
+    def frames(self, q: ArrayLike) -> FloatArray:
+        """The frames of the base and of the end of each link, in the base frame.
+
+        Args:
+            q: (..., 6) joint positions, rad.
+
+        Returns:
+            (..., 7, 4, 4) homogeneous matrices. Joint i + 1 turns about the z axis of frame i; frame 6 is the flange.
+
+        Raises:
+            BadValue: `q` does not have this shape, or holds a number that is not finite.
+        """
+        given = rigid.rows(q, (6,), "joint positions")
+        links = [rigid.to_matrices(frame) for frame in chain(self._geometry, ROWS, _rows(given))]
+        base = np.broadcast_to(np.eye(4), links[0].shape)
+        return np.stack([base, *links], axis=1).reshape(*given.shape[:-1], 7, 4, 4)
+
+    # --- inverse ---
+
+    def inverse(
+        self, pose: ArrayLike, near: ArrayLike, tcp: ArrayLike | None = None, *, is_limited: bool = True
+    ) -> FloatArray:
+        """The joint positions for a pose that are closest to `near`: the largest movement of a joint is the smallest.
+
+        In the wrist singularity, where the axes of joints 4 and 6 are parallel, joint 6 is free; it keeps its value in
+        `near`.
+
+        Args:
+            pose: (..., 6) poses of the tool in the base frame.
+            near: (..., 6) joint positions, rad; broadcast against the poses.
+            tcp: (6,) pose of the TCP in the frame of the flange; None for the flange.
+            is_limited: true: each joint is given in the turn closest to `near` that is within its limits. False: in the
+                closest turn, which continues a path.
+
+        Returns:
+            (..., 6) rad. If several poses are given, the rows of those that are out of reach are NaN.
+
+        Raises:
+            Unreachable: a single pose was given, and it is out of reach.
+            BadValue: an argument does not have its shape, holds a number that is not finite, or does not broadcast; a
+                rotation vector is of more than one turn, as one in degrees is.
+        """
+        if rigid.is_single(pose) and rigid.is_single(near):
+            target, close = _target(_pose(pose), tcp), _one(near)
+            found = closest(self._geometry, target, close)
+            if found is None:
+                raise self._unreachable(target, pose)
+            return np.array(self._in_turn(found, close, is_limited))
+        given, close_to = _poses(pose), rigid.rows(near, (6,), "joint positions")
+        (poses, nears), shape = rigid.aligned(given, close_to)
+        q = closest_of_rows(self._geometry, _target(rigid.from_poses(poses), tcp), nears)
+        q = nears + around(q - nears)
+        if is_limited:
+            low, high = self.position_limits.T
+            with np.errstate(invalid="ignore"):
+                q = np.where(q > high, q - math.tau, np.where(q < low, q + math.tau, q))
+        return q.reshape(*shape, 6)
+
+    def branches(self, pose: ArrayLike, tcp: ArrayLike | None = None) -> FloatArray:
+        """All eight branches of the solution for a pose, each in a row of its own.
+
+        The row is 4 * shoulder + 2 * wrist + elbow. Shoulder is 0 on the side of the wrist and 1 away from it; wrist is
+        0 for a positive joint 5, elbow 0 for a positive joint 3, and either is 1 for a negative one. Along a path each
+        row is continuous, up to whole turns, until the branch ends at the edge of its reach. The branches of a
+        calibrated arm continue those of the published one.
+
+        Args:
+            pose: (..., 6) poses of the tool in the base frame.
+            tcp: (6,) pose of the TCP in the frame of the flange; None for the flange.
+
+        Returns:
+            (..., 8, 6) rad, in (-pi, pi], NaN where a branch does not reach the pose. In a singularity, where two
+            branches meet, both rows are given. Joint 6 is 0 where it is free.
+
+        Raises:
+            BadValue: `pose` or `tcp` does not have this shape, or holds a number that is not finite.
+        """
+        if rigid.is_single(pose):
+            return _table(branches(self._geometry, _target(_pose(pose), tcp)))
+        given = _poses(pose)
+        targets = _target(rigid.from_poses(given.reshape(-1, 6)), tcp)
+        return branches_of_rows(self._geometry, targets)[0].reshape(*given.shape[:-1], BRANCHES, 6)
+
+    def solutions(self, pose: ArrayLike, near: ArrayLike | None = None, tcp: ArrayLike | None = None) -> FloatArray:
+        """All joint positions for one pose. Branches that meet in a singularity are given once.
+
+        Args:
+            pose: (6,) pose of the tool in the base frame.
+            near: (6,) joint positions, rad: each joint is given in the turn closest to it, regardless of limits, and
+                the rows are sorted by their largest joint movement from it. None: the order of `branches`.
+            tcp: (6,) pose of the TCP in the frame of the flange; None for the flange.
+
+        Returns:
+            (n, 6) rad, n from 0 (out of reach) to 8; in (-pi, pi] unless `near` is given.
+
+        Raises:
+            BadValue: an argument does not have this shape, or holds a number that is not finite.
+        """
+        close = None if near is None else _one(near)
+        found: list[Angles[float]] = []
+        for q in branches(self._geometry, _target(_pose(pose), tcp), 0.0 if close is None else close[5]):
+            if q is not None and not any(distance(q, other) < _SAME for other in found):
+                found.append(q)
+        if close is not None:
+            found.sort(key=lambda q: distance(q, close))
+        turned = [_turned(q, close or (0.0,) * 6) for q in found]
+        return np.array(turned, dtype=np.float64).reshape(-1, 6)
+
+    def inverse_path(self, poses: ArrayLike, near: ArrayLike, tcp: ArrayLike | None = None) -> FloatArray:
+        """Joint positions along a path of the tool: each row is the solution closest to the row before.
+
+        A joint may jump from one row to the next where the path leads through a singularity, or where a branch ends.
+        Check the differences of the rows before an arm follows them.
+
+        Args:
+            poses: (n, 6) poses of the tool in the base frame.
+            near: (6,) joint positions, rad, at the beginning.
+            tcp: (6,) pose of the TCP in the frame of the flange; None for the flange.
+
+        Returns:
+            (n, 6) rad, each joint in the turn closest to the row before, regardless of limits.
+
+        Raises:
+            Unreachable: a pose is out of reach; the message names its row.
+            BadValue: an argument does not have this shape, or holds a number that is not finite.
+        """
+        given = _poses(poses).reshape(-1, 6)
+        before = _one(near)
+        targets = _target(rigid.from_poses(given), tcp)
+        ways: list[list[list[float]]] = [[] for _ in given]
+        if not self.is_calibrated:
+            found_ways, singular = branches_of_rows(self._geometry, targets)
+            # In a singularity the solution depends on the row before, so these rows are solved one by one below.
+            ways = [[] if at else rows for rows, at in zip(found_ways.tolist(), singular.tolist(), strict=True)]
+        path = []
+        for i, rows in enumerate(ways):
+            # A calibrated arm has no candidates: one search from the row before costs less than all eight branches.
+            candidates = [row for row in rows if row[0] == row[0]]
+            found: Sequence[float] | None = min(candidates, key=lambda q: distance(q, before), default=None)
+            if found is None:
+                target = rigid.row(targets, i)
+                found = closest(self._geometry, target, before)
+                if found is None:
+                    raise self._unreachable(target, given[i], f"row {i}: ")
+            before = _turned(found, before)
+            path.append(before)
+        return np.array(path).reshape(-1, 6)
+
+    # --- velocities ---
+
+    def jacobian(self, q: ArrayLike, tcp: ArrayLike | None = None) -> FloatArray:
+        """The geometric Jacobian of the tool, in the base frame.
+
+        Args:
+            q: (..., 6) joint positions, rad.
+            tcp: (6,) pose of the TCP in the frame of the flange; None for the flange.
+
+        Returns:
+            (..., 6, 6). Times joint speeds, rad/s, it is the velocity of the TCP, m/s (three rows), and the angular
+            velocity, rad/s. Its transpose times a force, N, and a torque, Nm, at the TCP is the joint torques, Nm.
+
+        Raises:
+            BadValue: `q` or `tcp` does not have this shape, or holds a number that is not finite.
+        """
+        if rigid.is_single(q):
+            frames = chain(self._geometry, FLOATS, _one(q))
+            return np.array(jacobian(frames, _with(frames[5], tcp)[9:])).T
+        given = rigid.rows(q, (6,), "joint positions")
+        links = chain(self._geometry, ROWS, _rows(given))
+        columns: FloatArray = np.array(jacobian(links, _with(links[5], tcp)[9:]))
+        return np.ascontiguousarray(columns.transpose(2, 1, 0)).reshape(*given.shape, 6)
+
+    def velocity(self, q: ArrayLike, qd: ArrayLike, tcp: ArrayLike | None = None) -> FloatArray:
+        """The velocity of the tool: the Jacobian times the joint speeds, without computing the Jacobian.
+
+        Args:
+            q: (..., 6) joint positions, rad.
+            qd: (..., 6) joint speeds, rad/s.
+            tcp: (6,) pose of the TCP in the frame of the flange; None for the flange.
+
+        Returns:
+            (..., 6) velocity of the TCP, m/s, and angular velocity, rad/s, in the base frame.
+
+        Raises:
+            BadValue: an argument does not have its shape, holds a number that is not finite, or does not broadcast.
+        """
+        if rigid.is_single(q) and rigid.is_single(qd):
+            at, speed = _one(q), _one(qd, "joint speeds")
+            return np.array(velocity(self._geometry, FLOATS, at, speed, _with(self._flange(FLOATS, at), tcp)[9:]))
+        given = rigid.rows(q, (6,), "joint positions"), rigid.rows(qd, (6,), "joint speeds")
+        (ats, speeds), shape = rigid.aligned(*given)
+        points = _with(self._flange(ROWS, _rows(ats)), tcp)[9:]
+        found = velocity(self._geometry, ROWS, _rows(ats), _rows(speeds), points)
+        return np.stack(found, axis=-1).reshape(*shape, 6)
+
+    def manipulability(self, q: ArrayLike) -> FloatArray:
+        """Distance from a singularity (Yoshikawa): the product of the singular values of the Jacobian, m³.
+
+        It is 0 in a singularity and does not depend on the TCP. For a published arm it is
+        `abs(a2 * a3 * sin(q3) * sin(q5) * r)`, r being the distance of the origin of frame 5 from the axis of the
+        base, measured in the plane of the arm.
+
+        Args:
+            q: (..., 6) joint positions, rad.
+
+        Returns:
+            (...) m³.
+
+        Raises:
+            BadValue: `q` does not have this shape, or holds a number that is not finite.
+        """
+        with np.errstate(divide="ignore", invalid="ignore"):  # numpy warns of some singular matrices; the result is 0
+            found: FloatArray = np.abs(np.linalg.det(self.jacobian(q)))
+        return found
+
+    # --- parts ---
+
+    def _flange(self, f: MathFunctions[Number], q: Angles[Number]) -> Rigid[Number]:
+        geometry = self._geometry
+        return flange(geometry.lengths, f, q) if geometry.is_nominal else chain(geometry, f, q)[5]
+
+    def _in_turn(self, q: Angles[float], near: Angles[float], is_limited: bool) -> Sequence[float]:
+        turned = _turned(q, near)
+        if not is_limited:
+            return turned
+        return [
+            angle - math.tau if angle > high else angle + math.tau if angle < low else angle
+            for angle, (low, high) in zip(turned, self.position_limits.tolist(), strict=True)
+        ]
+
+    def _unreachable(self, target: Rigid[float], pose: ArrayLike, row: str = "") -> Unreachable:
+        d1, a2, a3, d4, d5, _ = self._geometry.lengths
+        wrist = wrist_place(self._geometry.lengths, target)
+        distance, furthest = math.dist(wrist, (0.0, 0.0, d1)), math.hypot(abs(a2) + abs(a3) + d5, d4)
+        aside = math.hypot(wrist[0], wrist[1])
+        if distance > furthest:
+            # Nothing is closer to the base than a centimetre: 1.5 m are not meant as 1.5 mm.
+            asked = other_unit(distance, "m", 0.01, furthest)
+            why = (
+                f"its wrist would be {distance:.3f} m from the shoulder, and comes {furthest:.3f} m far at most{asked}"
+            )
+        elif aside < d4:
+            why = f"its wrist would be {aside:.3f} m from the axis of the base, and comes to {d4:.3f} m"
+        else:
+            why = "in that orientation its elbow cannot be bent or stretched enough"
+        numbers = np.asarray(pose, dtype=np.float64).round(4).tolist()
+        return Unreachable(f"{row}a {self._model.name} cannot bring its tool to {numbers}: {why}")
+
+
+# --- arguments ---
+
+
+def _one(q: ArrayLike, what: str = "joint positions") -> Angles[float]:
+    q1, q2, q3, q4, q5, q6 = rigid.floats(q, 6, what)
+    return q1, q2, q3, q4, q5, q6
+
+
+def _rows(q: FloatArray) -> Angles[FloatArray]:
+    q1, q2, q3, q4, q5, q6 = np.ascontiguousarray(q.reshape(-1, 6).T)
+    return q1, q2, q3, q4, q5, q6
+
+
+def _pose(pose: ArrayLike) -> Rigid[float]:
+    numbers = rigid.floats(pose, 6, "a pose")
+    check_length(numbers[3:], "the rotation vector in the pose", TURN)
+    return rigid.from_pose(numbers)
+
+
+def _poses(poses: ArrayLike) -> FloatArray:
+    given = rigid.rows(poses, (6,), "poses")
+    check_rotations(given.reshape(-1, 6), "the poses")
+    return given
+
+
+def _tool(tcp: ArrayLike) -> Rigid[float]:
+    return rigid.from_pose(rigid.floats(tcp, 6, "a TCP"))
+
+
+def _with(flange: Rigid[Number], tcp: ArrayLike | None) -> Rigid[Number]:
+    """The pose of the TCP, from the pose of the flange."""
+    return flange if tcp is None else rigid.product(flange, _tool(tcp))  # type: ignore[arg-type]
+
+
+def _target(tool: Rigid[Number], tcp: ArrayLike | None) -> Rigid[Number]:
+    """The pose of the flange, from the pose of the TCP."""
+    return tool if tcp is None else rigid.product(tool, rigid.invert(_tool(tcp)))  # type: ignore[arg-type]
+
+
+# --- angles ---
+
+
+def _turned(q: Sequence[float], near: Sequence[float]) -> Angles[float]:
+    """Each joint in the turn closest to `near`: the difference is in (-pi, pi]."""
+    q1, q2, q3, q4, q5, q6 = [b + wrapped(a - b) for a, b in zip(q, near, strict=True)]
+    return q1, q2, q3, q4, q5, q6
+
+
+def _table(found: Sequence[Angles[float] | None]) -> FloatArray:
+    """(8, 6) in (-pi, pi]; NaN for branches that do not reach."""
+    return np.array([[math.nan] * 6 if q is None else [wrapped(angle) for angle in q] for q in found])

@@ -1,0 +1,99 @@
+"""The motors and gears in the joints of an arm: what the published masses leave out.
+
+    >>> from urlink.arm.motors import motors_of
+    >>> motors_of("UR10e").rotor_inertias
+    (5.9, 5.9, 1.862, 0.587, 0.587, 0.587)
+
+Joints are made in sizes, and what is known of one arm holds for the joints of the same size in others. What backs each
+number, and how far it may be off, is in `urlink.arm.parameters`; arms that nobody has logged stand by analogy there.
+
+The torque of a joint is that of the rigid bodies (`urlink.dynamics`) plus the inertia of its rotor times the
+acceleration, and nothing else: what controllers show as `target_moment`. The current is that torque over the torque
+constant, plus friction: `target_current`, and `joint_control_output` too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .models import Model, model
+from .parameters import number, numbers, parameters
+from .vectors import FloatArray
+
+__all__ = ["FULL_SPEED", "Motors", "friction", "joint_sizes", "motors_of"]
+
+#: rad/s up to which Coulomb friction grows with the speed.
+FULL_SPEED = number("friction_full_speed")
+
+
+@dataclass(frozen=True)
+class Motors:
+    """The motors and gears of one arm, seen from the joints, base to wrist 3.
+
+    Attributes:
+        rotor_inertias: (6,) of rotor and gear, times the square of the ratio, kg m².
+        torque_constants: (6,) Nm at the joint per A.
+        coulomb: (6,) A, the current of friction that does not depend on the speed.
+        viscous: (6,) A s/rad, that of friction that grows with it.
+    """
+
+    rotor_inertias: tuple[float, ...]
+    torque_constants: tuple[float, ...]
+    coulomb: tuple[float, ...]
+    viscous: tuple[float, ...]
+
+    def current(self, torque: Sequence[float], qd: Sequence[float]) -> list[float]:
+        """The currents with which the joints exert torques while they turn.
+
+        Args:
+            torque: (6,) Nm of rigid bodies and rotors.
+            qd: (6,) joint speeds, rad/s.
+
+        Returns:
+            (6,) A.
+        """
+        return [
+            float(m) / k + friction(c, b, v)
+            for m, k, c, b, v in zip(torque, self.torque_constants, self.coulomb, self.viscous, qd, strict=True)
+        ]
+
+    def friction_torque(self, qd: Sequence[float]) -> tuple[FloatArray, FloatArray]:
+        """The torque of friction at these speeds, rad/s, and how it changes with them: (6,) Nm and Nm s/rad."""
+        constants = np.array(self.torque_constants)
+        rub = [friction(c, b, v) for c, b, v in zip(self.coulomb, self.viscous, qd, strict=True)]
+        rises = np.abs(qd) < FULL_SPEED
+        slope = np.where(rises, np.array(self.coulomb) / FULL_SPEED, 0.0) + np.array(self.viscous)
+        return constants * np.array(rub), constants * slope
+
+
+def friction(coulomb: float, viscous: float, qd: float) -> float:
+    """The current of friction in a joint at a speed in rad/s, A: as controllers compute it, with none at rest."""
+    return coulomb * min(max(qd / FULL_SPEED, -1.0), 1.0) + viscous * qd
+
+
+def joint_sizes(name: str) -> list[str]:
+    """The sizes of the joints of an arm, as the table of parameters names them: "size 3", or "433 Nm"."""
+    return [
+        f"size {size}" if len(size) == 1 else f"{size} Nm" for size in parameters()["joint_sizes", name].value.split()
+    ]
+
+
+def motors_of(arm: Model | str) -> Motors:
+    """The motors of an arm, as far as they are known.
+
+    Raises:
+        UnknownModel: no arm is called that.
+    """
+    name = (arm if isinstance(arm, Model) else model(arm)).name
+    sizes = joint_sizes(name)
+
+    def of(parameter: str) -> tuple[float, ...]:
+        # That of this very arm, if it was logged.
+        if (parameter, name) in parameters():
+            return numbers(parameter, name)
+        return tuple(number(parameter, size) for size in sizes)
+
+    return Motors(of("rotor_inertia"), of("torque_constant"), of("coulomb_current"), of("viscous_current"))

@@ -1,0 +1,607 @@
+"""The programs that this robot object runs on the controller: its messages, turned into events of their handles.
+
+The controller reports a program by name: PROGRAM_XXX_STARTED and PROGRAM_XXX_STOPPED, whatever ended it. Each program
+here has a name of its own, so these messages also say which preempted which. A program that was executed to its end
+reports that by a `textmsg` (`urlink.script.wrapping`). Whether CB2 sends the key messages is not known: there a
+program has begun with its first `textmsg`, and is over once the program flag in the robot mode data is cleared.
+
+Runtime exceptions carry no name. One that comes while a program has been sent and has not begun is taken for that
+program's; else it is the running program's, unless its text is a compiler's.
+"""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import math
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from linkcore import clock
+from linkcore.errors import Cancelled, Closed, ConnectionLost, LinkError, LinkTimeout
+from linkcore.handle import Event, Lifecycle
+from linkcore.process import abandon_at_end, forget
+from linkcore.streaming.connection import Connection
+from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
+from linkcore.streaming.subscription import Subscription
+from linkcore.text import printable
+from linkcore.threads import CallbackThread, MadeOnce
+from linkcore.wire.packet import State
+
+from ..errors import CompileError, NotRunning, ProgramStopped, SafetyStop, ScriptError, ScriptFailed
+from ..protocol.primary.robot_message import KeyMessage, RuntimeExceptionMessage, TextMessage
+from ..protocol.primary.robot_state import RobotModeData, RobotState
+from ..script import commands, wrapping
+from ..script.wrapping import Permission, StartPlace, Wrapped
+from ..session.identity import KnownIdentity
+from .channel import CommandChannel
+from .interlock import raise_if
+from .safety_monitor import SafetyMonitor
+from .section import Section
+
+_log = logging.getLogger(__name__)
+
+#: Seconds after an error within which the controller reports the end of the program; after that it is taken to be over.
+_AFTERMATH = 1.0
+#: Seconds after the beginning of a program by which the flag in the robot mode data shows it: five states.
+_FLAG_LAG = 0.5
+#: The same where key messages report its end, unless the controller has dropped them, as for a client that is slow.
+_KEY_LAG = 5.0
+#: Seconds by which a stop may be reported later than the end of the program that it stopped: three states.
+_STOP_LAG = 0.3
+#: Seconds after a stop was sent, by which its program has ended: more than two states.
+_IGNORED = 0.25
+#: Seconds that `close` waits for a stop to be over, and what was given up during it to be stopped: three states.
+_CLOSING = 0.3
+#: Seconds before a silence began, in which a text that was sent may not have arrived.
+_BEFORE = 0.5
+#: rad/s² with which an arm brakes whose motion is cancelled.
+_DECELERATION = 2.0
+
+_STARTED = "PROGRAM_XXX_STARTED"
+_STOPPED = "PROGRAM_XXX_STOPPED"
+_COMPILER = ("compile_error", "syntax_error")
+
+
+@dataclass(eq=False)
+class _Run:
+    """A program that is not over yet.
+
+    Attributes:
+        wrapped: as it was sent.
+        life: behind the handle: how far it has got, by `linkcore.handle`, and when. The error of its REPORT is None if
+            it was executed to its end.
+        is_motion: it ends as soon as the interlock closes. A program of the user's own that has begun ends when the
+            controller says so, since it may only be paused; one that still has to ask for permission ends by a stop.
+        moves_late: it may move the arm also if it begins after its life is over: it neither asks for permission nor
+            connects back to this computer.
+        left_alone: what it does when the connection is lost, for messages.
+        on_text: called with each line of its `textmsg`, in the reader thread.
+        on_finish: called when it has come to its own end.
+        is_detached: whether it keeps running when the robot object is closed, or this process ends.
+        sent: when it was.
+        was_seen: of the flag in the robot mode data, which lags behind the program: it has shown it running.
+    """
+
+    wrapped: Wrapped
+    life: Lifecycle
+    is_motion: bool
+    moves_late: bool
+    left_alone: str
+    on_text: Callable[[str], object]
+    on_finish: Callable[[], object]
+    is_detached: bool
+    sent: float
+    was_seen: bool = False
+
+    @property
+    def name(self) -> str:
+        return self.wrapped.name
+
+    @property
+    def has_begun(self) -> bool:
+        return self.life.happened(Event.BEGIN) is not None
+
+
+class Programs:
+    """Sends programs, and keeps account of those that are not over.
+
+    Args:
+        primary: the connection whose messages report programs.
+        channel: sends their texts.
+        monitor: notifies when the interlock closes.
+        section, callbacks: of the robot.
+        start_timeout: seconds within which a program has to begin and be permitted.
+        start_place: where it finds its permission; with an empty one no program waits, however late it begins.
+        who: the identity of the controller.
+        clock: seconds that only grow.
+    """
+
+    def __init__(
+        self,
+        primary: Connection,
+        channel: CommandChannel,
+        monitor: SafetyMonitor,
+        section: Section,
+        callbacks: CallbackThread,
+        *,
+        start_timeout: float,
+        start_place: StartPlace,
+        who: KnownIdentity,
+        clock: Callable[[], float] = clock.now,
+    ) -> None:
+        self._primary = primary
+        self._channel = channel
+        self._monitor = monitor
+        self._section = section
+        self._callbacks = callbacks
+        self._start_timeout = start_timeout
+        self._start_place = start_place
+        self._who = who
+        self._clock = clock
+        self._token = os.urandom(2).hex()  # another process may be sending programs too
+        self._numbers = itertools.count(1)
+        self._start_tokens = itertools.count(int.from_bytes(os.urandom(4), "big"))
+        #: by name, in the order in which they leave; each change is one step, for signal handlers too
+        self._runs: dict[str, _Run] = {}
+        self._subscriptions: MadeOnce[list[Subscription]] = MadeOnce()
+        self._mode: RobotModeData | None = None
+        self._has_keys = False  # this controller sends key messages
+        #: name of the program that was sent a stop, until the controller reports that it has
+        self._stopping: str | None = None
+        self._stop_sent = -math.inf  # when it was
+        #: name of the program that was given up and goes on where nothing replaces it: paused by a stop of the robot,
+        #: or running until the one begins that was sent after it
+        self._kept: str | None = None
+        self._was_clear = False  # by the state before, nothing kept that program from being stopped
+        #: when the last one ended; what a robot's states showed until then may be from before it
+        self.ended = -math.inf
+        self._is_closed = False
+        monitor.on_close(self._interlock_closed)
+        # A text that was sent during the silence may not have arrived yet, and is not to be carried out later.
+        monitor.on_silence(lambda seconds: channel.discard(seconds + _BEFORE))
+
+    # -- sending -----------------------------------------------------------------------------------
+
+    def life(self, name: str) -> Lifecycle:
+        """Of something that is about to be begun. Its brake stops its program, unless it is given another one."""
+        life = Lifecycle(name, self._callbacks, self._section.waiting)
+        life.brake = lambda: self.stop(life)
+        return life
+
+    def wrap(self, source: str) -> Wrapped:
+        """A user's source as a program.
+
+        Raises:
+            BadValue: it cannot be one.
+        """
+        return wrapping.wrap(source, f"{self._token}_{next(self._numbers)}", self._permission)
+
+    def own(self, body: Sequence[str], *, asks: bool = True) -> Wrapped:
+        """The lines of a program of the library's own; without `asks` it begins at once."""
+        return wrapping.program(self._name("urlink"), body, self._permission if asks else None)
+
+    def _name(self, prefix: str) -> str:
+        return f"{prefix}_{self._token}_{next(self._numbers)}"
+
+    @property
+    def _permission(self) -> Permission | None:
+        firmware = self._who.identity.firmware
+        place = self._start_place.on(firmware)
+        if not place.tokens:
+            return None
+        token = 1 + next(self._start_tokens) % place.tokens
+        return Permission(place, token, max(round(self._start_timeout * firmware.rate), 1))
+
+    def start(
+        self,
+        wrapped: Wrapped,
+        life: Lifecycle,
+        *,
+        is_motion: bool = True,
+        is_stop: bool = False,
+        is_linked: bool = False,
+        is_detached: bool = False,
+        left_alone: str = "it may still move the arm",
+        on_text: Callable[[str], object] = lambda text: None,
+        on_finish: Callable[[], object] | None = None,
+    ) -> None:
+        """Send a program; it preempts the one that runs, unless it is a `sec`. `_Run` has the other arguments.
+
+        Args:
+            is_stop: it can only bring the arm to rest; see `CommandChannel.motion`.
+            is_linked: it connects back before it moves the arm.
+
+        Raises:
+            SafetyStop, NotRunning: the arm may not be moved now: nothing was sent.
+            Closed: the robot was closed.
+            RemoteError: it could not be sent.
+        """
+        moves_late = not (wrapped.permission or is_linked or is_stop)
+        finish = on_finish or life.finish
+        run = _Run(wrapped, life, is_motion, moves_late, left_alone, on_text, finish, is_detached, self._clock())
+
+        def claim() -> None:
+            if self._is_closed:
+                raise Closed("the robot was closed")
+            if life.error is not None:
+                raise life.error
+            if not is_stop:
+                raise_if(self._monitor.overtaken(life.order))
+            run.sent = self._clock()
+            self._runs[run.name] = run
+            newest = self._newest()
+            if newest is not run and newest is not None and not wrapped.is_secondary:
+                # A signal handler has sent it between these lines: it is the later one, though it was sent first.
+                raise Cancelled(f"{life.name} was preempted by {newest.life.name}")
+
+        def end() -> None:
+            self.ended = self._clock()
+            if self._runs.pop(run.name, None) is run and not wrapped.is_secondary:
+                self._stop_kept()  # where this one has not begun, it has replaced nothing
+
+        life.fire(Event.SEND)
+        life.on_end(end)
+        try:
+            self._listen()
+            replaces = not (is_stop or wrapped.is_secondary)
+            self._channel.motion(wrapped.text, is_stop=is_stop, replaces=replaces, claim=claim)
+        except Exception as error:
+            life.fail(error)
+            raise
+        except BaseException:
+            # The text may have left, or a part of it.
+            life.fail(Cancelled(f"{life.name} was interrupted"), brake=True)
+            raise
+
+    def stop(self, life: Lifecycle) -> None:
+        """Stop the program of a life, unless another was sent after it, which stops it by beginning.
+
+        Should that one not begin, since it does not compile or is given up too, the program is stopped then.
+
+        Raises:
+            SafetyStop: a stop holds, so no program is taken. It is stopped once the stop is over, if it is still there.
+            NotRunning: nothing is known of the robot, so it cannot be stopped from here.
+            RemoteError: it could not be sent.
+        """
+        run = next((run for run in self._pending() if run.life is life), None)
+        if run is None or run.wrapped.is_secondary:
+            return
+        self._stopping, self._stop_sent = run.name, self._clock()
+        try:
+            self._send_stop(lambda: self._newest() in (None, run))
+            self._kept = None  # whichever ran is stopped
+        except Cancelled:
+            self._kept = run.name
+        except SafetyStop:
+            self._kept = run.name
+            raise
+
+    def _send_stop(self, is_wanted: Callable[[], bool], *, wait: bool = True) -> None:
+        def claim() -> None:
+            if not is_wanted():
+                raise Cancelled("it has ended, or another was sent after it")
+
+        claim()  # and once more when the channel has waited for news: another thread may send one meanwhile
+        text = wrapping.program(self._name("urlink_stop"), commands.stop(_DECELERATION)).text
+        self._channel.motion(text, is_stop=True, claim=claim, wait=wait)
+
+    @property
+    def current(self) -> Lifecycle | None:
+        """Of the motion that was begun last, unless it is over or a program of the user's own came after it."""
+        newest = self._newest()
+        return newest.life if newest is not None and newest.is_motion and not newest.life.is_over else None
+
+    @property
+    def permitted(self) -> list[Lifecycle]:
+        """Of what is not over, and may move the arm: it has begun, or begins without a permission or a link."""
+        runs = [run for run in self._pending() if run.has_begun or run.moves_late]
+        return [run.life for run in runs if not run.life.is_over]
+
+    def _newest(self) -> _Run | None:
+        """The program that was sent last, unless it is over."""
+        return next((run for run in reversed(self._pending()) if not run.wrapped.is_secondary), None)
+
+    def close(self, timeout: float) -> None:
+        """Cancel the program that runs unless it is detached, begin nothing more, and follow no program. Idempotent.
+
+        One that was given up during a stop goes on where the stop is over, or was none: a safety mode that is in no
+        list stops nothing. It is given `timeout` or 0.3 s, whichever is less, to be stopped.
+        """
+        if self._is_closed:
+            return
+        self._is_closed = True
+        self._cancel_all("the robot was closed")
+        forget(self)
+        if self._section.may_wait:
+            self._monitor.wait_for(lambda interlock: self._kept is None, min(timeout, _CLOSING))
+        if self._kept is not None and self._mode is not None and self._mode.is_program_paused:
+            _log.warning("closed during a stop: the controller has %s paused, and may go on with it later", self._kept)
+        _close(self._subscriptions.take() or [])
+        for run in self._pending():
+            run.life.fail(ConnectionLost(f"the robot was closed here while {run.life.name} ran; {self._what_if(run)}"))
+
+    def abandon(self, why: str, is_end: bool) -> None:
+        """See `linkcore.process`."""
+        if is_end:
+            self._is_closed = True  # before cancelling: another thread may just be sending a program
+        self._monitor.overtake(why)
+        for run in self._cancel_all(why):
+            _log.warning("%s was cancelled: %s and its robot was not closed", run.life.name, why)
+
+    def _cancel_all(self, why: str) -> list[_Run]:
+        """Cancel each program that would keep running; returns those that ran.
+
+        A `sec` cannot be stopped: it runs beside the program, and is short.
+        """
+        runs = [run for run in self._pending() if not (run.is_detached or run.wrapped.is_secondary)]
+        return [run for run in runs if run.life.cancel(f"cancelled, since {why}", brake=True)]
+
+    # -- what the controller says --------------------------------------------------------------------
+
+    def _listen(self) -> None:
+        if self._subscriptions.made is not None:
+            return
+        abandon_at_end(self)
+        subscriptions: list[Subscription] = []
+
+        def only_once(on_packet: Callable[[Any], None], packet: Any) -> None:
+            """Another thread, or a signal handler of this one, may subscribe at the same time."""
+            if self._subscriptions.made is subscriptions:
+                on_packet(packet)
+
+        try:
+            subscriptions.append(self._primary.subscribe_inline(State, partial(only_once, self.on_packet)))
+            subscriptions.append(self._primary.subscribe_inline(ConnectionEvent, partial(only_once, self.on_event)))
+        except BaseException:
+            _close(subscriptions)
+            raise
+        if self._subscriptions.keep(subscriptions) is not subscriptions:
+            _close(subscriptions)
+
+    def on_event(self, event: ConnectionEvent) -> None:
+        """Something has happened to the connection."""
+        if event.state in (ConnectionState.CONNECTING, ConnectionState.CONNECTED):
+            return
+        self._forget_given_up()  # which program the controller has by the next connection is not known
+        why = f": {event.error}" if event.error is not None else ""
+        for run in self._pending():
+            if run.sent < event.received.monotonic:
+                what = f"the connection was lost while {run.life.name} ran; {self._what_if(run)}{why}"
+                # A motion ends as by the interlock, which receives it too, a moment before or after this.
+                run.life.fail(NotRunning(what) if run.is_motion else ConnectionLost(what))
+        if event.state in (ConnectionState.IDLE, ConnectionState.CLOSED):  # given up: listen anew if asked
+            self._subscriptions.take()
+
+    def on_packet(self, packet: State) -> None:
+        """The primary interface has sent a packet."""
+        if isinstance(packet, RobotState):
+            mode = packet.robot_mode_data
+            if mode is not None:
+                self._on_mode(mode)
+                self._after_stop(mode)
+        elif isinstance(packet, KeyMessage):
+            self._on_key(packet.title.strip(), packet.text.strip("\0 \n"))
+        elif isinstance(packet, TextMessage):
+            self._on_text(packet.text.strip("\0\n"))
+        elif isinstance(packet, RuntimeExceptionMessage):
+            self._on_exception(packet)
+
+    def _on_key(self, title: str, name: str) -> None:
+        run = self._runs.get(name)
+        self._has_keys |= title in (_STARTED, _STOPPED)
+        if title == _STOPPED and name == self._given_up:
+            self._forget_given_up()
+        if title == _STARTED and run is not None:
+            self._begin(run)
+        elif title == _STARTED:
+            self._replace(name, None)
+        elif title == _STOPPED and run is not None:
+            self._end(run)
+
+    def _on_text(self, text: str) -> None:
+        for run in self._pending():
+            if text == wrapping.start_marker(run.name):
+                self._begin(run)
+                if run.wrapped.permission is not None:
+                    self._permit(run, run.wrapped.permission)
+                return
+            if text == wrapping.finish_marker(run.name):
+                self._begin(run)
+                self._report(run, None)
+                return
+            if text == wrapping.expiry_marker(run.name):
+                why = f"was not let go on within {self._start_timeout:g} s, and has ended without moving the arm"
+                run.life.fail(LinkTimeout(f"{run.life.name} {why}"))
+                return
+        for run in self._pending():
+            if run.has_begun and not run.wrapped.is_secondary:
+                run.on_text(text)
+
+    def _permit(self, run: _Run, permission: Permission) -> None:
+        """Let a program go on that asks: it is still wanted, or its life would be over."""
+
+        def claim() -> None:
+            if not run.life.is_wanted:
+                raise Cancelled(f"{run.life.name} is over, or was given up")
+            raise_if(self._monitor.overtaken(run.life.order))
+
+        try:
+            # Without waiting: this is the reader thread.
+            self._channel.motion(wrapping.grant(permission), claim=claim, wait=False)
+        except LinkError as error:
+            run.life.fail(error)
+
+    def _on_exception(self, message: RuntimeExceptionMessage) -> None:
+        awaited = [run for run in self._pending() if not run.has_begun]
+        running = [run for run in self._pending() if run.has_begun]
+        text = message.text.strip("\0\n")
+        is_compiler = text.startswith(_COMPILER)
+        candidates = awaited or ([] if is_compiler else running)
+        if not candidates:
+            _log.warning("the controller complains: %d:%d: %s", message.line, message.column, printable(text))
+            return
+        run = candidates[-1]
+        place = run.wrapped.place(message.line, message.column)
+        kind = ScriptFailed if run.has_begun and not is_compiler else CompileError
+        error = kind(*place, run.wrapped.words(text))
+        if run.has_begun:
+            self._report(run, error)
+        else:
+            run.life.fail(error)
+
+    def _on_mode(self, mode: RobotModeData) -> None:
+        self._mode = mode
+        # After it, a flag that is down says that a program was over before a state could show it running.
+        lag = _KEY_LAG if self._has_keys else _FLAG_LAG
+        for run in self._pending():
+            begun = run.life.happened(Event.BEGIN)
+            if run.wrapped.is_secondary or begun is None:
+                continue
+            if mode.is_program_running or mode.is_program_paused:
+                run.was_seen = True
+            elif run.was_seen or run.life.happened(Event.REPORT) or self._clock() - begun.at > lag:
+                self._end(run)
+        self._check_time()
+
+    def _after_stop(self, mode: RobotModeData) -> None:
+        """Stop the program that was given up during a stop, now that the stop is over: `play` would let it go on.
+
+        Once more also the one that was sent a stop and goes on: an e-Series in local control ignores what it is sent.
+        """
+        if self._kept is None and self._has_keys and self._clock() - self._stop_sent > _IGNORED:
+            self._kept = self._stopping
+        is_clear = self._may_stop_kept()
+        was_clear, self._was_clear = self._was_clear, is_clear
+        # By the second state without a stop: which program runs by the first one is reported behind it.
+        if not (is_clear and was_clear):
+            return
+        if mode.is_program_running or mode.is_program_paused:
+            self._stop_kept()
+        else:
+            self._forget_given_up()
+
+    def _stop_kept(self) -> None:
+        """Where it cannot be sent now, the next state asks again."""
+        if not self._may_stop_kept():
+            return
+        try:
+            self._send_stop(self._may_stop_kept, wait=False)  # this may be the reader thread
+            self._stopping, self._kept, self._stop_sent = self._kept if self._has_keys else None, None, self._clock()
+        except LinkError as error:
+            _log.info("%s, which was given up, was not stopped yet: %s", self._kept, error)
+
+    def _may_stop_kept(self) -> bool:
+        """It is there, no stop holds, and no other was sent, which would be stopped instead of it."""
+        return self._kept is not None and self._newest() is None and self._monitor.refusal(is_stop=True) is None
+
+    def _check_time(self) -> None:
+        now = self._clock()
+        for run in self._pending():
+            stopped, report = run.life.happened(Event.STOP), run.life.happened(Event.REPORT)
+            if stopped and now - stopped.at > _STOP_LAG:
+                run.life.fail(ProgramStopped(f"{run.life.name} was stopped before its end, from elsewhere"))
+            elif report and report.error is not None and now - report.at > _AFTERMATH:
+                self._end(run)
+            elif not (run.has_begun and not run.wrapped.is_secondary) and now - run.sent > self._start_timeout:
+                run.life.fail(self._never_began(run))
+
+    def _never_began(self, run: _Run) -> LinkError:
+        mode = self._mode
+        if mode is None:
+            situation = "it has reported no robot mode either"
+        else:
+            runs = "a program runs" if mode.is_program_running else "no program runs"
+            situation = f"the robot mode is {mode.robot_mode.name}, {runs}"
+        what, hint = "ended", ""
+        if not run.has_begun:
+            what = "begun"
+            hint = f"; {self._what_if(run)}; an e-Series controller takes no programs while it is in local control"
+        return LinkTimeout(
+            f"{run.life.name} has not {what} within {self._start_timeout:g} s, no error was reported; {situation}{hint}"
+        )
+
+    # -- what becomes of programs ------------------------------------------------------------------
+
+    def _pending(self) -> list[_Run]:
+        return list(self._runs.values())
+
+    def _begin(self, run: _Run) -> None:
+        if run.has_begun:
+            return
+        if not run.wrapped.is_secondary:
+            self._replace(run.name, run)
+        run.life.begin(self._clock())
+
+    def _replace(self, name: str, successor: _Run | None) -> None:
+        """A program has begun: those sent before it are over, whether that was reported or not."""
+        if name != self._given_up:
+            self._forget_given_up()
+        for run in self._pending():
+            if run is successor:
+                return
+            if run.wrapped.is_secondary or (successor is None and not run.has_begun):
+                continue
+            if run.life.happened(Event.REPORT):
+                self._end(run)
+            elif successor is not None:
+                run.life.cancel(f"preempted by {successor.life.name}")
+            elif f"_{self._token}_" in name:  # one that was given up since it was sent
+                run.life.cancel(f"preempted by {name}")
+            else:
+                run.life.fail(ProgramStopped(f"{run.life.name} was replaced by {name}, a program from elsewhere"))
+
+    def _report(self, run: _Run, error: ScriptError | None) -> None:
+        """A program has reported how it ends; that it has ended is reported by the controller, but of a `sec`."""
+        run.life.fire(Event.REPORT, error, at=self._clock())
+        if run.wrapped.is_secondary:
+            self._end(run)
+
+    def _end(self, run: _Run) -> None:
+        """The controller has ended a program; why follows from what was received before."""
+        report = run.life.happened(Event.REPORT)
+        if report and report.error is not None:
+            run.life.fail(report.error)
+        elif report:
+            run.on_finish()
+        elif (newest := self._newest()) is not None and newest is not run and not run.wrapped.is_secondary:
+            run.life.cancel(f"preempted by {newest.life.name}")
+        elif (stop := self._monitor.refusal(is_stop=True)) is not None:
+            run.life.fail(stop)
+        else:
+            # The report of the stop may follow.
+            run.life.fire(Event.STOP, at=self._clock())
+
+    @property
+    def _given_up(self) -> str | None:
+        return self._stopping or self._kept
+
+    def _forget_given_up(self) -> None:
+        self._stopping = self._kept = None
+
+    def _interlock_closed(self, error: LinkError) -> None:
+        if isinstance(error, SafetyStop):
+            self._kept = self._given_up  # it may have stopped before the stop was sent
+        for run in self._pending():
+            # After a stop begins only what was asked for anew.
+            is_held = not run.has_begun and run.wrapped.permission is not None and isinstance(error, SafetyStop)
+            if run.life.happened(Event.STOP) or is_held:
+                run.life.fail(error)
+            elif run.is_motion:
+                if isinstance(error, SafetyStop) and not run.wrapped.is_secondary:
+                    self._kept = run.name
+                run.life.fail(NotRunning(f"{error}; {self._what_if(run)}") if isinstance(error, NotRunning) else error)
+
+    def _what_if(self, run: _Run) -> str:
+        """What may still happen to a program that is given up here, for messages."""
+        if run.has_begun:
+            return run.left_alone
+        return f"if it begins later, {run.left_alone}" if run.moves_late else "it moves nothing if it begins later"
+
+
+def _close(subscriptions: list[Subscription]) -> None:
+    while subscriptions:  # emptied, since their callbacks hold the list
+        subscriptions.pop().close(0)

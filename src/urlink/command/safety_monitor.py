@@ -1,0 +1,332 @@
+"""Feeds the interlock with the states of a robot's streams, and calls back when it closes."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable, Iterator
+from functools import partial
+from operator import methodcaller
+from queue import Empty, SimpleQueue
+from typing import Any
+
+from linkcore import clock
+from linkcore.errors import Cancelled, LinkError
+from linkcore.pending_call import current_call, stopped_here
+from linkcore.streaming.connection import Connection
+from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
+from linkcore.threads import CallbackThread
+from linkcore.wire.packet import State
+
+from ..errors import SafetyStop
+from ..protocol.primary.robot_message import SafetyModeMessage
+from ..protocol.primary.robot_state import RobotState
+from ..protocol.realtime.packets import RealtimeState
+from .interlock import Interlock, Status, raise_if
+from .section import Section
+
+#: Seconds that an interface has for its first state.
+_FIRST_REPORT = 2.0
+#: Seconds within which every working interface reports again, also over a connection that is made anew. The slowest
+#: sends ten times a second; the rest is for a computer that others keep busy.
+_NEXT_REPORT = 0.5
+
+_Stop = Callable[[LinkError], object]
+
+
+class _Listening:
+    """The subscriptions of one interface, to be closed when the monitor stops listening."""
+
+    def __init__(self) -> None:
+        self.is_over = False
+        self._ends: list[Callable[[], object]] = []
+
+    def add(self, end: Callable[[], object]) -> None:
+        self._ends.append(end)
+
+    def end(self) -> None:
+        self.is_over = True
+        while self._ends:
+            self._ends.pop()()
+
+
+class SafetyMonitor:
+    """Keeps an interlock up to date from the streams, and answers whether motions may be sent.
+
+    It listens from its first use on: to the primary interface at 10 Hz, and from the first motion on to the real-time
+    interface too, so that a stop is received within a cycle or two. It is called by the reader threads, in the order in
+    which packets came.
+
+    Args:
+        primary, realtime: the connections.
+        interlock: decides.
+        section: of the robot; the interlock is asked and changed in it.
+        callbacks: the thread that calls users' callbacks.
+        clock: seconds that only grow.
+
+    Attributes:
+        clock: the same.
+        is_closed: `close` was called; no packet will come any more.
+    """
+
+    def __init__(
+        self,
+        primary: Connection,
+        realtime: Connection,
+        interlock: Interlock,
+        section: Section,
+        callbacks: CallbackThread,
+        clock: Callable[[], float] = clock.now,
+    ) -> None:
+        self._connections = {"primary": primary, "realtime": realtime}
+        self._interlock = interlock
+        self._section = section
+        self._callbacks = callbacks
+        self.clock = clock
+        self._listening: dict[str, _Listening] = {}
+        #: queues of threads that wait for a change; lists, whose appending and removing is one step for signal handlers
+        self._waiting: list[SimpleQueue[None]] = []
+        self._hooks: list[_Stop] = []
+        self._silence_hooks: list[Callable[[float], object]] = []
+        self._stop_callbacks: dict[object, _Stop] = {}
+        #: number of the last stop, and what it was; see `linkcore.pending_call`
+        self._last_stop: tuple[int, str] = (0, "")
+        self.is_closed = False
+
+    # -- questions -----------------------------------------------------------------------------------
+
+    @contextlib.contextmanager
+    def decision(self) -> Iterator[Interlock]:
+        """The interlock, to be asked or changed; whoever waits for news is notified afterwards."""
+        with self._section.lock:
+            yield self._interlock
+        self._wake()
+
+    def refusal(self, is_stop: bool = False) -> LinkError | None:
+        """Why the call of this thread may not send anything that moves the arm now, or None.
+
+        A stop needs nobody to enable the arm, and no later stop overtakes it.
+        """
+        with self._section.lock:
+            now = self.clock()
+            if is_stop:
+                return self._interlock.blocked(now)
+            call = current_call()
+            order = None if call is None else call.order
+            return self._interlock.refusal(now) or (None if order is None else self.overtaken(order))
+
+    def require(self, is_stop: bool = False) -> None:
+        """Raise what `refusal` says."""
+        raise_if(self.refusal(is_stop))
+
+    def require_running(self) -> None:
+        """As `require`, for what moves nothing: a stop does not matter as long as the robot runs.
+
+        Raises:
+            NotRunning: it does not, or nothing is known of it.
+        """
+        with self._section.lock:
+            raise_if(self._interlock.absence(self.clock()))
+
+    # -- the order of calls and stops ------------------------------------------------------------------
+
+    def overtake(self, why: str) -> None:
+        """Refuse every motion whose call was entered before this moment; `why` names the stop, for messages."""
+        with self._section.lock:
+            self._last_stop = (stopped_here(), why)
+
+    def overtaken(self, order: int) -> Cancelled | None:
+        """The error of a call of this number if a stop came after it was entered, else None."""
+        stop, why = self._last_stop
+        return Cancelled(f"{why} after this call was entered, so it sends nothing") if order < stop else None
+
+    # -- waiting for news ----------------------------------------------------------------------------
+
+    def listen(self, closely: bool = False) -> None:
+        """Listen, if not done yet, and wait for the first report; `closely` on the real-time interface too.
+
+        Raises:
+            RemoteError: the first connection could not be made.
+            Closed: the robot was closed.
+        """
+        for name in ("primary", "realtime") if closely else ("primary",):
+            is_expected = methodcaller("is_expected", name)
+            if name not in self._listening:
+                self._begin_to_listen(name)
+            elif self._section.may_wait and not self._is(is_expected):
+                # Another thread has begun to listen just now, and waits for the first report too.
+                self.wait_for(is_expected, _FIRST_REPORT)
+
+    def _begin_to_listen(self, name: str) -> None:
+        self._subscribe(name)
+        if self._section.may_wait:
+            self.wait_for(lambda interlock: interlock.has_reported(name), _FIRST_REPORT)
+        with self.decision() as interlock:
+            # Only now: an interface without a first state must not close an interlock that was open.
+            interlock.expect(name)
+
+    def await_news(self, moves: bool) -> None:
+        """Where motions are refused, wait for the next report of every source: the last one may be overtaken.
+
+        So who has just switched the arm on, and has the dashboard's answer, need not wait himself; and a program that
+        was held up reads first what has come meanwhile.
+        """
+        began = self.clock()
+
+        def is_settled(interlock: Interlock) -> bool:
+            now = self.clock()
+            in_the_way = interlock.blocked(now) if moves else interlock.absence(now)
+            return in_the_way is None or interlock.has_reported_since(began)
+
+        if self._section.may_wait:
+            self.wait_for(is_settled, _NEXT_REPORT)
+        elif not self._is(is_settled):
+            for connection in self._connections.values():
+                if connection.reads_here():
+                    connection.look()
+
+    def wait_for(self, condition: Callable[[Interlock], object], timeout: float) -> bool:
+        """Wait until the interlock is such; False when time is up, or the robot was closed.
+
+        Raises:
+            LocalError: in a thread that would have to receive the news itself.
+        """
+        until = clock.now() + timeout
+        news: SimpleQueue[None] = SimpleQueue()
+        self._waiting.append(news)
+        try:
+            while not self._is(condition):
+                left = until - clock.now()
+                if left <= 0.0 or self.is_closed:
+                    return False
+                with self._section.waiting(), contextlib.suppress(Empty):
+                    clock.get(news, left)
+            return True
+        finally:
+            self._waiting.remove(news)
+
+    def _is(self, condition: Callable[[Interlock], object]) -> bool:
+        with self._section.lock:
+            return bool(condition(self._interlock))
+
+    @property
+    def is_connected(self) -> bool:
+        """What is listened to is connected; the interlock is notified of a loss a moment later than others may."""
+        names = tuple(self._listening)
+        return all(self._connections[name].state is ConnectionState.CONNECTED for name in names)
+
+    # -- notifications -------------------------------------------------------------------------------
+
+    def on_close(self, hook: _Stop) -> None:
+        """Call `hook` at once when the interlock closes, in the thread that received it, which it must not block."""
+        self._hooks.append(hook)
+
+    def on_silence(self, hook: Callable[[float], object]) -> None:
+        """Call `hook` with the seconds for which the robot has sent nothing, once they are too many; as `on_close`."""
+        self._silence_hooks.append(hook)
+
+    def on_stop(self, callback: _Stop) -> Callable[[], None]:
+        """Call a user's callback when the interlock closes, in the thread for callbacks; returns what takes it away."""
+        key = object()
+        self._stop_callbacks[key] = callback
+
+        def remove() -> None:
+            self._stop_callbacks.pop(key, None)
+
+        return remove
+
+    # -- what is received ---------------------------------------------------------------------------
+
+    def _subscribe(self, name: str) -> None:
+        connection = self._connections[name]
+        on_state: Callable[[Any], None] = self._on_primary if name == "primary" else self._on_realtime
+        kind: type = State if name == "primary" else RealtimeState
+        listening = _Listening()
+        try:
+            # Silence is reported by the reader, not by a clock: this process may have been held up itself.
+            seconds = min(self._interlock.stale_after, connection.silence.limit or math.inf)
+            listening.add(connection.silence.watch(seconds, partial(self._fall_silent, name)))
+            on_event = partial(self._on_event, name, listening)
+            listening.add(connection.subscribe_inline(ConnectionEvent, on_event).close)
+            listening.add(connection.subscribe_inline(kind, on_state).close)
+        except BaseException:
+            listening.end()
+            with self._section.lock:
+                self._interlock.forget(name)
+            raise
+        if self._listening.setdefault(name, listening) is not listening:
+            listening.end()  # another thread, or a signal handler of this one, was quicker
+            return
+        newest = connection.fan_out.newest(RobotState if name == "primary" else RealtimeState)
+        if newest is not None:
+            on_state(newest)
+        if connection.state is not ConnectionState.CONNECTED:
+            self._observe(lambda: self._interlock.lose(name, "not connected at present"))
+
+    def _on_event(self, name: str, listening: _Listening, event: ConnectionEvent) -> None:
+        if event.state in (ConnectionState.CONNECTING, ConnectionState.CONNECTED) or listening.is_over:
+            return
+        why = str(event.error or "closed")
+        self._observe(lambda: self._interlock.lose(name, why))
+        if event.state in (ConnectionState.IDLE, ConnectionState.CLOSED):  # given up: listen anew if asked
+            self._listening.pop(name, None)
+            listening.end()
+
+    def _fall_silent(self, name: str, seconds: float) -> None:
+        self._observe(lambda: self._interlock.fall_silent(name, seconds))
+        for hook in tuple(self._silence_hooks):
+            hook(seconds)
+
+    def _on_primary(self, packet: State) -> None:
+        if isinstance(packet, RobotState):
+            mode, board = packet.robot_mode_data, packet.masterboard_data
+            if mode is None:
+                return
+            status = Status(
+                mode.robot_mode,
+                board.safety_mode if board is not None else None,
+                mode.is_emergency_stopped,
+                mode.is_protective_stopped,
+                board.master_safety_state if board is not None else None,
+            )
+            self._observe(lambda: self._interlock.report("primary", status, self._came(packet)))
+        elif isinstance(packet, SafetyModeMessage):
+            news = Status(safety_mode=packet.safety_mode)
+            self._observe(lambda: self._interlock.amend("primary", news, self._came(packet)))
+
+    def _on_realtime(self, state: RealtimeState) -> None:
+        status = Status(state.robot_mode, state.safety_mode)
+        self._observe(lambda: self._interlock.report("realtime", status, self._came(state)))
+
+    def _came(self, packet: State) -> float:
+        return packet.received.monotonic if packet.received is not None else self.clock()
+
+    def _observe(self, change: Callable[[], LinkError | None]) -> None:
+        with self._section.lock:
+            closed = change()
+        if closed is not None:
+            if isinstance(closed, SafetyStop):
+                self.overtake(str(closed))
+            for hook in tuple(self._hooks):
+                hook(closed)
+            for callback in tuple(self._stop_callbacks.values()):
+                self._callbacks.call(callback, closed)
+        self._wake()
+
+    def _wake(self) -> None:
+        for news in tuple(self._waiting):
+            news.put(None)
+
+    # -- its end -------------------------------------------------------------------------------------
+
+    def close(self) -> None:
+        """Listen no more, and let nothing through. Users are not notified: it is not a stop of the robot."""
+        self.is_closed = True
+        self.overtake("the robot was closed")
+        self._stop_callbacks.clear()
+        for name, listening in tuple(self._listening.items()):
+            listening.end()
+            self._observe(lambda name=name: self._interlock.lose(name, "closed here"))  # type: ignore[misc]
+        self._hooks.clear()  # of parts that hold this one
+        self._silence_hooks.clear()
+        self._wake()

@@ -1,0 +1,212 @@
+"""The parts that command one robot, wired up: the interlock, the command channel, and the senders that use it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, TypeVar
+
+from linkcore import clock
+from linkcore.errors import Closed, LocalError
+from linkcore.net.undo import Recall
+from linkcore.streaming.stream import Stream
+from linkcore.threads import CallbackThread, MadeOnce
+from linkcore.wire.fields import Since
+
+from ..command.channel import CommandChannel
+from ..command.interlock import Interlock
+from ..command.interpreter import Interpreters
+from ..command.io import IO
+from ..command.programs import Programs
+from ..command.safety import Safety
+from ..command.safety_monitor import SafetyMonitor
+from ..command.scripts import Scripts
+from ..command.section import Section
+from ..command.settings import SettingChannel, Settings
+from ..protocol.dashboard.client import Dashboard
+from ..protocol.gripper.client import Gripper
+from ..protocol.primary.robot_state import RobotState
+from ..protocol.realtime.packets import RealtimeState
+from ..protocol.tool_serial import ToolSerial
+from ..script.wrapping import StartPlace
+from ..session.address import RobotAddress
+from ..session.connect_options import ConnectOptions
+from ..session.identity import KnownIdentity
+from .context import MotionContext
+from .motions import Motions
+from .servo.register_link import POINT_INPUTS, SETPOINT_INPUTS, PointLinks, RegisterLink, RegisterPort
+from .servo.reverse import ReversePort
+
+if TYPE_CHECKING:
+    from ..rtde import Rtde
+
+T = TypeVar("T")
+
+#: Seconds that the dashboard has to say whether the robot is in remote control, when a setting was not confirmed.
+_ASK_TIMEOUT = 0.5
+#: The first firmware of the e-Series and of PolyScope X that can say so.
+_TELLS_CONTROL = Since("5.6/10.12")
+
+
+class Control:
+    """The commanding side of a robot; nothing connects before it is used.
+
+    Args:
+        options: of the user; with its timeout the dashboard is connected too.
+        place: where the controller is, with the ports that it serves.
+        peers: by what this process knows the controller again after the robot was closed, and each of its services;
+            empty for one that ends with the robot.
+        primary, realtime: the streams. A robot without references is collected: the callbacks of the reader threads
+            refer to the connections, and not to the streams.
+        who: identifies the controller.
+        rtde: gives the robot's RTDE.
+
+    Attributes:
+        safety, script, interpreters, io, motion, settings: what users hold.
+    """
+
+    def __init__(
+        self,
+        options: ConnectOptions,
+        place: RobotAddress,
+        peers: Sequence[Hashable],
+        primary: Stream[RobotState],
+        realtime: Stream[RealtimeState],
+        who: KnownIdentity,
+        rtde: Callable[[], Rtde],
+    ) -> None:
+        self._host = host = place.host
+        self._ports = ports = place.ports
+        self._timeout = timeout = options.timeout
+        self._is_closed = False
+        self._dashboard: MadeOnce[Dashboard] = MadeOnce()
+        self._gripper: MadeOnce[Gripper] = MadeOnce()
+        self._serial: MadeOnce[ToolSerial] = MadeOnce()
+        self._callbacks = callbacks = CallbackThread(f"{options.name} callbacks")
+        # The library's side of the streams, which users do not hold.
+        slow, fast = primary._connection, realtime._connection
+        section = Section(slow.reads_here, fast.reads_here)
+        interlock = Interlock(options.require_enable, options.stale_after)
+        self._monitor = monitor = SafetyMonitor(slow, fast, interlock, section, callbacks)
+        self._recall = recall = Recall.of(peers[0], host, self, *peers[1:]) if peers else Recall(host)
+        channel = CommandChannel(slow, monitor, section, recall=recall)
+        start_place = StartPlace(options.start_register, tuple(options.start_flags))
+        self._programs = programs = Programs(
+            slow,
+            channel,
+            monitor,
+            section,
+            callbacks,
+            start_timeout=options.start_timeout,
+            start_place=start_place,
+            who=who,
+        )
+
+        def dashboard(timeout: float) -> Dashboard:
+            known, api_port = lambda: who.identity.firmware, ports.get("robot_api")
+            dashboard_port, on_stop = ports.get("dashboard"), monitor.overtake
+            return Dashboard(
+                host, dashboard_port, known, api_port=api_port, timeout=timeout, recall=recall, on_stop=on_stop
+            )
+
+        def is_remote() -> bool | None:
+            """Whether the robot is in remote control, asked on a connection of its own; None if that is not known."""
+            firmware = who.identity.firmware
+            port = "robot_api" if firmware.is_polyscope_x else "dashboard"
+            if port not in ports or firmware not in _TELLS_CONTROL:
+                return None
+            with dashboard(_ASK_TIMEOUT) as asked:
+                return asked.is_in_remote_control()
+
+        self._make_dashboard = dashboard
+        self.safety = Safety(monitor)
+        self.script = Scripts(programs, channel, callbacks)
+        inputs = (lambda: rtde()._brief_claims()) if options.commands_via == "auto" else None
+        setting_channel = SettingChannel(channel, slow, section, inputs)
+        self.settings = Settings(setting_channel, slow, fast, who, section, is_remote, start_place)
+        self.interpreters = Interpreters(
+            host, ports.get("interpreter"), programs, channel, callbacks, lambda: who.identity.firmware, recall, timeout
+        )
+        self.io = IO(self.settings, primary, realtime)
+        reverse = ReversePort(host, options.reverse_host, options.reverse_port, options.reverse_peer)
+        registers = RegisterPort(lambda names: rtde().inputs(*names), timeout, SETPOINT_INPUTS, RegisterLink)
+        links = PointLinks(lambda *names: rtde().outputs(*names))
+        points = RegisterPort(lambda names: rtde().inputs(*names), timeout, POINT_INPUTS, links)
+        self.motion = Motions(MotionContext(programs, channel, realtime, who, reverse, registers, points, section))
+
+    @property
+    def dashboard(self) -> Dashboard:
+        """The dashboard server, or the Robot API of PolyScope X.
+
+        Raises:
+            LocalError: a simulated controller that serves neither.
+            Closed: the robot was closed before it was used.
+        """
+        if not self._ports.keys() & {"dashboard", "robot_api"}:
+            raise LocalError("the controller serves no dashboard")
+        return self._once(self._dashboard, lambda: self._make_dashboard(self._timeout))
+
+    @property
+    def gripper(self) -> Gripper:
+        """The gripper on the flange.
+
+        Raises:
+            LocalError: a simulated controller that does not serve its port.
+            Closed: the robot was closed before it was used.
+        """
+        if "gripper" not in self._ports:
+            raise LocalError("the controller serves no gripper")
+        hint = "a Robotiq gripper is served by the URCap that is installed for it"
+        host, port = self._host, self._ports["gripper"]
+        make = partial(Gripper, host, port, timeout=self._timeout, refused=lambda: hint, recall=self._recall)
+        return self._once(self._gripper, make)
+
+    @property
+    def tool_serial(self) -> ToolSerial:
+        """The serial line in the tool connector.
+
+        Raises:
+            LocalError: a controller without one, or a simulated one that does not serve its port.
+            Closed: the robot was closed before it was used.
+        """
+        if self._serial.made is None:
+            firmware = self.settings.firmware
+            if not firmware.is_e_series or "tool_serial" not in self._ports:
+                raise LocalError(
+                    f"firmware {firmware} has no serial line in the tool connector; e-Series have, from 5.0 on"
+                )
+        make = partial(ToolSerial, self._host, self._ports["tool_serial"], timeout=self._timeout)
+        return self._once(self._serial, make)
+
+    def _once(self, part: MadeOnce[T], make: Callable[[], T]) -> T:
+        """A part that is made at its first use.
+
+        Raises:
+            Closed: the robot was closed before.
+        """
+        known = part.made
+        if known is not None:
+            return known
+        if self._is_closed:
+            raise Closed("the robot was closed")
+        return part.keep(make())
+
+    def settle(self, timeout: float) -> None:
+        """Wait until nothing is left that was given up and is to be taken back, for at most `timeout` seconds."""
+        self._recall.settle(timeout)
+
+    def close(self, timeout: float) -> None:
+        """End motions, programs, callbacks and the connections of dashboard and gripper, in `timeout` seconds."""
+        until = clock.now() + timeout
+        self._is_closed = True
+        self._recall.close(self)
+        self._programs.close(timeout)
+        self._monitor.close()
+        if (dashboard := self._dashboard.made) is not None:
+            dashboard.close()
+        self.interpreters.close()
+        if (gripper := self._gripper.made) is not None:
+            gripper._disconnect()
+        if (serial := self._serial.made) is not None:
+            serial.close()
+        self._callbacks.close(clock.left(until))

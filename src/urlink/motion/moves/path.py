@@ -1,0 +1,407 @@
+"""Paths of several movements that blend into each other, and the checks before one is sent.
+
+The controller makes the movement. What is here is its plan, to find beforehand what the controller would refuse
+half-way: computed with the arm's own kinematics and TCP, from the present joint positions.
+
+Known and unknown about controllers: blends that overlap are refused (vendor's manual; "overlapping blends"
+in users' logs), which is checked here by the sum of the radii at both ends of a movement. A line on which a joint would
+get too fast ends in a protective stop, as users report. How a controller limits the speed of a tool that turns in
+place, and how it rounds a corner, is not published: corners are checked as if they were not blended.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from linkcore.arguments import check_number
+from linkcore.errors import BadValue
+from linkcore.handle import Lifecycle, Motion
+from linkcore.names import StrictAttributes
+
+from ...arm import parameters
+from ...arm.bounds import JOINT_ACCELERATION, JOINT_SPEED, TOOL_ACCELERATION, TOOL_SPEED, check_pose
+from ...arm.models import Model
+from ...arm.vectors import JOINTS, FloatArray, Numbers, six
+from ...protocol.realtime.packets import RealtimeState
+from ...script import commands
+
+if TYPE_CHECKING:
+    from ...arm.curves import Curve
+    from ...arm.kinematics import Arm
+
+#: m; a larger blend has the wrong unit, since no arm is longer.
+_WIDEST = 2.0
+#: Most waypoints of a path. The limit of a controller is not known; the text of so many has 200 kB.
+_MOST = 1000
+#: m and rad between two places at which a line or an arc is checked, and how many there are at most.
+_STEP, _TURN, _MOST_STEPS = 0.005, 0.05, 2000
+#: rad that a joint may turn between two of them if the tool turns in place; more means a singularity.
+_LEAP = 0.5
+#: m that take as long as a turn of 1 rad. A guess.
+_RADIAN = parameters.number("metres_per_turn")
+#: m; a tool whose centre moves no further turns in place. A pose read from a robot is not more exact.
+_IN_PLACE = 1e-3
+
+
+@dataclass(frozen=True)
+class Rates:
+    """Speed and acceleration: rad/s and rad/s² of the leading joint, or m/s and m/s² of the tool."""
+
+    speed: float
+    acceleration: float
+
+    def seconds(self, way: float) -> float:
+        """Duration of a movement of length `way`, from rest to rest, s."""
+        if way * self.acceleration > self.speed * self.speed:
+            return way / self.speed + self.speed / self.acceleration
+        return 2.0 * math.sqrt(way / self.acceleration)
+
+
+def check_joint_positions(values: ArrayLike, name: str, model: Model | None) -> FloatArray:
+    """Positions of the joints as (6,) numbers, rad, read-only.
+
+    Raises:
+        BadValue: not six finite numbers, or out of the range of the arm, if that is known.
+    """
+    q = six(values, name)
+    if model is not None:
+        model.check_joints(q)
+    return q
+
+
+class Waypoint(StrictAttributes):
+    """Where a path leads next, and how; made as one of its subclasses.
+
+    Attributes:
+        blend: radius in m at which the arm begins to round the corner; 0 to stop at the waypoint.
+        rates: its own speed and acceleration; None for those of the path.
+    """
+
+    def __init__(self, blend: float, speed: float | None, acceleration: float | None) -> None:
+        bounds = (JOINT_SPEED, JOINT_ACCELERATION) if isinstance(self, Joint) else (TOOL_SPEED, TOOL_ACCELERATION)
+        self.blend = check_number(blend, "blend", 0.0, _WIDEST, "m")
+        self._speed = None if speed is None else bounds[0].check(speed, "speed")
+        self._acceleration = None if acceleration is None else bounds[1].check(acceleration, "acceleration")
+
+    @property
+    def has_motion_of_its_own(self) -> bool:
+        """Whether it has a blend, a speed or an acceleration of its own."""
+        return bool(self.blend or self._speed or self._acceleration)
+
+    def rates(self, usual: Rates) -> Rates:
+        """Its own speed and acceleration, else the usual ones."""
+        return Rates(self._speed or usual.speed, self._acceleration or usual.acceleration)
+
+
+class Joint(Waypoint):
+    """A movement straight in joint space to joint positions.
+
+    Args:
+        q: (6,) rad.
+        blend: m from there at which the next movement may begin.
+        speed: rad/s of the joint that moves furthest; None for that of the path.
+        acceleration: rad/s²; None for that of the path.
+    """
+
+    def __init__(
+        self, q: Numbers, *, blend: float = 0.0, speed: float | None = None, acceleration: float | None = None
+    ) -> None:
+        super().__init__(blend, speed, acceleration)
+        self.q = six(q, "q")
+
+    def __repr__(self) -> str:
+        return f"Joint({self.q.tolist()}, blend={self.blend:g})"
+
+
+class Linear(Waypoint):
+    """A movement of the tool in a line to a pose in the base frame.
+
+    Args:
+        pose: (6,) m, and rotation vector in rad.
+        blend: m from there at which the next movement may begin.
+        speed: m/s; None for that of the path.
+        acceleration: m/s²; None for that of the path.
+    """
+
+    def __init__(
+        self, pose: Numbers, *, blend: float = 0.0, speed: float | None = None, acceleration: float | None = None
+    ) -> None:
+        super().__init__(blend, speed, acceleration)
+        self.pose = check_pose(pose, "pose")
+
+    def __repr__(self) -> str:
+        return f"Linear({self.pose.tolist()}, blend={self.blend:g})"
+
+
+class Circular(Waypoint):
+    """A movement of the tool along the circle through one pose to another, in the base frame.
+
+    Args:
+        via: (6,) m and rad, on the arc; its orientation has no effect.
+        to: (6,) m and rad, where it ends.
+        blend: m from there at which the next movement may begin.
+        speed: m/s; None for that of the path.
+        acceleration: m/s²; None for that of the path.
+    """
+
+    def __init__(
+        self,
+        via: Numbers,
+        to: Numbers,
+        *,
+        blend: float = 0.0,
+        speed: float | None = None,
+        acceleration: float | None = None,
+    ) -> None:
+        super().__init__(blend, speed, acceleration)
+        self.via, self.to = check_pose(via, "via"), check_pose(to, "to")
+
+    def __repr__(self) -> str:
+        return f"Circular({self.via.tolist()}, {self.to.tolist()}, blend={self.blend:g})"
+
+
+@dataclass(frozen=True)
+class PathSection:
+    """One movement of a path, as it was planned.
+
+    Attributes:
+        seconds: duration from rest to rest: its share of the path.
+        part: the fraction of it that is over, for a state.
+    """
+
+    seconds: float
+    part: Callable[[RealtimeState], float]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A path that has been checked.
+
+    Attributes:
+        body: the lines of its program.
+        sections: one for each waypoint.
+    """
+
+    body: list[str]
+    sections: list[PathSection]
+
+
+class PathMotion(Motion):
+    """The motion along a path."""
+
+    def __init__(
+        self, life: Lifecycle, sections: Sequence[PathSection], newest: Callable[[], RealtimeState | None]
+    ) -> None:
+        super().__init__(life)
+        self._sections = sections
+        self._newest = newest
+        self._segment = 0
+
+    @property
+    def segment(self) -> int:
+        """Number, from 0, of the waypoint that the arm moves to; after a blend, once the blend has begun."""
+        return self._segment
+
+    @property
+    def segments(self) -> int:
+        """Number of waypoints."""
+        return len(self._sections)
+
+    def _on_text(self, text: str) -> None:
+        """Handle a line of text from the program."""
+        segment = commands.segment_of(text)
+        if segment is not None and segment < self.segments:
+            self._segment = segment
+
+    def _measured(self) -> float:
+        segment, state = self._segment, self._newest()
+        seconds = [section.seconds for section in self._sections]
+        now = 0.0 if state is None else seconds[segment] * min(max(self._sections[segment].part(state), 0.0), 1.0)
+        return (sum(seconds[:segment]) + now) / sum(seconds)
+
+
+def plan(
+    waypoints: Sequence[Waypoint], joint_rates: Rates, tool_rates: Rates, arm: Arm | None, state: RealtimeState
+) -> Plan:
+    """Check a path from the present position of the arm.
+
+    Args:
+        waypoints: of the path.
+        joint_rates, tool_rates: for waypoints that have none.
+        arm: its kinematics; None if the model is not known: reach, joint limits and blends are not checked then.
+        state: of the robot, which shows the joints and the tool centre point.
+
+    Raises:
+        BadValue: a waypoint cannot be used; the message names it and says why.
+    """
+    if not 0 < len(waypoints) <= _MOST:
+        raise BadValue(f"a path of {len(waypoints)} waypoints; expected 1 to {_MOST}")
+    for number, waypoint in enumerate(waypoints):
+        if not isinstance(waypoint, (Joint, Linear, Circular)):
+            raise BadValue(f"waypoint {number} is {waypoint!r}; expected a Joint, Linear or Circular")
+    if waypoints[-1].blend:
+        raise BadValue(f"waypoint {len(waypoints) - 1} is the last and has no next to blend into; expected blend=0")
+    rates = [each.rates(joint_rates if isinstance(each, Joint) else tool_rates) for each in waypoints]
+    body: list[str] = []
+    for number, (waypoint, rate) in enumerate(zip(waypoints, rates, strict=True)):
+        body += [commands.segment(number), *_statement(waypoint, rate)]
+    if arm is None:
+        return Plan(body, [PathSection(1.0, lambda state: 0.0)] * len(waypoints))
+    planner = _Planner(arm, state)
+    before = 0.0
+    sections = []
+    for number, (waypoint, rate) in enumerate(zip(waypoints, rates, strict=True)):
+        try:
+            sections.append(planner.section(waypoint, rate, before))
+        except BadValue as error:
+            raise type(error)(f"waypoint {number}: {error}") from None
+        before = waypoint.blend
+    return Plan(body, sections)
+
+
+def shown_tcp(arm: Arm, state: RealtimeState) -> FloatArray:
+    """(6,) the tool centre point in the frame of the flange, m and rad.
+
+    In every firmware the TCP of set_tcp is the difference between flange and tool pose.
+    """
+    from ...arm.poses import compose, invert
+
+    return compose(invert(arm.forward(state.q_actual)), state.tool_vector_actual)
+
+
+def _statement(waypoint: Waypoint, rate: Rates) -> list[str]:
+    figures = (rate.speed, rate.acceleration)
+    if isinstance(waypoint, Joint):
+        return commands.move_joints(waypoint.q.tolist(), *figures, blend=waypoint.blend)
+    if isinstance(waypoint, Linear):
+        return commands.move_linear(waypoint.pose.tolist(), *figures, blend=waypoint.blend)
+    assert isinstance(waypoint, Circular)
+    return commands.move_circular(waypoint.via.tolist(), waypoint.to.tolist(), *figures, blend=waypoint.blend)
+
+
+class _Planner:
+    """Plans a path waypoint by waypoint, as if there were no blends."""
+
+    def __init__(self, arm: Arm, state: RealtimeState) -> None:
+        self._arm = arm
+        self._tcp = shown_tcp(arm, state)
+        self._q: FloatArray = np.array(state.q_target)
+
+    def section(self, waypoint: Waypoint, rate: Rates, blend: float) -> PathSection:
+        """The movement to a waypoint, after one that ends with a blend of `blend` m."""
+        if isinstance(waypoint, Joint):
+            return self._joint(waypoint, rate, blend)
+        return self._curve(waypoint, rate, blend)
+
+    def _joint(self, waypoint: Joint, rate: Rates, blend: float) -> PathSection:
+        model = self._arm.model
+        model.check_joints(waypoint.q)
+        JOINT_SPEED.check(rate.speed, "speed", float(model.max_speed.max()), f"a {model.name}")
+        JOINT_ACCELERATION.check(
+            rate.acceleration, "acceleration", float(model.max_acceleration.max()), f"a {model.name}"
+        )
+        start, way = self._q, waypoint.q - self._q
+        places = self._arm.forward(np.stack([start, waypoint.q]), self._tcp)
+        _check_blends(blend, waypoint.blend, math.dist(places[0, :3].tolist(), places[1, :3].tolist()))
+        self._q = np.array(waypoint.q)
+        squared = float(way @ way)
+
+        def part(state: RealtimeState) -> float:
+            return float((state.q_actual - start) @ way) / squared if squared else 1.0
+
+        return PathSection(rate.seconds(float(np.abs(way).max())), part)
+
+    def _curve(self, waypoint: Waypoint, rate: Rates, blend: float) -> PathSection:
+        from ...arm.curves import Arc, Line
+
+        start = self._arm.forward(self._q, self._tcp).tolist()
+        curve: Curve
+        if isinstance(waypoint, Linear):
+            curve = Line(start, waypoint.pose.tolist())
+        else:
+            assert isinstance(waypoint, Circular)
+            curve = Arc(start, waypoint.via.tolist(), waypoint.to.tolist())
+        _check_blends(blend, waypoint.blend, curve.length)
+        self._q = self._follow(curve, rate, blend > 0.0, waypoint.blend > 0.0)
+        return PathSection(rate.seconds(_counted(curve)), lambda state: curve.part(state.tool_vector_actual.tolist()))
+
+    def _follow(self, curve: Curve, rate: Rates, is_fast_at_start: bool, is_fast_at_end: bool) -> FloatArray:
+        """The joint positions at its end, if the arm can follow it.
+
+        Raises:
+            Unreachable: out of reach.
+            BadValue: beyond a position limit, or too fast for a joint.
+        """
+        from ...arm.kinematics import Unreachable
+
+        model = self._arm.model
+        steps = min(max(math.ceil(max(curve.length / _STEP, curve.turn / _TURN)), 1), _MOST_STEPS)
+        parts = np.linspace(0.0, 1.0, steps + 1)
+        poses = [curve.pose(part) for part in parts.tolist()]
+        try:
+            rows = self._arm.inverse_path(poses, self._q, self._tcp)
+        except Unreachable as error:
+            # Without the number of the row: the message has the pose.
+            raise Unreachable(f"the way there is out of reach: {str(error).partition(': ')[2]}") from None
+        low, high = model.position_limits.T
+        beyond = (rows < low) | (rows > high)
+        if beyond.any():
+            row, joint = map(int, np.argwhere(beyond)[0])
+            raise BadValue(
+                f"after {parts[row]:.0%} of the way {JOINTS[joint]} would be at {rows[row, joint]:.3f} rad; "
+                f"a {model.name} reaches {low[joint]:.4f} to {high[joint]:.4f} rad"
+            )
+        turns = np.abs(np.diff(rows, axis=0))
+        if (turns > _LEAP).any():
+            row, joint = map(int, np.argwhere(turns > _LEAP)[0])
+            raise BadValue(
+                f"after {parts[row]:.0%} of the way {JOINTS[joint]} would have to leap by {turns[row, joint]:.2f} rad: "
+                "it leads through a singularity"
+            )
+        if curve.length > _IN_PLACE:
+            way = _counted(curve)
+            speed = _speed_along(way, rate, steps, is_fast_at_start, is_fast_at_end)
+            self._check_speeds(turns * (steps / way) * speed, parts)
+        end: FloatArray = rows[-1]
+        return end
+
+    def _check_speeds(self, speeds: FloatArray, parts: FloatArray) -> None:
+        """Raise if a joint would be too fast; `speeds`: (steps, 6) rad/s."""
+        model = self._arm.model
+        excess = speeds / model.max_speed
+        if excess.max() > 1.0:
+            row, joint = map(int, np.unravel_index(int(excess.argmax()), excess.shape))
+            raise BadValue(
+                f"after {parts[row]:.0%} of the way {JOINTS[joint]} would have to turn at {speeds[row, joint]:.2f} "
+                f"rad/s; a {model.name} turns it at {model.max_speed[joint]:.2f} rad/s at most"
+            )
+
+
+def _counted(curve: Curve) -> float:
+    """Length, m, of a straight path that takes as long as the curve."""
+    return max(curve.length, _RADIAN * curve.turn)
+
+
+def _speed_along(length: float, rate: Rates, steps: int, is_fast_at_start: bool, is_fast_at_end: bool) -> FloatArray:
+    """(steps, 1) m/s of the tool in the middle of each step; from rest and to rest, except at a blend."""
+    way = (np.arange(steps) + 0.5) * (length / steps)
+    speed = np.full(steps, rate.speed)
+    if not is_fast_at_start:
+        speed = np.minimum(speed, np.sqrt(2.0 * rate.acceleration * way))
+    if not is_fast_at_end:
+        speed = np.minimum(speed, np.sqrt(2.0 * rate.acceleration * (length - way)))
+    return speed[:, np.newaxis]
+
+
+def _check_blends(before: float, after: float, length: float) -> None:
+    """Raise if the blends at the ends of a movement overlap."""
+    if before + after > length and (before or after):
+        raise BadValue(
+            f"blends of {before:g} m at its beginning and {after:g} m at its end do not fit on a way of {length:.4g} m"
+        )

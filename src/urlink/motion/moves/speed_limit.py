@@ -1,0 +1,104 @@
+"""How fast set-points may lead an arm: each joint has a budget of time, which its movements use up.
+
+A controller answers a set-point that a joint cannot reach in time with a protective stop, so every set-point is checked
+here, wherever it was computed. To lead a joint by x rad uses x / (its largest speed) seconds of its budget, and each
+second that passes adds one, up to a ceiling:
+
+- one period of the set-points and `EARLY`, as long as they are sent regularly;
+- after a late one, additionally its lateness (at most `LATE`, unless another bound is given), for the set-points that
+  follow it at once. Meanwhile the program on the robot goes on at its last speed
+  (`urlink.script.streaming`), so catching up is not a jump. The first set-point that is on time again drops
+  the rest.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from numpy.typing import ArrayLike
+
+from linkcore.arguments import check_number
+
+from ...arm.bounds import JOINT_SPEED
+from ...arm.models import Model
+from ...arm.vectors import JOINTS, FloatArray, six
+
+#: Seconds by which a set-point may be early. Chosen: more than the jitter of a sleep in Python, and little enough that
+#: the simulated arm, led at its largest speed, does not stop because of it.
+EARLY = 0.001
+#: Seconds of lateness that may be made up for at once. Chosen: a tenth of the default watchdog.
+LATE = 0.01
+#: Longest period that counts, s: in a slower loop a step may be no larger than with it, since the arm takes it at once.
+LONGEST_PERIOD = 0.02
+
+#: rad; set-points are rounded to millionths, which must not count as speed.
+_SLACK = 2e-6
+
+
+def largest_speeds(model: Model | None) -> tuple[float, ...]:
+    """(6,) rad/s; for an arm that is not known, those of the fastest arm."""
+    return (JOINT_SPEED.most,) * 6 if model is None else tuple(model.max_speed.tolist())
+
+
+def check_joint_speeds(values: ArrayLike, name: str, model: Model | None) -> FloatArray:
+    """Speeds of the joints as (6,) numbers, rad/s, read-only.
+
+    Raises:
+        BadValue: not six finite numbers, or faster than the arm; if that is not known, than the fastest arm.
+    """
+    speeds = six(values, name)
+    for joint, (value, limit) in enumerate(zip(speeds.tolist(), largest_speeds(model), strict=True)):
+        whose = "the fastest arm" if model is None else f"a {model.name}"
+        check_number(value, f"{name}[{joint}] ({JOINTS[joint]})", -limit, limit, "rad/s", whose)
+    return speeds
+
+
+class SpeedLimit:
+    """The seconds for which each joint may still be led at full speed.
+
+    Args:
+        speeds: (6,) rad/s of the joints.
+        period: seconds between two set-points.
+        late: seconds of lateness that may be made up for at once.
+
+    The argument `now` of its methods is in monotonic seconds.
+    """
+
+    def __init__(self, speeds: Sequence[float], period: float, late: float = LATE) -> None:
+        self._speeds = speeds
+        self._period = min(period, LONGEST_PERIOD)
+        self._even = self._period + EARLY
+        self._late = late
+        self._budget = [self._even] * 6
+        self._at = math.inf
+
+    def excess(self, before: Sequence[float], after: Sequence[float], now: float) -> str | None:
+        """Why going from `before` to `after`, (6,) rad, is too fast now; None if it is not."""
+        budgets = self._budgets(now)
+        for joint, (here, there, speed, seconds) in enumerate(zip(before, after, self._speeds, budgets, strict=True)):
+            most = speed * seconds + _SLACK
+            if not abs(there - here) <= most:  # true for NaN too
+                return (
+                    f"q[{joint}] ({JOINTS[joint]}) is {there:.4f} rad, {abs(there - here):.4f} rad from the last "
+                    f"set-point; at most {most:.4f} rad by now, at {speed:.2f} rad/s"
+                )
+        return None
+
+    def take(self, before: Sequence[float], after: Sequence[float], now: float) -> None:
+        """Count a set-point that was sent after `excess` allowed it."""
+        self._budget = [
+            max(seconds - abs(there - here) / speed, 0.0)
+            for here, there, speed, seconds in zip(before, after, self._speeds, self._budgets(now), strict=True)
+        ]
+        self._at = now
+
+    def _budgets(self, now: float) -> list[float]:
+        """The seconds that each joint has at this time."""
+        passed = max(now - self._at, 0.0)
+        if passed > 1.5 * self._period:
+            ceiling = self._even + min(passed - self._period, self._late)
+            return [min(left + passed, ceiling) for left in self._budget]
+        if passed > 0.5 * self._period:
+            return [min(left + passed, self._even) for left in self._budget]
+        return [min(left + passed, max(self._even, left)) for left in self._budget]

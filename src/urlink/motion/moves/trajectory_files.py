@@ -1,0 +1,153 @@
+"""A trajectory as a table in a file, ``time,q0,...,q5``, optionally with velocities and accelerations; as a picture."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from linkcore.errors import BadValue, LocalError
+
+from ...arm.models import Model
+from ...arm.vectors import JOINTS, FloatArray
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_QUANTITIES = ("q", "qd", "qdd")
+
+
+def _names(quantities: int) -> list[str]:
+    return ["time", *(f"{name}{joint}" for name in _QUANTITIES[:quantities] for joint in range(6))]
+
+
+def read_points(path: Path) -> tuple[list[FloatArray], int]:
+    """Times (n,), positions (n, 6), and velocities and accelerations if there are any; and the line of point 0.
+
+    Raises:
+        BadValue: the file cannot be read, or is not such a table.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise BadValue(f"{path} is no text: {error.reason} at byte {error.start}") from None
+    except (OSError, ValueError) as error:
+        raise BadValue(f"{path}: {getattr(error, 'strerror', None) or error}") from error
+    reader = csv.reader(io.StringIO(text))
+    lines: list[int] = []
+    rows: list[list[float]] = []
+    columns: list[str] = []
+    try:
+        for row in reader:
+            if not row:
+                continue
+            if not columns:
+                columns = [cell.strip() for cell in row]
+                _check_header(path, reader.line_num, columns)
+                continue
+            rows.append(_numbers_of(path, reader.line_num, row, columns))
+            lines.append(reader.line_num)
+    except csv.Error as error:
+        raise BadValue(f"{path}, line {reader.line_num}: {error}") from None
+    if len(rows) < 2:
+        raise BadValue(f"{path}: {len(rows)} points; a trajectory has at least two")
+    order = [columns.index(name) for name in _names(_quantities(columns))]
+    table = np.array(rows, dtype=np.float64)[:, order]
+    return [table[:, 0], *np.split(table[:, 1:], table.shape[1] // 6, axis=1)], lines[0]
+
+
+def write_points(path: Path, arrays: Sequence[FloatArray]) -> None:
+    """Write what `read_points` reads, with all digits.
+
+    Raises:
+        BadValue: the file cannot be written.
+    """
+    try:
+        with open(path, "w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(_names(len(arrays) - 1))
+            writer.writerows(np.column_stack(arrays).tolist())
+    except OSError as error:
+        raise BadValue(f"{path}: {error.strerror or error}") from error
+
+
+def _quantities(columns: list[str]) -> int:
+    """How many of positions, velocities and accelerations the columns have: six columns each, besides the time."""
+    return len(columns) // 6
+
+
+def _check_header(path: Path, line: int, columns: list[str]) -> None:
+    if sorted(columns) != sorted(_names(max(_quantities(columns), 1))):
+        raise BadValue(
+            f"{path}, line {line}: the columns are {','.join(columns)[:200]}; expected time,q0,...,q5, and, or not, "
+            "qd0,...,qd5 and qdd0,...,qdd5"
+        )
+
+
+def _numbers_of(path: Path, line: int, row: list[str], columns: list[str]) -> list[float]:
+    if len(row) != len(columns):
+        raise BadValue(f"{path}, line {line}: {len(row)} values; expected {len(columns)}")
+    values = []
+    for name, cell in zip(columns, row, strict=True):
+        try:
+            value = float(cell)
+        except ValueError:
+            value = float("nan")
+        if not math.isfinite(value):
+            raise BadValue(f"{path}, line {line}, column {name}: {cell[:50]!r} is not a finite number")
+        values.append(value)
+    return values
+
+
+#: Places at which the curve is drawn, in all.
+_PLACES = 1000
+_LABELS = ("position, rad", "speed, rad/s", "acceleration, rad/s²")
+
+
+def plot(
+    time: FloatArray, q: FloatArray, at: Callable[[FloatArray], Sequence[FloatArray]], model: Model | None
+) -> Figure:
+    """See `Trajectory.plot`.
+
+    Args:
+        time: (n,) times of the points, s; the first is 0.
+        q: (n, 6) positions of the points, rad.
+        at: Positions, velocities and accelerations at times.
+        model: Whose limits are drawn.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise LocalError("a plot needs matplotlib: pip install 'urlink[plot]'") from None
+    figure = Figure(figsize=(8.0, 6.0), layout="constrained")
+    rows = figure.subplots(3, 1, sharex=True)
+    duration = float(time[-1])
+    # Accelerations jump at points: one place on each side of them.
+    beside = 1e-6 * duration
+    times = np.unique(
+        np.concatenate(
+            [
+                np.linspace(0.0, duration, _PLACES),
+                time,
+                np.clip(time - beside, 0.0, None),
+                np.clip(time + beside, None, duration),
+            ]
+        )
+    )
+    limits = (None, None, None) if model is None else (None, model.max_speed, model.max_acceleration)
+    for axes, values, label, most in zip(rows, at(times), _LABELS, limits, strict=True):
+        lines = axes.plot(times, values)
+        axes.set_ylabel(label)
+        if most is not None:
+            for line, limit in zip(lines, most.tolist(), strict=True):
+                for sign in (-1.0, 1.0):
+                    axes.axhline(sign * limit, color=line.get_color(), linestyle="dotted")
+    rows[0].plot(time, q, ".", color="black")
+    figure.legend(lines, JOINTS, ncols=len(JOINTS), loc="outside upper center", fontsize="small")
+    rows[2].set_xlabel("time, s")
+    return figure

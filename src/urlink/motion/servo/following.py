@@ -1,0 +1,235 @@
+"""The common part of both ways to follow a trajectory: its time, the start, the tolerances, the end.
+
+Sans-IO and without a clock: `urlink.motion.servo.linked_program` passes states and times in.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from linkcore.arguments import check_number
+from linkcore.errors import LinkTimeout
+
+from ...arm.vectors import JOINTS, FloatArray
+from ...command.controller_clock import ProgramClock
+from ...errors import ToleranceExceeded
+from ...protocol.realtime.packets import RealtimeState
+from ...script.links import Writer
+from ..moves.trajectory import Trajectory
+from .setpoints import LinkDialogue
+
+#: Cycles from a state to the one in which its set-point takes effect: it is sent within the next cycle, and the program
+#: applies it at the beginning of the one after.
+AHEAD = 2
+#: rad/s below which an arm counts as standing still.
+_STANDING = 0.02
+#: Seconds that an arm has to come to rest before a trajectory begins.
+_REST_TIMEOUT = 1.5
+#: Seconds before and after a pause in which the place is searched where the arm stands, and between two places.
+_BEFORE, _BRAKING, _NEARNESS = 0.2, 1.0, 0.004
+#: States whose time on the trajectory is remembered, for feedback that is slow: two seconds at 500 Hz.
+_REMEMBERED = 1024
+
+
+@dataclass(frozen=True)
+class TrajectoryFeedback:
+    """Where the arm is, and where its trajectory is. Arrays are (6,), joints from base to wrist 3.
+
+    Attributes:
+        time: seconds on the controller's clock since the trajectory began.
+        trajectory_time: seconds on the trajectory, which pass as fast as the robot executes programs: less than `time`
+            after the speed slider was below 100 %, or the program paused.
+        q_desired: rad; what the trajectory says for `trajectory_time`.
+        qd_desired: rad/s.
+        q_actual: rad; what the controller reports for this time.
+        qd_actual: rad/s.
+        error: rad, `q_desired` - `q_actual`.
+    """
+
+    time: float
+    trajectory_time: float
+    q_desired: FloatArray
+    qd_desired: FloatArray
+    q_actual: FloatArray
+    qd_actual: FloatArray
+    error: FloatArray
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """How far the arm may be from its trajectory.
+
+    Attributes:
+        path: rad, in any joint, before the end; None for no limit.
+        goal: rad, in any joint, at the end.
+        goal_time: seconds after the end within which it has to arrive, in the time of the trajectory.
+        start: rad, in any joint, between the arm and the first point.
+    """
+
+    path: float | None
+    goal: float
+    goal_time: float
+    start: float
+
+    @classmethod
+    def checked(
+        cls, path_tolerance: float | None, goal_tolerance: float, goal_time: float, start_tolerance: float
+    ) -> Tolerances:
+        """As a user gives them.
+
+        Raises:
+            BadValue: one is not a number in its range.
+        """
+        return cls(
+            None if path_tolerance is None else check_number(path_tolerance, "path_tolerance", 1e-6, 100.0),
+            check_number(goal_tolerance, "goal_tolerance", 1e-6, 100.0),
+            check_number(goal_time, "goal_time", 0.0, 3600.0),
+            check_number(start_tolerance, "start_tolerance", 1e-6, 1.0),
+        )
+
+
+class Rest:
+    """Waits until the arm stands still, so that a motion can begin.
+
+    Args:
+        what: the motion that is to begin, for messages.
+    """
+
+    def __init__(self, what: str) -> None:
+        self._what = what
+        self._moving_since: float | None = None
+
+    def is_reached(self, state: RealtimeState, now: float) -> bool:
+        """Whether the arm stands still.
+
+        Raises:
+            LinkTimeout: it does not come to rest.
+        """
+        if self._moving_since is None:
+            self._moving_since = now
+        is_standing = stands(state.qd_target)
+        if not is_standing and now - self._moving_since > _REST_TIMEOUT:
+            raise LinkTimeout(f"the arm did not come to rest within {_REST_TIMEOUT:g} s, so {self._what} did not begin")
+        return is_standing
+
+
+class Following(LinkDialogue):
+    """A trajectory that is being followed: the base of the two dialogues that do it.
+
+    Its time is that of the program on the robot (`urlink.command.controller_clock`).
+
+    Args:
+        write: makes the lines of the program.
+        trajectory: what to follow.
+        tolerances: how closely.
+        clock: of the trajectory.
+
+    Attributes:
+        progress: the fraction that is over.
+        is_over: whether the arm has arrived and stands still: of the arm, not of the motion, whose BRAKE follows.
+    """
+
+    def __init__(self, write: Writer, trajectory: Trajectory, tolerances: Tolerances, clock: ProgramClock) -> None:
+        super().__init__(write)
+        self.progress = 0.0
+        #: s on the trajectory: its end; later, if a difference is still faded out then
+        self._end = trajectory.duration
+        self._trajectory = trajectory
+        self._tolerances = tolerances
+        self._clock = clock
+        #: s: since it began on the controller's clock; from the first comparison on
+        self._passed: float
+        #: s: the time of a state, those since it began, and those on the trajectory
+        self._times: deque[tuple[float, float, float]] = deque(maxlen=_REMEMBERED)
+        #: s on the trajectory: the point that the program has not passed yet, as far as it reports them
+        self._next_time = math.inf
+        self._rest = Rest("the trajectory")
+
+    def resume(self, state: RealtimeState) -> None:
+        """Go on after a pause, from where the arm stands."""
+        self._clock.restart()
+
+    def _nearest(self, q: Sequence[float], t: float) -> float:
+        """s on the trajectory: where it is closest to `q`, (6,) rad, after a pause at `t`.
+
+        The controller has braked on the way from there, and the arm was behind its set-points before.
+        """
+        times = np.clip(np.arange(t - _BEFORE, t + _BRAKING, _NEARNESS), min(t, 0.0), self._trajectory.duration)
+        places = np.array([self._trajectory.sample(each)[0] for each in times.tolist()])
+        return float(times[np.square(places - q).sum(1).argmin()])
+
+    def times(self, time: float) -> tuple[float, float] | None:
+        """For a state of the time `time`: s since the trajectory began, and s on the trajectory.
+
+        None before it began, and for a state older than those that are remembered. From any thread.
+        """
+        after = None
+        for n in range(1, len(self._times) + 1):
+            at, passed, t = self._times[-n]
+            if at <= time:
+                if after is None:
+                    return passed + time - at, min(t + self._clock.rate * (time - at), max(t, self._next_time))
+                share = (time - at) / (after[0] - at)
+                return passed + time - at, t + share * (after[2] - t)
+            after = at, passed, t
+        return None
+
+    def desired(self, t: float) -> tuple[list[float], list[float]]:
+        """Positions, rad, and velocities, rad/s, that the arm should have at a time."""
+        q, qd, _ = self._trajectory.sample(t)
+        return q, qd
+
+    def _check_start(self, state: RealtimeState) -> list[float]:
+        """The target joint positions of the arm, which must be close to the first point.
+
+        Raises:
+            BadValue: they are not.
+        """
+        q = state.q_target.tolist()
+        self._trajectory.check(near=q, within=self._tolerances.start)
+        return list(q)
+
+    def _compare(self, state: RealtimeState, t: float) -> None:
+        """Compare the arm with the trajectory at the time `t`.
+
+        Raises:
+            ToleranceExceeded: the arm is too far away.
+        """
+        trajectory, tolerances = self._trajectory, self._tolerances
+        if not self._times:
+            self._passed = t
+        if state.time == state.time:  # false for NaN
+            self._times.append((state.time, self._passed, t))
+        self.progress = t / trajectory.duration
+        actual = state.q_actual.tolist()
+        if t < self._end:
+            if tolerances.path is not None:
+                _refuse(self.desired(t)[0], actual, tolerances.path, f"{t:.3f} s into its path")
+            return
+        goal = trajectory.q[-1].tolist()
+        is_there = all(abs(g - a) <= tolerances.goal for g, a in zip(goal, actual, strict=True))
+        if is_there and stands(state.qd_actual):
+            self.is_over = True
+        elif t > self._end + tolerances.goal_time:
+            _refuse(goal, actual, tolerances.goal, f"{tolerances.goal_time:g} s after the end of its path")
+            self.is_over = True
+
+
+def _refuse(desired: Sequence[float], actual: Sequence[float], tolerance: float, when: str) -> None:
+    errors = [abs(d - a) for d, a in zip(desired, actual, strict=True)]
+    worst = max(range(6), key=lambda joint: errors[joint] if errors[joint] == errors[joint] else float("inf"))
+    if not errors[worst] <= tolerance:  # true for NaN too
+        raise ToleranceExceeded(
+            f"{JOINTS[worst]} (joint {worst}) is {errors[worst]:.4f} rad from where it should be, {when}; "
+            f"the tolerance is {tolerance:g} rad"
+        )
+
+
+def stands(speeds: FloatArray) -> bool:
+    """Whether an arm with these joint speeds, (6,) rad/s, stands still."""
+    return all(abs(speed) < _STANDING for speed in speeds.tolist())

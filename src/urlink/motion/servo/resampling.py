@@ -1,0 +1,313 @@
+"""Set-points of a target filter or of a schedule, one for each cycle of the controller.
+
+Each real-time state that arrives is answered with the next set-point, so the controller's clock sets the pace, whenever
+targets come. While set-points are missed, the program on the robot coasts (`urlink.motion.servo.setpoints`). Usually
+the position that it has coasted to is close to the next set-point of the source, and the difference is faded out; if it
+is not, the source begins again from that position, with the speed that is left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from typing import Protocol
+
+import numpy as np
+
+from linkcore.errors import BadValue
+
+from ...arm.models import Model
+from ...command.controller_clock import ProgramClock
+from ...protocol.realtime.packets import RealtimeState
+from ..moves.trajectory import Trajectory
+from .following import Rest
+from .jerk_limited import JointLimit, TargetFilter
+from .setpoints import WAIT_MESSAGE, Servoing, SetpointStream
+
+#: rad and rad/s, in any joint; a larger gap is not faded out. Chosen: at 1 rad/s it is the gap after 20 ms without
+#: set-points, with the default watchdog.
+_WIDEST_GAP, _LARGEST_CHANGE = 0.005, 0.2
+#: Time constant, s, of closing a gap: after this time a third of it is left. Chosen: longer than set-points are missed
+#: on a busy computer, so that a program that coasts does not overshoot.
+_SETTLING = 0.1
+
+
+class PacedSource(Protocol):
+    """A source of set-points. Times are those of states, on the controller's clock; `rate` is that of the program."""
+
+    @property
+    def has_targets(self) -> bool:
+        """Whether there is a target."""
+
+    def begin(self, time: float, q: Sequence[float]) -> None:
+        """The arm rests at `q` (6, rad)."""
+
+    def skip(self, time: float, seconds: float) -> tuple[list[float], list[float]]:
+        """Set-points were missed, and the program on the robot coasted for `seconds`.
+
+        Returns:
+            the present positions, (6,) rad, and speeds, (6,) rad/s.
+        """
+
+    def restart(self, time: float, q: Sequence[float], qd: Sequence[float]) -> None:
+        """Go on from `q`, (6,) rad, at speeds `qd`, (6,) rad/s, which the program has now after coasting."""
+
+    def at(self, time: float, rate: float) -> tuple[list[float], list[float]]:
+        """The set-point that answers the state of this time: (6,) rad, and (6,) rad/s."""
+
+    def accept(self, time: float, rate: float) -> None:
+        """The set-point of this time was sent."""
+
+
+class PacedSetpoints:
+    """Answers states with set-points.
+
+    Args:
+        servoing: how set-points are followed.
+        source: makes the set-points.
+    """
+
+    def __init__(self, servoing: Servoing, source: PacedSource) -> None:
+        self._source = source
+        self._stream = SetpointStream(servoing)
+        self._clock = ProgramClock(self._stream.cycle)
+        self._rest = Rest("the servo")
+        self._has_begun = False
+        #: rad, between the last set-point and that of the source
+        self._gap = [0.0] * 6
+
+    def resume(self, state: RealtimeState) -> None:
+        """Go on after a pause, from where the arm stands."""
+        self._clock.restart()
+        if self._has_begun:
+            here = state.q_target.tolist()
+            self._stream.begin(here)
+            self._source.restart(state.time, here, [0.0] * 6)
+            self._gap = [0.0] * 6
+
+    def answer(self, state: RealtimeState, now: float) -> bytes:
+        """The message for the program on the robot.
+
+        Raises:
+            LinkTimeout: the arm does not come to rest before the first set-point.
+        """
+        passed, scaled = self._clock.passed(state, now)
+        if not self._has_begun:
+            if not self._rest.is_reached(state, now) or not self._source.has_targets:
+                return WAIT_MESSAGE
+            self._has_begun = True
+            here = state.q_target.tolist()
+            self._source.begin(state.time, here)
+            self._stream.begin(here)
+            return self._stream.send(here, [0.0] * 6, now)
+        self._stream.advance(passed, scaled)
+        if not self._stream.is_due:
+            return b""
+        missed = self._stream.missed
+        if missed:
+            self._catch_up(missed, state.time, now)
+        gap = [(1.0 - self._stream.cycle / _SETTLING) * each for each in self._gap]
+        rate = self._clock.rate
+        q, qd = self._source.at(state.time, rate)
+        q = [a + b for a, b in zip(q, gap, strict=True)]
+        if self._stream.excess(q, now) is not None:
+            # Further than the joints can move in the time that has passed here: nothing is sent, and the robot coasts.
+            return b""
+        self._source.accept(state.time, rate)
+        self._gap = gap
+        return self._stream.send(q, [a - b / _SETTLING for a, b in zip(qd, gap, strict=True)], now)
+
+    def _catch_up(self, missed: int, time: float, now: float) -> None:
+        """Handle that the program on the robot coasted for `missed` cycles."""
+        here, speeds = self._stream.coasted_to(missed)
+        if self._stream.excess(here, now) is not None:
+            # By this computer's clock, so many cycles cannot have passed.
+            return
+        there, theirs = self._source.skip(time, self._stream.coasted_time(missed))
+        self._gap = [a - b for a, b in zip(here, there, strict=True)]
+        change = max(abs(a - b) for a, b in zip(speeds, theirs, strict=True))
+        if max(map(abs, self._gap)) > _WIDEST_GAP or change > _LARGEST_CHANGE:
+            self._gap = [0.0] * 6
+            self._source.restart(time, here, speeds)
+
+
+class FilteredTargets:
+    """Makes the set-points of a servo from the last target of `Servo.send`.
+
+    Args:
+        limits: of each joint.
+        cycle: s of the controller's cycle.
+
+    Attributes:
+        newest: the last target, (6,) rad; set by the thread that calls `Servo.send`.
+    """
+
+    def __init__(self, limits: Sequence[JointLimit], cycle: float) -> None:
+        self.newest: list[float] | None = None
+        self._limits, self._cycle = limits, cycle
+        self._filter: TargetFilter  # made by `begin`, which comes first
+
+    @property
+    def has_targets(self) -> bool:
+        return self.newest is not None
+
+    def begin(self, time: float, q: Sequence[float]) -> None:
+        self._filter = TargetFilter(q, self._limits)
+
+    def skip(self, time: float, seconds: float) -> tuple[list[float], list[float]]:
+        self._filter.advance(seconds)
+        return list(self._filter.q), list(self._filter.qd)
+
+    def restart(self, time: float, q: Sequence[float], qd: Sequence[float]) -> None:
+        self._filter.restart(q, qd)
+
+    def at(self, time: float, rate: float) -> tuple[list[float], list[float]]:
+        assert self.newest is not None  # `has_targets`
+        self._filter.aim(self.newest)
+        return self._filter.after(rate * self._cycle)
+
+    def accept(self, time: float, rate: float) -> None:
+        self._filter.advance(rate * self._cycle)
+
+
+#: s; waypoints that are closer in time count as one.
+_CLOSEST = 1e-3
+#: s for the rest of the path, if set-points were missed until all waypoints were past.
+_LATE = 0.1
+#: How often waypoints are postponed, and by which fraction of the time before the first of them: up to 400 times that.
+_PUT_OFF, _LATER = 16, 0.45
+
+_Waypoint = tuple[float, list[float]]
+
+
+class Schedule:
+    """Makes the set-points of a servo from waypoints with times on the robot's clock.
+
+    A cubic curve in joint space goes through the waypoints that are still ahead, from the present set-point and its
+    speed, to rest at the last waypoint; the speeds at those between are chosen as for a `Trajectory`. Each new waypoint
+    makes a new curve from there, so the speed never jumps.
+
+    As in the interpolation controller of UMI, a program for learning from demonstrations, a waypoint replaces those of
+    the same time or later, one whose time is past changes nothing, and one that cannot be reached in time is reached
+    later. So are all that are ahead if the arm is not at its set-point, because set-points were missed. That controller
+    moves straight from pose to pose, with a jump in speed at each.
+
+    Args:
+        model: its limits hold; None for an arm that is not known.
+        cycle: s of the controller's cycle.
+        delay: s from a state to the one in which the arm is at the set-point that answers it.
+        section: of the robot: waypoints and states come in different threads.
+    """
+
+    def __init__(
+        self, model: Model | None, cycle: float, delay: float, section: AbstractContextManager[object]
+    ) -> None:
+        self._model = model
+        self._cycle = cycle
+        self._delay = delay
+        self._section = section
+        self._waypoints: list[_Waypoint] = []
+        #: begins at `_origin` on the robot's clock
+        self._curve: Trajectory | None = None
+        self._origin: float
+        #: the time of the last set-point; None before the first
+        self._now: float | None = None
+
+    def add(self, q: list[float], at: float, time: float, here: Sequence[float]) -> float | None:
+        """Be at `q` (6, rad) at a time on the robot's clock.
+
+        Args:
+            time: of the newest state.
+            here: (6,) rad; target positions of the arm, for the case that it has not begun.
+
+        Returns:
+            when it will be there: `at`, or later if the arm needs more time; None if that time is past.
+
+        Raises:
+            BadValue: the curve leaves the range of a joint, or none was found that the arm can follow.
+        """
+        with self._section:
+            anchor = self._now if self._now is not None else time + self._delay
+            if at < anchor + self._cycle:
+                return None
+            waypoints = [each for each in self._waypoints if anchor + _CLOSEST < each[0] < at - _CLOSEST]
+            q0, qd0 = self._sample(anchor) if self._now is not None else (list(here), [0.0] * 6)
+            # A waypoint that is almost due is left out: the curve begins there anyway.
+            self._plan(anchor, q0, qd0, [*waypoints, (at, q)], len(waypoints))
+            return self._waypoints[-1][0]
+
+    @property
+    def last(self) -> list[float] | None:
+        """The last waypoint, (6,) rad; None if there is none."""
+        return self._waypoints[-1][1] if self._waypoints else None
+
+    # -- the source of set-points --------------------------------------------------------------------
+
+    @property
+    def has_targets(self) -> bool:
+        """Whether there is a waypoint."""
+        return bool(self._waypoints)
+
+    def begin(self, time: float, q: Sequence[float]) -> None:
+        """The arm rests at `q`."""
+        self._set_out(time + self._delay, q, [0.0] * 6)
+
+    def restart(self, time: float, q: Sequence[float], qd: Sequence[float]) -> None:
+        """Go on from `q` at speeds `qd`."""
+        self._set_out(time + self._delay - self._cycle, q, qd)
+
+    def _set_out(self, anchor: float, q: Sequence[float], qd: Sequence[float]) -> None:
+        with self._section:
+            self._now = anchor
+            ahead = [each for each in self._waypoints if each[0] > anchor + self._cycle]
+            self._plan(anchor, q, qd, ahead or [(anchor + _LATE, self._waypoints[-1][1])], 0)
+
+    def skip(self, time: float, seconds: float) -> tuple[list[float], list[float]]:
+        """The present positions and speeds: time passes, whether set-points are sent or not."""
+        with self._section:
+            return self._sample(time + self._delay - self._cycle)
+
+    def at(self, time: float, rate: float) -> tuple[list[float], list[float]]:
+        """The set-point that answers the state of this time."""
+        with self._section:
+            return self._sample(time + self._delay)
+
+    def accept(self, time: float, rate: float) -> None:
+        """The set-point of this time was sent."""
+        self._now = time + self._delay
+
+    # ------------------------------------------------------------------------------------------------
+
+    def _sample(self, t: float) -> tuple[list[float], list[float]]:
+        assert self._curve is not None
+        q, qd, _ = self._curve.sample(t - self._origin)
+        return q, qd
+
+    def _plan(
+        self, anchor: float, q: Sequence[float], qd: Sequence[float], waypoints: list[_Waypoint], new: int
+    ) -> None:
+        """The curve from the present set-point through waypoints; those from number `new` on are put off if needed."""
+        times = [time for time, _ in waypoints]
+        places = np.array([list(q), *(place for _, place in waypoints)])
+        before = times[new - 1] if new else anchor
+        put_off = 0
+        while True:
+            curve = _curve(np.array([0.0, *(time - anchor for time in times)]), places, qd)
+            try:
+                curve.check(self._model)
+                break
+            except BadValue:
+                if put_off == _PUT_OFF:
+                    raise
+            put_off += 1
+            later = _LATER * (times[new] - before)
+            times[new:] = [time + later for time in times[new:]]
+        self._waypoints = [(time, place) for time, (_, place) in zip(times, waypoints, strict=True)]
+        self._curve, self._origin = curve, anchor
+
+
+def _curve(times: np.ndarray, places: np.ndarray, qd: Sequence[float]) -> Trajectory:
+    """A curve through places at times, with speeds `qd` at first and rest at the end."""
+    speeds = Trajectory.from_arrays(times, places).qd.copy()
+    speeds[0] = qd
+    return Trajectory.from_arrays(times, places, speeds)

@@ -1,0 +1,208 @@
+"""The connection that a program on the robot makes back to this computer."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import random
+
+from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout
+from linkcore.net.listener import TcpListener, addresses, local_address
+from linkcore.net.transport import TcpTransport
+
+from ...script.links import TOKENS, ReverseSocket
+
+_log = logging.getLogger(__name__)
+
+#: Connections that may not have sent their token yet: other peers can reach the port, so their number is bounded.
+_MOST_CANDIDATES = 8
+#: Bytes of a token.
+_TOKEN_SIZE = 4
+
+#: A connection, and the bytes that it has sent so far.
+_Candidate = tuple[TcpTransport, bytearray]
+
+
+class ReversePort:
+    """The address and port to which programs on the robot connect.
+
+    Args:
+        robot: address of the controller.
+        host: address of this computer for the robot; None for the one on the route to the robot.
+        port: TCP port to listen on; 0 for a free one.
+        peer: address from which programs connect; None for the robot's own.
+    """
+
+    def __init__(self, robot: str, host: str | None = None, port: int = 0, peer: str | None = None) -> None:
+        self.robot = robot
+        self.host = host
+        self.port = port
+        self.peer = peer
+        self._link: ReverseLink | None = None
+
+    def open(self) -> ReverseLink:
+        """Listen for the next program.
+
+        With a fixed port, the link before stops listening first: its program will be replaced.
+
+        Raises:
+            BadAddress: the port cannot be listened on.
+            ConnectFailed: there is no route to the robot.
+        """
+        if self.port and self._link is not None:
+            self._link.stop_listening()
+        link = self._link = ReverseLink(self)
+        return link  # and not what another thread may have set meanwhile
+
+
+class ReverseLink:
+    """A port that waits for the connection of one program on the robot; then that connection.
+
+    A program identifies itself by the token in its text. A peer whose address is not the robot's, or that sends other
+    bytes, is refused, and the port goes on listening. The port is closed once the program has connected, and at the
+    latest with the link: a program that the controller begins later cannot connect.
+
+    Args:
+        where: the addresses of the robot and of this computer.
+
+    Attributes:
+        endpoint: the address and the token, for the program's text.
+
+    Raises:
+        BadAddress: the port cannot be listened on.
+        ConnectFailed: there is no route to the robot.
+    """
+
+    def __init__(self, where: ReversePort) -> None:
+        here = local_address(where.robot) if where.host is None else where.host
+        self._peers = addresses(where.robot if where.peer is None else where.peer)
+        # A given address may be translated on the way (NAT), so it may be none that can be listened on.
+        self._listener = TcpListener(here if where.host is None else "", where.port)
+        self.endpoint = ReverseSocket(here, self._listener.address[1], random.SystemRandom().randrange(TOKENS))
+        self._candidates: list[_Candidate] = []
+        self._connection: TcpTransport | None = None
+        self._waiting = b""  # bytes that came directly after the token
+        self._is_closed = False
+
+    @property
+    def is_up(self) -> bool:
+        """Whether the program has connected."""
+        return self._connection is not None
+
+    def poll(self, has_begun: bool) -> bool:
+        """Accept the connection, if it has been made; True once it was accepted. Never waits."""
+        while self._connection is None and (connection := self._accepted()) is not None:
+            candidate = (connection, bytearray())
+            if connection.host not in self._peers:
+                self._refuse(candidate, f"the robot is at {', '.join(sorted(self._peers))}")
+            else:
+                self._candidates.append(candidate)
+                if len(self._candidates) > _MOST_CANDIDATES:
+                    self._refuse(self._candidates[0], "it said nothing")
+        for candidate in tuple(self._candidates):
+            if self._connection is None:
+                self._look(candidate)
+        return self._connection is not None
+
+    def _accepted(self) -> TcpTransport | None:
+        while True:
+            try:
+                return self._listener.accept(0)
+            except ConnectionLost:
+                pass  # closed again by the peer; perhaps there is another
+            except (LinkTimeout, ConnectFailed):
+                return None
+
+    def _look(self, candidate: _Candidate) -> None:
+        """Read the token of a candidate."""
+        connection, said = candidate
+        try:
+            received = connection.receive_waiting()
+        except ConnectionLost:
+            self._drop(candidate)
+            return
+        if received is not None:
+            said += received[0]
+        token = self.endpoint.token.to_bytes(_TOKEN_SIZE, "big")
+        if said[:_TOKEN_SIZE] == token:
+            self._waiting = bytes(said[_TOKEN_SIZE:])
+            self._connection = connection
+            self._forget(candidate)
+            self.stop_listening()
+            if self._is_closed:  # by another thread, in the meantime
+                connection.abort()
+        elif not token.startswith(said[:_TOKEN_SIZE]):
+            self._refuse(candidate, "it is not the program that is waited for")
+
+    def _refuse(self, candidate: _Candidate, why: str) -> None:
+        name = candidate[0].name
+        _log.warning("%s connected to the port for a program on the robot and was refused: %s", name, why)
+        self._drop(candidate)
+
+    def _drop(self, candidate: _Candidate) -> None:
+        candidate[0].abort()
+        self._forget(candidate)
+
+    def _forget(self, candidate: _Candidate) -> None:
+        with contextlib.suppress(ValueError):  # not in the list yet, or another thread is closing
+            self._candidates.remove(candidate)
+
+    def stop_listening(self) -> None:
+        """Accept no more connections."""
+        self._listener.close()
+        while self._candidates:
+            self._candidates.pop()[0].abort()
+
+    def send(self, data: bytes) -> None:
+        """Send to the program, at once and completely.
+
+        Raises:
+            ConnectionLost: the connection is closed, or the program does not read.
+        """
+        connection = self._connection
+        if connection is None:
+            raise ConnectionLost("the program on the robot is not connected")
+        if connection.send_some(data) < len(data):
+            # The kernel has buffered some hundred set-points by now, and a part of one would shift all that follow.
+            connection.abort()
+            raise ConnectionLost(f"{connection.name}: the program on the robot does not read")
+
+    def received(self) -> bytes:
+        """The bytes that the program has sent since the last call; never waits.
+
+        Raises:
+            ConnectionLost: the connection is closed.
+        """
+        data, self._waiting = self._waiting, b""
+        try:
+            while self._connection is not None and (more := self._connection.receive_waiting()) is not None:
+                data += more[0]
+        except ConnectionLost:
+            if not data:  # its last bytes are returned first
+                raise
+        return data
+
+    def absence(self, why: str) -> ConnectFailed:
+        """The error for a program that does not connect."""
+        host, port, _ = self.endpoint
+        return ConnectFailed(
+            f"the program on the robot could not connect to this computer at {host}:{port}: {why}. Is that an address "
+            "by which the robot reaches it (set another with reverse_host), does the firewall let it in (a fixed port "
+            "is set with reverse_port), and does the robot come from the address that it was connected by (another is "
+            "set with reverse_peer)?"
+        )
+
+    def close(self, *, farewell: bool = False) -> None:
+        """Close the port and the connection, and discard what has not arrived. Idempotent.
+
+        Args:
+            farewell: whether the bytes that were sent last must arrive; waits for that, a fraction of a second at most.
+        """
+        self._is_closed = True
+        self.stop_listening()
+        connection = self._connection
+        if connection is not None:
+            if farewell:
+                connection.close()
+            else:
+                connection.abort()

@@ -1,0 +1,71 @@
+"""The lag of an arm behind its set-points: measured by a wave of one joint."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from linkcore.errors import LinkError
+
+from ...arm.vectors import FloatArray
+from ...protocol.realtime.packets import RealtimeState
+
+#: Steps of Newton's method for the delay; four are usual.
+_STEPS = 8
+#: s; a longer delay means that the arm does not follow.
+_LONGEST = 0.5
+#: Fraction of the wave that may be left unexplained by a delay.
+_UNEXPLAINED = 0.2
+
+
+def measure(
+    states: Iterable[RealtimeState],
+    send: Callable[[list[float]], object],
+    joint: int,
+    amplitude: float,
+    duration: float,
+) -> float:
+    """Move a joint there and back, and find out by how much it lags.
+
+    Args:
+        states: of the robot, each as it arrives.
+        send: sends a set-point (6, rad).
+        joint: number of the joint.
+        amplitude: rad of the movement, with its sign.
+        duration: s for the movement there and back.
+
+    Returns:
+        s from a state to the one in which the arm is at the set-point that answered it.
+
+    Raises:
+        LinkError: the arm does not follow.
+    """
+    rate = 2.0 * math.pi / duration
+
+    def wave(t: FloatArray | float) -> FloatArray:
+        return 0.5 * amplitude * (1.0 - np.cos(rate * np.clip(t, 0.0, duration)))
+
+    q: list[float] = []
+    seen: list[tuple[float, float]] = []
+    for state in states:
+        q = q or state.q_target.tolist()
+        seen.append((state.time, float(state.q_actual[joint])))
+        t = state.time - seen[0][0]
+        send([*q[:joint], q[joint] + float(wave(t)), *q[joint + 1 :]])
+        if t > duration + _LONGEST:
+            break
+    times, actual = np.array(seen).T
+    # Relative to the first positions: sensors have an offset.
+    times, actual = times - times[0], actual - actual[0]
+    delay = 0.0
+    for _ in range(_STEPS):
+        speed = 0.5 * amplitude * rate * np.sin(rate * np.clip(times - delay, 0.0, duration))
+        delay += float((wave(times - delay) - actual) @ speed / (speed @ speed))
+    rest = float(np.abs(wave(times - delay) - actual).max())
+    if not 0.0 <= delay <= _LONGEST or rest > _UNEXPLAINED * abs(amplitude):
+        raise LinkError(
+            f"the arm does not follow: a wave of {amplitude:g} rad came back {rest:.4f} rad off, by {delay:.3f} s"
+        )
+    return delay

@@ -1,0 +1,168 @@
+"""A trajectory sent point by point: the robot interpolates by itself, and requests the next point in good time.
+
+For links that are too slow or too uneven to stream over. A point has to arrive while the arm moves to the one before,
+so points should be further apart in time than an answer takes.
+"""
+
+from __future__ import annotations
+
+import math
+
+from linkcore.errors import ConnectionLost
+
+from ...command.controller_clock import ProgramClock
+from ...errors import ProgramStopped
+from ...protocol.firmware import Firmware
+from ...protocol.realtime.packets import RealtimeState
+from ...script import waypoints
+from ...script.links import InputRegisters, ReverseSocket
+from ...script.text import number
+from ..moves.trajectory import Trajectory
+from .following import Following, Tolerances
+
+#: Seconds without a line of the program, which sends a heartbeat, after which it counts as gone.
+_SILENCE = 3.0
+#: Bytes in a line at most.
+_LONGEST_LINE = 32
+
+
+class WaypointServer(Following):
+    """Serves the points of a trajectory.
+
+    The first point is the position of the arm, so that the arm leaves it without a jump.
+
+    Args:
+        firmware: of the controller.
+        lookahead_time, gain: of ``servoj``.
+    """
+
+    farewell = b""
+
+    def __init__(
+        self, trajectory: Trajectory, tolerances: Tolerances, firmware: Firmware, lookahead_time: float, gain: float
+    ) -> None:
+        def write(link: ReverseSocket | InputRegisters) -> list[str]:
+            assert isinstance(link, ReverseSocket), "it asks for its points, and registers answer nothing"
+            is_quintic = trajectory.is_quintic
+            return waypoints.interpolating(
+                firmware, *link, is_quintic=is_quintic, lookahead_time=lookahead_time, gain=gain
+            )
+
+        super().__init__(write, trajectory, tolerances, ProgramClock(1.0 / firmware.rate))
+        self._next_time = float(trajectory.time[1])
+        self._line = b""
+        self._requests: list[int] = []
+        #: s on the trajectory that the arm has gone on in a pause; and then: when that was, s, and (6,) rad from there
+        self._skipped = 0.0
+        self._resumed: tuple[float, list[float]] | None = None
+        self._received_at: float | None = None
+        self._has_arrived = False
+        #: s that have passed on the trajectory; None before it began
+        self._t: float | None = None
+
+    def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
+        """The message that answers a state, and the requests that the program has sent since the last one.
+
+        Raises:
+            BadValue: the arm is not at the beginning of the trajectory.
+            ConnectionLost: the program has sent nothing for too long.
+            LinkTimeout: the arm does not come to rest.
+            ProgramStopped: the program has sent something that is not a request.
+            ToleranceExceeded: the arm is too far from the trajectory.
+        """
+        passed, scaled = self._clock.passed(state, now)
+        if self._t is not None:
+            self._t = min(self._t + scaled, max(self._t, self._next_time))
+            self._passed += passed
+        self._read(received, now)
+        answers = []
+        while self._requests and (answer := self._answer(self._requests[0], state, now)) is not None:
+            answers.append(answer)
+            self._requests.pop(0)
+        if self._t is not None and (self._has_arrived or self._t < self._trajectory.duration):
+            self._compare(state, self._t)
+        elif self._has_arrived:
+            self.is_over = True
+        if not self._has_arrived and self._received_at is not None and now - self._received_at > _SILENCE:
+            raise ConnectionLost(f"the program on the robot has said nothing for {_SILENCE:g} s")
+        return b"".join(answers)
+
+    def conclude(self) -> None:
+        """Handle that the program has ended by itself: the arm was led to the last point."""
+        self._has_arrived = True
+
+    def _read(self, data: bytes, now: float) -> None:
+        """Parse the lines of the program."""
+        if data or self._received_at is None:
+            self._received_at = now
+        *lines, self._line = (self._line + data).split(b"\n")
+        if len(self._line) > _LONGEST_LINE:
+            raise ProgramStopped(f"the program on the robot does not speak in numbers: {self._line[:50]!r}")
+        for line in lines:
+            try:
+                self._requests.append(int(line))
+            except ValueError:
+                raise ProgramStopped(f"the program on the robot does not speak in numbers: {line[:50]!r}") from None
+
+    def _answer(self, request: int, state: RealtimeState, now: float) -> bytes | None:
+        """The answer to one request; None if it has to wait."""
+        if request == waypoints.ARRIVED:
+            self._has_arrived = True
+            return b""
+        if request == waypoints.BEAT:
+            return b"(1)\r\n"
+        if request == waypoints.HELD:
+            skipped, self._skipped = self._skipped, 0.0
+            return f"({number(1.0 + skipped)})\r\n".encode()
+        if request < 0:
+            raise ProgramStopped(f"the program on the robot asks for point {request}")
+        if request == 0:
+            return self._point(0, self._check_start(state)) if self._rest.is_reached(state, now) else None
+        if request == 2 and self._t is None:
+            # It has received the first point to go to, and moves from now on.
+            self._t = self._passed = 0.0
+        elif self._t is not None and request > 2:
+            # It moves to the last but one of the points that it has asked for.
+            time = self._trajectory.time
+            self._t = max(self._t, float(time[request - 3]))
+            # After the last one it asks for nothing more.
+            self._next_time = float(time[request - 2]) if request < len(time) else math.inf
+        if request < len(self._trajectory):
+            return self._point(request, self._trajectory.q[request].tolist())
+        # All points have been sent: the program may end before its last line was read.
+        self.survives_its_program = True
+        zeros = [0.0] * (waypoints.numbers_of_point(self._trajectory.is_quintic) - 1)
+        return _line(waypoints.NO_MORE, zeros)
+
+    def resume(self, state: RealtimeState) -> None:
+        """Go on after a pause, from where the arm stands: the program asks how far on that is."""
+        super().resume(state)
+        self._received_at = None
+        if self._t is not None:
+            before = self._t
+            self._t = max(self._nearest(state.q_target.tolist(), before), before)
+            self._skipped = self._t - before
+            q = super().desired(self._t)[0]
+            self._resumed = self._t, [a - b for a, b in zip(state.q_target.tolist(), q, strict=True)]
+
+    def desired(self, t: float) -> tuple[list[float], list[float]]:
+        """Positions, rad, and velocities, rad/s, that the arm should have at a time."""
+        q, qd = super().desired(t)
+        if self._resumed is None:
+            return q, qd
+        began, away = self._resumed
+        faded = min((t - began) / waypoints.FADING, 1.0)
+        left = 1.0 - faded * faded * (3.0 - 2.0 * faded)
+        return [a + left * b for a, b in zip(q, away, strict=True)], qd
+
+    def _point(self, index: int, q: list[float]) -> bytes:
+        trajectory = self._trajectory
+        numbers = [*q, *trajectory.qd[index].tolist()]
+        if trajectory.qdd is not None:
+            numbers += trajectory.qdd[index].tolist()
+        since = trajectory.time[index] - trajectory.time[max(index - 1, 0)]
+        return _line(index, [*numbers, float(since)])
+
+
+def _line(index: int, numbers: list[float]) -> bytes:
+    return f"({index}, {', '.join(map(number, numbers))})\r\n".encode()

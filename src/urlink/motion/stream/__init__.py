@@ -1,0 +1,1 @@
+"""Motions along points that are appended while the arm moves, for one arm and for groups."""

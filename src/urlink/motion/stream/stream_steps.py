@@ -1,0 +1,351 @@
+"""The steps of a stream: polynomials from a moment of the arm to a point, braking after the last, and the path back.
+
+The program on the robot computes the same ones (`urlink.script.buffering`): so it is known here where the arm brakes,
+without a report of it. `Aim` is a point that is to be reached, and `onto` leads from one curve through points onto
+another.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from linkcore.errors import BadValue
+from linkcore.pending_call import Call, PendingCall, current_call
+
+from ...arm.models import Model
+from ...arm.vectors import FloatArray
+from ...script.buffering import BRAKING_FACTOR, STRAY
+from ..moves.trajectory import refuse_beyond
+from ..servo.jerk_limited import JointLimit
+
+#: Places in a step at which it is compared with limits (see `urlink.motion.moves.trajectory`).
+_PLACES = np.linspace(0.0, 1.0, 17)
+#: Fraction by which rounding may exceed a limit.
+_SLACK = 1e-6
+#: rad/s and rad/s² below which a joint rests.
+_RESTING = 1e-6
+#: rad, rad/s and rad/s² by which a moment may differ from the one in which a step begins.
+_SAME = 1e-6
+#: Times that are tried for a path back onto the points: each longer than the one before by this factor, until
+#: `_LONGEST` s. Chosen: the path takes at most an eighth longer than it has to.
+_LONGER, _LONGEST = 1.125, 20.0
+#: The powers of the time in a position, a speed and an acceleration, for six coefficients.
+_POWERS = np.arange(6.0)
+
+
+@dataclass(frozen=True)
+class JointMoment:
+    """Positions, (6,) rad, speeds, rad/s, and accelerations, rad/s², of the joints at one time."""
+
+    q: FloatArray
+    qd: FloatArray
+    qdd: FloatArray
+
+    @classmethod
+    def at_rest(cls, q: Sequence[float] | FloatArray) -> JointMoment:
+        """The arm stands still at `q` (6, rad)."""
+        return cls(np.array(q, dtype=np.float64), np.zeros(6), np.zeros(6))
+
+    @property
+    def rests(self) -> bool:
+        """Whether no joint moves."""
+        return bool(max(np.abs(self.qd).max(), np.abs(self.qdd).max()) < _RESTING)
+
+
+class Step:
+    """A polynomial of each joint over a time.
+
+    Args:
+        rows: (6 powers, 6 joints), of seconds since it began.
+        length: s.
+        degree: 1, 3 or 5; 4 for the beginning of a cubic (`urlink.script.buffering`).
+    """
+
+    __slots__ = ("degree", "length", "rows")
+
+    def __init__(self, rows: FloatArray, length: float, degree: int = 5) -> None:
+        self.rows = rows
+        self.length = length
+        self.degree = degree
+
+    @classmethod
+    def to(cls, begin: JointMoment, end: JointMoment, length: float, degree: int) -> Step:
+        """From one moment to another; of its speeds and accelerations, degree 1 and 3 leave out what they do not meet.
+
+        Args:
+            length: s.
+            degree: as that of a step.
+        """
+        rows = np.zeros((6, 6))
+        h = length
+        mean = (end.q - begin.q) / h
+        rows[0] = begin.q
+        if degree == 1:
+            rows[1] = mean
+        elif degree < 5:
+            rows[1] = begin.qd
+            rows[2] = (3.0 * mean - 2.0 * begin.qd - end.qd) / h
+            rows[3] = (begin.qd + end.qd - 2.0 * mean) / h**2
+        else:
+            v0, v1, a0, a1 = begin.qd, end.qd, begin.qdd, end.qdd
+            rows[1] = v0
+            rows[2] = 0.5 * a0
+            rows[3] = (10.0 * mean - 6.0 * v0 - 4.0 * v1 + h * (0.5 * a1 - 1.5 * a0)) / h**2
+            rows[4] = (8.0 * v0 + 7.0 * v1 - 15.0 * mean + h * (1.5 * a0 - a1)) / h**3
+            rows[5] = (6.0 * mean - 3.0 * v0 - 3.0 * v1 + 0.5 * h * (a1 - a0)) / h**4
+        return cls(rows, length, degree)
+
+    @classmethod
+    def braking(cls, begin: JointMoment, limits: Sequence[JointLimit]) -> Step:
+        """From a moment to rest, all joints in the same time (`urlink.script.buffering`); of length 0 at rest."""
+        length = 0.0
+        for v, a, limit in zip(np.abs(begin.qd).tolist(), np.abs(begin.qdd).tolist(), limits, strict=True):
+            by_jerk = (2.0 * a + math.sqrt(4.0 * a * a + 6.0 * limit.jerk * v)) / limit.jerk
+            if a * by_jerk**2 > 12.0 * STRAY:
+                by_jerk = max(math.sqrt(6.0 * v / limit.jerk), math.sqrt(12.0 * STRAY / a))
+            length = max(length, BRAKING_FACTOR * v / limit.acceleration, by_jerk)
+        rows = np.zeros((6, 6))
+        rows[0] = begin.q
+        if length > 0.0:
+            v, a = begin.qd, begin.qdd
+            rows[1:5] = v, 0.5 * a, -(v / length + 2.0 / 3.0 * a) / length, (0.5 * v / length + 0.25 * a) / length**2
+        return cls(rows, length)
+
+    def at(self, t: float) -> JointMoment:
+        """The moment `t` s after its beginning."""
+        return JointMoment(*_derivatives(self.rows, t**_POWERS))
+
+    @property
+    def begin(self) -> JointMoment:
+        """Where it begins."""
+        return self.at(0.0)
+
+    @property
+    def end(self) -> JointMoment:
+        """Where it ends; one of degree 3 without an acceleration."""
+        end = self.at(self.length)
+        return JointMoment(end.q, end.qd, np.zeros(6)) if self.degree == 3 else end
+
+    def begins_in(self, moment: JointMoment) -> bool:
+        """Whether it begins in a moment, as far as its degree meets one."""
+        begin = self.begin
+        return all(
+            np.abs(getattr(begin, each) - getattr(moment, each)).max() < _SAME
+            for each in ("q", "qd", "qdd")[: (self.degree + 1) // 2]
+        )
+
+    def cut(self, length: float) -> Step:
+        """Its beginning."""
+        return Step(self.rows, length, 4 if self.degree == 3 else self.degree)
+
+    def rest(self, t: float) -> Step:
+        """What is left of it after `t` s."""
+        # The Taylor expansion around t.
+        rows = np.array([sum(math.comb(k, n) * t ** (k - n) * self.rows[k] for k in range(n, 6)) for n in range(6)])
+        return Step(rows, self.length - t, self.degree)
+
+
+def _derivatives(rows: FloatArray, powers: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Positions, speeds and accelerations, from the coefficients and the powers of the time."""
+    qd = (_POWERS[1:] * powers[..., :-1]) @ rows[..., 1:, :]
+    qdd = (_POWERS[2:] * _POWERS[1:-1] * powers[..., :-2]) @ rows[..., 2:, :]
+    return powers @ rows, qd, qdd
+
+
+def _sampled(rows: FloatArray, lengths: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """(n, places, joints) positions, speeds, accelerations and jerks of n steps, rows (n, 6, 6)."""
+    t = lengths[:, None] * _PLACES
+    powers = t[..., None] ** _POWERS
+    qddd = (_POWERS[3:] * _POWERS[2:-1] * _POWERS[1:-2] * powers[..., :-3]) @ rows[:, 3:]
+    return *_derivatives(rows, powers), qddd
+
+
+class Bounds:
+    """What a stream may ask of an arm.
+
+    Args:
+        model: its limits of position, speed and acceleration hold for the points; None if the arm is not known.
+        speeds: (6,) rad/s of its joints.
+        limits: of what the stream adds: the braking, and the paths back onto the points.
+    """
+
+    def __init__(self, model: Model | None, speeds: Sequence[float], limits: Sequence[JointLimit]) -> None:
+        self.limits = tuple(limits)
+        self._arm = "the fastest arm" if model is None else f"a {model.name}"
+        self._speeds = np.array(speeds)
+        # Positions that a message can hold, and that are meant, are no more than three turns (`buffering.FINE`).
+        turns = np.tile([-6.0 * math.pi, 6.0 * math.pi], (6, 1))
+        low, high = (turns if model is None else np.clip(model.position_limits, turns[:, :1], turns[:, 1:])).T
+        self._low, self._high = low, high
+        self._accelerations = np.full(6, 1000.0) if model is None else model.max_acceleration
+        self._own = np.array([[limit.acceleration, limit.jerk] for limit in limits]).T
+
+    def braked(self, moment: JointMoment) -> JointMoment:
+        """Where the arm rests if nothing follows."""
+        return JointMoment.at_rest(Step.braking(moment, self.limits).end.q)
+
+    def check(self, steps: Sequence[Step], names: Sequence[str]) -> None:
+        """Raise unless an arm can follow these steps, and stays within its range if it has to brake after one.
+
+        The corners between steps of degree 1 are no accelerations.
+
+        Args:
+            names: of each step, for messages.
+
+        Raises:
+            BadValue: a limit is exceeded; the message has the step, the joint, the value and the limit.
+        """
+        rows = np.array([step.rows for step in steps])
+        lengths = np.array([step.length for step in steps])
+        q, qd, qdd, _ = _sampled(rows, lengths)
+        refuse = partial(refuse_beyond, lambda step, place: names[step], self._arm)
+        low, high = self._low, self._high
+        refuse(q, "position", "rad", np.where(q < low, low, high), (q < low) | (q > high))
+        for values, limit, what, unit in (
+            (qd, self._speeds, "speed", "rad/s"),
+            (qdd, self._accelerations, "acceleration", "rad/s²"),
+        ):
+            beyond = np.abs(values) > limit * (1.0 + _SLACK)
+            refuse(values, what, unit, np.broadcast_to(limit, values.shape), beyond)
+        rests = np.array([[self.braked(step.end).q] for step in steps])
+        what = "position where it would brake to if nothing followed"
+        refuse(rests, what, "rad", np.where(rests < low, low, high), (rests < low) | (rests > high))
+
+    def way(self, begin: JointMoment, end: JointMoment, least: float) -> Step | None:
+        """The quickest polynomial from one moment to another within the limits; None if there is none.
+
+        It exceeds neither the speed of a joint, nor the limits of acceleration and jerk of what the stream adds, but
+        where it begins or ends with more.
+
+        Args:
+            least: s that it takes at least.
+        """
+        count = max(math.ceil(math.log(_LONGEST / least, _LONGER)), 1) if least < _LONGEST else 1
+        for first in range(0, count, 16):
+            tried = [Step.to(begin, end, least * _LONGER**i, 5) for i in range(first, min(first + 16, count))]
+            found = self.first_within(tried)
+            if found is not None:
+                return tried[found]
+        return None
+
+    def first_within(self, ways: Sequence[Step]) -> int | None:
+        """Number of the first of these that is within the limits of what the stream adds."""
+        q, qd, qdd, qddd = _sampled(np.array([way.rows for way in ways]), np.array([way.length for way in ways]))
+        hard, sharp = self._own
+        # Where the points themselves are harder, at the ends of a path, so is it.
+        hard = np.maximum(hard, np.maximum(np.abs(qdd[:, :1]), np.abs(qdd[:, -1:])))
+        slack = 1.0 + _SLACK
+        is_within = (
+            ((q >= self._low) & (q <= self._high)).all((1, 2))
+            & (np.abs(qd) <= self._speeds * slack).all((1, 2))
+            & (np.abs(qdd) <= hard * slack).all((1, 2))
+            & (np.abs(qddd) <= sharp * slack).all((1, 2))
+        )
+        return int(np.argmax(is_within)) if is_within.any() else None
+
+
+#: Factor between the times that are tried for a path onto other points.
+_LATER = 1.25
+
+
+@dataclasses.dataclass(frozen=True)
+class Mark:
+    """The end of the points: its time on the clock of the stream, s, and the moment."""
+
+    time: float
+    moment: JointMoment
+
+
+class Handed:
+    """Points that were appended together.
+
+    Attributes:
+        future: resolved once the last of them was sent; to an error if they were dropped.
+        call: of the task that appends them, if one does.
+    """
+
+    def __init__(self) -> None:
+        self.future: Future[None] = Future()
+        self.call: Call | PendingCall | None = current_call()
+
+    def settle(self, error: Exception | None = None) -> None:
+        """Resolve it."""
+        if not self.future.done():
+            if error is None:
+                self.future.set_result(None)
+            else:
+                self.future.set_exception(error)
+
+
+@dataclasses.dataclass(frozen=True)
+class Aim:
+    """A point that is to be reached.
+
+    Attributes:
+        time: on the clock of the stream, s.
+        moment: in which the arm passes it.
+        step: from the point before; None if it is where the arm rests.
+        handed: with which points it came; None if it was computed here.
+    """
+
+    time: float
+    moment: JointMoment
+    step: Step | None
+    handed: Handed | None = None
+
+    @property
+    def degree(self) -> int:
+        """Of the step to it; 5 where there is none, since the moment is a whole one."""
+        return 5 if self.step is None else self.step.degree
+
+
+def onto(bounds: Bounds, curve: Sequence[Aim], here: JointMoment, time: float, shortest: float) -> list[Aim]:
+    """From a moment of the present curve onto another, as soon as the limits allow; and the rest of that.
+
+    Args:
+        curve: the points to go over to, each with the step from the one before.
+        here: moment of the present curve at `time`, s.
+        shortest: s that a step takes at least.
+
+    Raises:
+        BadValue: its points are past, or no path within the limits leads onto it.
+    """
+    places: list[tuple[Aim, list[Aim]]] = []
+    at = max(time + 2.0 * shortest, curve[0].time)
+    while at < curve[-1].time + (at - time) * (_LATER - 1.0) and len(places) < 40:
+        place = _landing(curve, min(at, curve[-1].time), shortest)
+        if not places or place[0].time > places[-1][0].time:
+            places.append(place)
+        at = time + _LATER * (at - time)
+    if not places:
+        raise BadValue(
+            f"all points are past: the last is at {curve[-1].time:g} s, and they are needed from {time:g} s on"
+        )
+    ways = [Step.to(here, aim.moment, aim.time - time, 5) for aim, _ in places]
+    found = bounds.first_within(ways)
+    if found is None:
+        raise BadValue(
+            f"the points up to {curve[-1].time:g} s cannot be reached from where the stream is at {time:g} s within "
+            f"the acceleration and jerk of the stream; expected points closer to it, or later ones"
+        )
+    aim, rest = places[found]
+    return [dataclasses.replace(aim, step=ways[found]), *rest]
+
+
+def _landing(curve: Sequence[Aim], at: float, shortest: float) -> tuple[Aim, list[Aim]]:
+    """The moment of a curve at a time before its end, or a little later at its next point; and the points after it."""
+    following = next(i for i, aim in enumerate(curve) if aim.time >= at)
+    aim = curve[following]
+    if aim.step is None or aim.time - at < shortest:
+        return aim, list(curve[following + 1 :])
+    t = aim.step.length - (aim.time - at)
+    rest = aim.step.rest(t)
+    begin = Aim(at, rest.begin, None)
+    return begin, [dataclasses.replace(aim, step=rest), *curve[following + 1 :]]

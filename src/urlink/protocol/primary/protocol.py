@@ -1,0 +1,225 @@
+"""The primary and secondary interface (30001, 30002, 30011, 30012), sans-IO.
+
+Bytes to robot states, robot messages and the other packages. The version message that a controller sends on connecting
+determines the layouts of what follows; until then the sizes do (docs/protocols/primary.md, section Version message).
+
+A package begins with its size and its type (docs/protocols/primary.md, section Framing). In step the size is believed,
+after a look at what a lie would break. Out of step only what proves itself is believed: a robot state whose
+sub-packages add up to its size, or a robot message of a known type that is followed by another package.
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+import struct
+
+from linkcore.clock import Stamp
+from linkcore.wire.cycles import MissedCycles
+from linkcore.wire.framing import Framer
+from linkcore.wire.packet import State
+
+from ..firmware import Firmware
+from ..headers import PACKAGE_INTERFACE, PACKAGE_SIZES, ROBOT_MESSAGE, ROBOT_STATE, interface_of
+from .decoder import KNOWN_TYPES, PackageDecoder
+from .robot_message import MESSAGE_HEAD, MESSAGES, VersionMessage
+from .robot_state import RobotModeData
+
+_log = logging.getLogger(__name__)
+
+#: Seconds between two robot states.
+STATE_PERIODS = (0.1,)
+
+_HEAD = struct.Struct(">iB")
+_HEAD_AND_TIME = struct.Struct(">iBQ")
+#: Type of the sub-package that has the time, and its size on CB2.
+_MODES, _CB2_SIZE = 0, RobotModeData.LAYOUTS.all[0].size
+
+_SIZE = struct.Struct(">i")
+_HEAD_AND_FIRST = struct.Struct(">iBi")  # of a robot state, with the size of its first sub-package
+
+# Out of step, and for unknown types, larger sizes are not believed. The largest one seen has 1471 bytes.
+_LARGEST_BELIEVED = 8192
+
+# The sub-packages of a robot state that are added up. 14 types are known, and no state seen holds one twice. What has
+# more is judged by the package that follows, so that the work for each place in the stream is bounded.
+_MOST_PARTS = 16
+
+# The beginning of a robot state or a robot message of a believable size. It looks ahead, since candidates may overlap.
+_CANDIDATE = re.compile(rb"(?=\x00\x00[\x00-\x20].[\x10\x14])", re.DOTALL)
+_CANDIDATE_BYTES = 5
+
+
+class PackageBoundary:
+    """Frame boundaries of the package stream.
+
+    Packages of unknown types are taken once a known one has come, where another package follows them.
+    """
+
+    largest = PACKAGE_SIZES.stop - 1 + _HEAD.size
+    pace = 256
+    size, head = 0, b""
+    last: bytes | bytearray = b""
+
+    def __init__(self) -> None:
+        self._is_begun = False
+
+    def __str__(self) -> str:
+        return PACKAGE_INTERFACE
+
+    def whole(self, buffer: bytes | bytearray) -> list[bytes]:
+        """None: a size alone does not prove a package."""
+        return []
+
+    def declared(self, buffer: bytes | bytearray, at: int) -> tuple[int, int]:
+        """As `check`, by the header alone, which is believed whatever follows it."""
+        there = len(buffer) - at
+        if there < _HEAD.size:
+            return 0, _HEAD.size
+        size, kind = _HEAD.unpack_from(buffer, at)
+        is_believed = kind in KNOWN_TYPES or (self._is_begun and size <= _LARGEST_BELIEVED)
+        if size not in PACKAGE_SIZES or not is_believed:
+            return 0, 0
+        if kind == ROBOT_STATE and size > _HEAD.size:
+            if there < _HEAD.size + _SIZE.size:
+                return 0, _HEAD.size + _SIZE.size
+            (first,) = _SIZE.unpack_from(buffer, at + _HEAD.size)
+            if not _HEAD.size <= first <= size - _HEAD.size:
+                return 0, 0  # not even its first sub-package is inside it
+        self._is_begun = True
+        return size, size
+
+    def check(self, buffer: bytes | bytearray, at: int) -> tuple[int, int]:
+        """See `FrameBoundary.check`."""
+        size, need = self.declared(buffer, at)
+        there = len(buffer) - at
+        if not size or there < need:
+            return size, need
+        kind = buffer[at + 4]
+        if kind not in KNOWN_TYPES:
+            # What follows may be of a type that nobody knows too, but its size is a small number, which what stands
+            # elsewhere in a stream seldom is.
+            if there < size + _HEAD.size:
+                return size, size + _HEAD.size
+            (next_size,) = _SIZE.unpack_from(buffer, at + size)
+            if not _HEAD.size <= next_size <= _LARGEST_BELIEVED:
+                return 0, 0
+        elif kind == ROBOT_STATE and not _add_up(buffer, at, size)[0]:
+            # If a package follows where this one should end, its size is right and its inside is damaged.
+            if there < size + _HEAD.size:
+                return size, size + _HEAD.size
+            if not _is_header(buffer, at + size):
+                return 0, 0
+        elif kind == ROBOT_MESSAGE and size < MESSAGE_HEAD:
+            return 0, 0
+        return size, size
+
+    def search(self, buffer: bytes | bytearray, start: int) -> tuple[int, int, int]:
+        """See `FrameBoundary.search`."""
+        end = len(buffer)
+        for match in _CANDIDATE.finditer(buffer, start):
+            at = match.start()
+            there = end - at
+            if there < _HEAD.size + _SIZE.size:
+                return at, 0, _HEAD.size + _SIZE.size
+            size, kind, first = _HEAD_AND_FIRST.unpack_from(buffer, at)
+            if size > _LARGEST_BELIEVED:
+                continue
+            if kind == ROBOT_STATE:
+                if not _HEAD.size <= first <= size - _HEAD.size:
+                    continue
+                is_whole, need = _add_up(buffer, at, size)
+            else:
+                if size < MESSAGE_HEAD:
+                    continue
+                if there >= MESSAGE_HEAD and buffer[at + MESSAGE_HEAD - 1] not in MESSAGES:
+                    continue
+                is_whole, need = False, size + _HEAD.size
+            if need > there:
+                return at, size, need
+            if is_whole or (need and _is_header(buffer, at + size)):
+                self._is_begun = True
+                return at, size, need
+        # A candidate may begin with the last bytes.
+        return max(start, end - _CANDIDATE_BYTES + 1), 0, _CANDIDATE_BYTES
+
+    def peer(self, buffer: bytes | bytearray) -> str | None:
+        """See `FrameBoundary.peer`."""
+        other = interface_of(buffer)
+        return None if other == PACKAGE_INTERFACE else other
+
+
+def _is_header(buffer: bytes | bytearray, at: int) -> bool:
+    size, kind = _HEAD.unpack_from(buffer, at)
+    return size in PACKAGE_SIZES and kind in KNOWN_TYPES
+
+
+def _add_up(buffer: bytes | bytearray, at: int, size: int) -> tuple[bool, int]:
+    """Whether the sub-packages of a robot state add up to its size.
+
+    Returns:
+        ``(is_sum, need)``: if `need` bytes from `at` on are in the buffer, it holds; with fewer it is undecided. Where
+        there are too many of them to decide, the need reaches beyond the state: the header behind it decides. They do
+        not add up if the need is 0.
+    """
+    part, stop = at + _HEAD.size, at + size
+    last = len(buffer) - _SIZE.size
+    for _ in range(_MOST_PARTS):
+        if part == stop:
+            return True, size
+        if part > stop - _HEAD.size:
+            return False, 0
+        if part > last:
+            return False, part + _SIZE.size - at
+        (sub,) = _SIZE.unpack_from(buffer, part)
+        if sub < _HEAD.size:
+            return False, 0
+        part += sub
+    return part == stop, size if part == stop else size + _HEAD.size
+
+
+class PrimaryProtocol:
+    """Bytes in, typed states out; a new one for each connection.
+
+    Attributes:
+        firmware: from the version message of this connection; None before it.
+    """
+
+    def __init__(self) -> None:
+        self.framer = Framer(PackageBoundary())
+        self.cycles: MissedCycles | None = MissedCycles(_moment, STATE_PERIODS)
+        self._decoder = PackageDecoder(notice=_log.warning)
+        self.firmware: Firmware | None = None
+
+    @property
+    def unknown(self) -> int:
+        """Packages, messages and sub-packages of a type that no layout is known for, so far."""
+        return self._decoder.unknown
+
+    @property
+    def tails(self) -> int:
+        """Those that end in bytes which no known layout explains, so far."""
+        return self._decoder.tails
+
+    def decode(self, frame: bytes, stamp: Stamp | None = None) -> State:
+        """The typed state of one whole package.
+
+        Raises:
+            PacketError: a layout that the package, or one of its sub-packages, cannot hold.
+        """
+        state = self._decoder.decode(frame, stamp)
+        if isinstance(state, VersionMessage):
+            self.firmware = Firmware(state.major, state.minor, state.bugfix or 0, state.build or 0)
+            self._decoder.use(self.firmware)
+        return state
+
+
+def _moment(frame: bytes) -> float | None:
+    """The time of a robot state; None of other packages, and on CB2, which counts something unknown there."""
+    at = _HEAD.size if frame[4] == ROBOT_STATE else len(frame)
+    while at + _HEAD_AND_TIME.size <= len(frame):
+        size, kind, time = _HEAD_AND_TIME.unpack_from(frame, at)
+        if kind == _MODES:
+            return time / 1e6 if size > _CB2_SIZE else None
+        at += max(size, _HEAD.size)
+    return None

@@ -1,0 +1,363 @@
+"""`load` and `Recording`: what was recorded of a robot, as arrays."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from linkcore.errors import BadRecording, LocalError, WrongPeer
+from linkcore.names import StrictAttributes
+from linkcore.plotting import Curves, Plot
+from linkcore.recording.columns import PacketColumns, is_continuous
+from linkcore.recording.file import Kind, Progress, described, unseen
+from linkcore.recording.index import RecordIndex
+from linkcore.recording.mcap_file import Topic, write_stretches
+from linkcore.recording.packets import Channel, read_channel
+from linkcore.recording.table import PeerClock, Table
+from linkcore.recording.table_files import TABLE_WRITERS, chosen, export
+from linkcore.wire.framing import PacketProtocol
+from linkcore.wire.packet import State
+
+from ..arm.kinematics import Arm
+from ..foreign_names import name_on
+from ..protocol.firmware import Firmware
+from ..protocol.primary.protocol import STATE_PERIODS, PrimaryProtocol
+from ..protocol.primary.robot_message import RobotMessage
+from ..protocol.primary.robot_state import RobotState
+from ..protocol.realtime.packets import RealtimeState
+from ..protocol.realtime.protocol import RealtimeProtocol, periods_of
+from ..protocol.rtde.protocol import CLOCK, RtdeProtocol, package_periods
+from ..protocol.rtde.recipes import Outputs
+from ..rtde.outputs import recorded_plan
+from ..session.identity import described_identity
+from .robot_state_table import RobotStates
+from .ros_messages import description_topic, log_topic, topics_of
+
+
+def load(path: str | os.PathLike[str], *, progress: Progress | None = None) -> Recording:
+    """Load a recording as arrays.
+
+    Damaged and unfinished parts are left out; `Recording.missing` lists them.
+
+    Args:
+        path: of the file.
+        progress: called with the fraction that is done, 0 to 1, while the records are found, and again for each stream,
+            when it is first used, while its packets are found.
+
+    Raises:
+        BadRecording: no such file, or not a recording of a robot.
+    """
+    return Recording(path, progress=progress)
+
+
+class Recording(StrictAttributes):
+    """What was recorded of a robot, as arrays; made by `load`.
+
+    Attributes:
+        path: of the file.
+        channels: name of each stream -> what the recorder wrote about it.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], *, progress: Progress | None = None) -> None:
+        self.path = Path(path)
+        self._progress = progress or unseen
+        self._index = index = RecordIndex(path, self._progress)
+        self.channels: dict[str, Mapping[str, Any]] = {}
+        self._numbers: dict[str, int] = {}
+        for record in np.flatnonzero(index.kind == Kind.CHANNEL).tolist():
+            info = described(self.path, int(index.channel[record]), index.payload(record), "name")
+            self.channels[info["name"]] = info
+            self._numbers[info["name"]] = int(index.channel[record])
+        # Each stream is written by its own thread, so the first record need not have the earliest stamp.
+        times = index.monotonic[index.kind == Kind.BYTES]
+        self._start, self._stop = (int(times.min()), int(times.max())) if len(times) else (0, 0)
+
+    # -- the robot and the file --------------------------------------------------------------------
+
+    @property
+    def firmware(self) -> Firmware | None:
+        """Firmware of the controller when the recording began; None if it was not recorded."""
+        said = self._said("firmware")
+        return None if said is None else Firmware.parse(said)
+
+    @property
+    def model(self) -> str | None:
+        """Name of the arm, such as "UR5e"; None if it was not recorded."""
+        return self._said("model")
+
+    def _said(self, key: str) -> str | None:
+        said = next((info[key] for info in self.channels.values() if info.get(key) is not None), None)
+        if said is not None and not isinstance(said, str):
+            raise BadRecording(f"{self.path}: the {key} is {said!r:.80}, and no text")
+        return said
+
+    @property
+    def kinematics(self) -> Arm:
+        """Kinematics of the recorded arm, calibrated if its DH parameters were recorded; see `Robot.kinematics`.
+
+        Raises:
+            LocalError: the model was not recorded, or is unknown.
+            BadRecording: the firmware was not recorded, or the recorded DH parameters are invalid.
+        """
+        for info in self.channels.values():
+            if "firmware" in info:
+                return described_identity(info).kinematics
+        raise BadRecording(f"{self.path} does not say what firmware it was recorded from")
+
+    def _arm(self) -> Arm | None:
+        with contextlib.suppress(LocalError, WrongPeer):
+            return self.kinematics
+        return None
+
+    def _hint(self, name: str) -> str | None:
+        field = name if name in RealtimeState.FIELDS else name_on("realtime", name)
+        return None if field is None else f"; write recording.realtime[{field!r}]"
+
+    @property
+    def duration(self) -> float:
+        """From the first bytes to the last, s."""
+        return (self._stop - self._start) / 1e9
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the recording was closed properly."""
+        return self._index.is_complete
+
+    @property
+    def left_out(self) -> int:
+        """Bytes of the file that are unfinished or damaged."""
+        return self._index.left_out
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """What was lost or cannot be read, one text each; empty if nothing is missing. Reads the whole recording."""
+        said = [f"{gap.size} bytes from {gap.offset} on are damaged or unfinished" for gap in self._index.gaps]
+        if not self.is_complete:
+            said.append("it was not closed in good order")
+        for name, table in self.tables.items():
+            said += [f"{name}: {each}" for each in table.missing]
+        return tuple(said)
+
+    # -- its streams -------------------------------------------------------------------------------
+
+    @cached_property
+    def realtime(self) -> Table:
+        """The real-time states: ``run.realtime["q_actual"]`` is (n, 6).
+
+        Raises:
+            BadRecording: the recording does not hold them.
+        """
+        channel = self._channel("realtime", RealtimeProtocol, RealtimeState)
+        # Who recorded fewer packets than the robot sends has recorded how many.
+        rate = self._info("realtime").get("rate")
+        if isinstance(rate, (int, float)) and 0 < rate < float("inf"):
+            periods: tuple[float, ...] = (1.0 / rate,)
+        else:
+            periods = periods_of(channel.parts[0].layout.size if channel.parts else 0)
+        return self._table("realtime", channel, PeerClock("time", 1.0, periods))
+
+    @cached_property
+    def primary(self) -> RobotStates:
+        """The robot states of the primary interface, their sub-packages, and the messages.
+
+        Raises:
+            BadRecording: the recording does not hold them.
+        """
+        return self._robot_states("primary")
+
+    @cached_property
+    def secondary(self) -> RobotStates:
+        """The robot states of the secondary interface.
+
+        Raises:
+            BadRecording: the recording does not hold them.
+        """
+        return self._robot_states("secondary")
+
+    @cached_property
+    def rtde(self) -> Table:
+        """The variables of an RTDE stream, by name.
+
+        Raises:
+            BadRecording: the recording does not hold them.
+        """
+        plan = recorded_plan(self._info("rtde"), Outputs)
+        channel = self._channel("rtde", lambda: RtdeProtocol(plan), Outputs)
+        number = None if plan.recorded is None else plan.recorded.number
+        periods = package_periods(plan.frequency, self.firmware, number)
+        return self._table("rtde", channel, PeerClock(CLOCK, 1.0, periods))
+
+    @property
+    def tables(self) -> dict[str, Table]:
+        """Every stream that was recorded, by its name."""
+        return {
+            name: getattr(self, name) for name in ("realtime", "primary", "secondary", "rtde") if name in self.channels
+        }
+
+    # -- out of it ---------------------------------------------------------------------------------
+
+    def export(
+        self,
+        path: str | os.PathLike[str],
+        fields: Sequence[str] | str | None = None,
+        rate: float | None = None,
+        *,
+        progress: Progress | None = None,
+    ) -> Path:
+        """Write the recording to a file of another program. It replaces a file of the same name once it is complete.
+
+        Args:
+            path: its suffix says the format: .csv or .parquet for one table, .mat, .h5 or .mcap for all of them.
+            fields: Names, such as ``["q_actual", "joint_data.T_motor", "rtde.actual_q"]``, or one name as a string;
+                ``"q_actual_3"`` is one joint. None for all; a .csv or .parquet file then holds the first table that was
+                recorded.
+            rate: rows per second to resample to; None for the packets as they came.
+            progress: called with the fraction that is done, 0 to 1.
+
+        Returns:
+            The path.
+
+        Raises:
+            BadValue: unknown suffix or field, or fields of several tables for a format that holds one.
+            BadRecording: the file cannot be written.
+            LocalError: the package that writes the format is not installed; the message says how to install it.
+        """
+        tables = self.tables
+        is_of_one = Path(path).suffix.lower() in (".csv", ".parquet")
+        if fields is None and is_of_one:
+            tables = dict(list(tables.items())[:1])
+        writers = {**TABLE_WRITERS, ".mcap": self._write_mcap}
+        return export(path, chosen(tables, fields, rate), writers, progress, self._about())
+
+    def plot(self, *fields: str, start: float = 0.0, end: float = float("inf")) -> Plot:
+        """Fields over time, one panel each. A notebook shows it; `Plot.save` writes it to a file.
+
+        Args:
+            fields: named as for `export`.
+            start, end: the part to draw, s since the recording began.
+
+        Raises:
+            BadValue: no field was given, or an unknown or non-numeric one, or `end` is before `start`.
+        """
+        tables = chosen(self.tables, fields) if fields else {}
+        curves = []
+        for field in fields:
+            name, table, key = next(
+                (name, table, key)
+                for name, table in tables.items()
+                for key in (field, field.partition(".")[2])
+                if key in table
+            )
+            part = table.between(start, end)
+            label = key if len(tables) == 1 else f"{name}.{key}"
+            time, values = part.time, part[key]
+            if part.begins and is_continuous(table.fields[key]):
+                # NaN interrupts the line while the connection was lost.
+                time = np.insert(time, part.begins, time[part.begins])
+                values = np.insert(values, part.begins, np.nan, axis=0)
+            curves.append(Curves(label, table.fields[key].unit, time, values))
+        who = f"{self.model}, firmware {self.firmware}" if self.model else ""
+        return Plot(curves, f"{self.path.name}  {who}".strip())
+
+    def _about(self) -> dict[str, str]:
+        """What an exported file says of itself."""
+        said = {"robot": self.model, "firmware": self.firmware, "address": self._said("address")}
+        records = np.flatnonzero(self._index.kind == Kind.BYTES)
+        if len(records):
+            first = records[np.argmin(self._index.monotonic[records])]
+            said["start"] = f"{self._index.wall[first].astype('M8[ns]')}Z"
+        said["clock"] = (
+            "t: s since start, by the monotonic clock of the computer that recorded; wall: its UTC; "
+            "time and timestamp: the controller's own clock"
+        )
+        return {key: str(value) for key, value in said.items() if value is not None}
+
+    def _write_mcap(
+        self, path: Path, tables: Mapping[str, Table], about: Mapping[str, str], progress: Progress
+    ) -> None:
+        tables = {name: table for name, table in tables.items() if len(table)}
+        arm = self._arm() if tables else None
+        described = [] if arm is None else [description_topic(arm, min(each.wall[0] for each in tables.values()))]
+
+        def topics(start: float, stop: float) -> Iterable[Topic]:
+            found: dict[str, Topic] = {}
+            for name, table in tables.items():
+                for topic in topics_of(name, table.between(start, stop), arm):
+                    found.setdefault(topic.name, topic)  # if several streams have a topic: the first
+                if isinstance(stream := self.tables[name], RobotStates):
+                    said = stream.of(RobotMessage)
+                    begin, end = np.searchsorted(said.time, [start, stop]).tolist()
+                    found.setdefault("/log", log_topic(stream.robot_messages[begin:end], said.wall[begin:end]))
+            return found.values()
+
+        write_stretches(path, tables, topics, about, progress, described)
+
+    def _info(self, name: str) -> Mapping[str, Any]:
+        if name not in self.channels:
+            there = ", ".join(self.channels) or "nothing"
+            raise BadRecording(f"{self.path} holds no {name}; it holds {there}")
+        return self.channels[name]
+
+    def _channel(
+        self, name: str, protocol: Callable[[], PacketProtocol], kind: type[State], *, is_uniform: bool = True
+    ) -> Channel:
+        self._info(name)
+        return read_channel(
+            self._index, self._numbers[name], protocol, kind, is_uniform=is_uniform, progress=self._progress
+        )
+
+    def _robot_states(self, name: str) -> RobotStates:
+        channel = self._channel(name, PrimaryProtocol, RobotState, is_uniform=False)
+        is_known = self.firmware is not None and not self.firmware.is_cb2
+        clock = PeerClock("robot_mode_data.timestamp", 1e-6, STATE_PERIODS) if is_known else None
+        return RobotStates(name, channel.others, self._timed, channel.begins, self._missing(name, channel), clock)
+
+    def _table(self, name: str, channel: Channel, clock: PeerClock) -> Table:
+        records = np.concatenate([part.record for part in channel.parts]) if channel.parts else np.empty(0, np.int64)
+        time, wall = self._timed(records)
+        begins = np.searchsorted(records, channel.begins).tolist()
+        missing = self._missing(name, channel)
+        columns = PacketColumns(channel.parts)
+        if columns.partial:
+            missing.append(f"only in some of its parts, since the firmware changed: {', '.join(columns.partial)}")
+        return Table(f"{self.path.name} ({name})", columns, time, wall, begins, missing, clock)
+
+    def _timed(self, records: Any) -> tuple[Any, Any]:
+        """Times of records by their numbers: s since the recording began, and wall time."""
+        index = self._index
+        return (index.monotonic[records] - self._start) / 1e9, index.wall[records].astype("M8[ns]")
+
+    def _missing(self, name: str, channel: Channel) -> list[str]:
+        said = [f"connected again {len(channel.begins)} times"] if channel.begins else []
+        if channel.skipped:
+            said.append(f"{channel.skipped} bytes belong to no whole packet")
+        if channel.failed:
+            said.append(f"{len(channel.failed)} packets could not be read; the first: {channel.failed[0]}")
+        return said
+
+    # -- how it shows ------------------------------------------------------------------------------
+
+    def __repr__(self) -> str:
+        streams = ", ".join(self.channels) or "nothing"
+        who = f"{self.model or 'robot'} firmware {self.firmware or 'unknown'}"
+        return f"<Recording {self.path}: {streams} of {who}, {self.duration:.3f} s>"
+
+    def _repr_html_(self) -> str:
+        from linkcore.text import html_table  # imported here: importing the package stays cheap
+
+        rows = [
+            (
+                name,
+                len(table),
+                len(table.fields),
+                "" if not len(table) else f"{table.time[0]:.3f} to {table.time[-1]:.3f} s",
+            )
+            for name, table in self.tables.items()
+        ]
+        return html_table(repr(self), ("stream", "rows", "fields", "time"), rows, self.missing)

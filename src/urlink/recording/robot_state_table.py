@@ -1,0 +1,111 @@
+"""Recorded robot states: the columns of their sub-packages, and the messages between them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from linkcore.errors import BadValue
+from linkcore.names import unknown_attribute
+from linkcore.recording.columns import ArrayColumns, Columns, JoinedColumns, PacketColumns, columns_of
+from linkcore.recording.packets import states_of
+from linkcore.recording.table import PeerClock, Table
+from linkcore.wire.packet import State
+
+from ..protocol.primary.robot_message import OtherPackage, RobotMessage
+from ..protocol.primary.robot_state import SUB_PACKAGES, RobotState, SubPackage, UnknownSubPackage, snake_case
+
+_CLASSES = {
+    snake_case(kind.__name__): kind
+    for kinds in SUB_PACKAGES.values()
+    for kind in kinds
+    if kind is not UnknownSubPackage
+}
+
+#: Sub-packages that come only in the first state of a connection.
+_FIRST_ONLY = ("kinematics_info", "configuration_data")
+
+#: Gives, for numbers of records, their times in s since the recording began, and their wall times.
+Timed = Callable[[Any], tuple[Any, Any]]
+
+
+class RobotStates(Table):
+    """A row for each robot state: ``run.primary["joint_data.q_actual"]``.
+
+    The columns are those of the sub-packages that every robot state has. `of`, and the attributes ``joint_data``,
+    ``tool_data`` and so on, give a table of one class with its own times. Made by `Recording`.
+
+    Attributes:
+        messages: robot messages and other packages as they came, in order, with their stamps.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        decoded: Sequence[tuple[int, State]],
+        timed: Timed,
+        begins: list[int],
+        missing: Sequence[str],
+        clock: PeerClock | None = None,
+    ) -> None:
+        self._decoded = decoded
+        self._timed = timed
+        self._known: dict[type[State], Table] = {}
+        states = [(record, state) for record, state in decoded if isinstance(state, RobotState)]
+        records = np.array([record for record, _ in states], np.int64)
+        by_class: dict[str, list[tuple[int, State]]] = {}
+        for record, state in states:
+            for part in state:
+                by_class.setdefault(snake_case(type(part).__name__), []).append((record, part))
+        everywhere: dict[str, Columns] = {
+            part: _columns(found)
+            for part, found in by_class.items()
+            if part in _CLASSES and part not in _FIRST_ONLY and [record for record, _ in found] == records.tolist()
+        }
+        time, wall = timed(records)
+        begins = np.searchsorted(records, begins).tolist()
+        super().__init__(name, JoinedColumns(everywhere), time, wall, begins, missing, clock)
+        self.messages = [state for _, state in decoded if isinstance(state, (RobotMessage, OtherPackage))]
+
+    @property
+    def robot_messages(self) -> list[State]:
+        """The robot messages in `messages`: the rows of ``of(RobotMessage)``."""
+        return [state for state in self.messages if isinstance(state, RobotMessage)]
+
+    def of(self, kind: type[State]) -> Table:
+        """A table of all packets of one class: of sub-packages, of robot messages, or `OtherPackage`.
+
+        Raises:
+            BadValue: `kind` is none of these classes.
+        """
+        if not (isinstance(kind, type) and issubclass(kind, (SubPackage, RobotMessage, OtherPackage))):
+            raise BadValue(f"kind={kind!r}; expected a class of sub-packages or messages, such as JointData")
+        if kind not in self._known:
+            found = [
+                (record, part)
+                for record, state in self._decoded
+                for part in (state if isinstance(state, RobotState) else (state,))
+                if isinstance(part, kind)
+            ]
+            time, wall = self._timed(np.array([record for record, _ in found], np.int64))
+            self._known[kind] = Table(kind.__name__, _columns(found), time, wall)
+        return self._known[kind]
+
+    def __getattr__(self, name: str) -> Table:
+        if name not in _CLASSES:
+            raise unknown_attribute(self, name)
+        return self.of(_CLASSES[name])
+
+    def __dir__(self) -> list[str]:
+        return sorted({*super().__dir__(), *_CLASSES})
+
+
+def _columns(found: Sequence[tuple[int, State]]) -> Columns:
+    states = [state for _, state in found]
+    if not states:
+        return ArrayColumns({}, {})
+    if any(state._layout.has_text for state in states):
+        return columns_of(states)
+    return PacketColumns(states_of(found))

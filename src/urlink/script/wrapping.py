@@ -1,0 +1,390 @@
+"""A user's source, checked and wrapped so that its end can be distinguished from a stop.
+
+A program says by itself when it begins and when it comes to its end: its first and last statement are a `textmsg`.
+What the user wrote stands between as a function that is called, so that its own `return` is an end too, while
+`halt` and a stop from elsewhere are none. That a function may be declared within a program, and threads and functions
+within that, is how public drivers' programs look; how deep the nesting may go is not known.
+
+A text may be read by the controller long after it was sent: the network was away, or the controller itself was held up.
+By then nobody may want it any more. So a program that may move the arm asks before it does (`Permission`). It clears
+the `StartPlace`, reports that it begins, and waits, cycle by cycle and for a bounded time, until its own token stands
+there. Whoever sent it answers with a `sec` that writes this token, but only if it is still wanted. Without an answer
+the program ends, and the arm has not moved. Each program has a token of its own, since several clients may send
+programs to one controller: the permission of one must not start the program of another, whose client may be gone.
+
+The place is an output register for integers (a token of 31 bits) where programs have those of the upper range, which no
+fieldbus uses: from 3.9 and 5.3 on (docs/protocols/rtde.md, Releases). That one program reads what another has written
+there is documented: output registers are in the memory of the system, and programs can read them. Older firmwares have
+flags, one bit each, which public drivers set by a `sec` (docs/protocols/urscript.md, Flags). A `sec` is executed within
+one cycle of the controller, so no program sees a part of a token (script manual, "Secondary Programs"). What is not
+known is how long a real controller takes from the `textmsg` to the `sec`.
+
+The check counts what opens a block and what ends one. The controller judges the rest.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from typing import Literal, NamedTuple
+
+from linkcore.errors import BadValue
+from linkcore.wire.fields import Since
+
+from ..protocol.firmware import Firmware
+from .text import identifier, quoted
+
+#: The first firmwares with the upper range of registers, 24 to 47 (RTDE guide of the vendor).
+HAS_REGISTERS = Since("3.9/5.3")
+#: Bytes. What the controller takes at most is not known; the largest public driver program has some 60 kB.
+LARGEST = 1 << 20
+
+_INDENT = "  "
+# A string, a comment, or a word that opens or ends a block.
+_TOKEN = re.compile(r"\"[^\"]*\"|#.*|\b(?:def|sec|thread|while|if|for|end)\b")
+_HEAD = re.compile(r"\s*(def|sec)\s+([A-Za-z_][A-Za-z0-9_]*)\s*\(\s*([^)]*)\)\s*:")
+# A statement that wants more, and would take the marker that follows for it.
+_UNFINISHED = re.compile(r"(?:[-+*/%=<>,(\[]|\b(?:and|or|not|xor))$")
+_NUMBER_IN_TEXT = re.compile(r"^(syntax_error_on_line:)(\d+)")
+
+
+class StartPlace(NamedTuple):
+    """Where on the controller the token of the program that may go on is written.
+
+    Attributes:
+        register: number of the output register for integers; None for none.
+        flags: numbers of flags; the first is the lowest bit of the token.
+    """
+
+    register: int | None
+    flags: tuple[int, ...]
+
+    def on(self, firmware: Firmware) -> StartPlace:
+        """What of it is used on a firmware: the register, the flags, or nothing."""
+        if self.register is not None and firmware in HAS_REGISTERS:
+            return StartPlace(self.register, ())
+        return StartPlace(None, self.flags)
+
+    @property
+    def tokens(self) -> int:
+        """How many tokens there are, counted from 1; 0 is what stands in a place that was cleared."""
+        return (1 << 31) - 1 if self.register is not None else (1 << len(self.flags)) - 1
+
+    def writing(self, token: int) -> list[str]:
+        """The statements that write a token."""
+        if self.register is not None:
+            return [f"write_output_integer_register({self.register}, {token})"]
+        return [f"set_flag({flag}, {bool(token >> bit & 1)})" for bit, flag in enumerate(self.flags)]
+
+    def holds(self, token: int) -> str:
+        """The condition that this token stands there."""
+        if self.register is not None:
+            return f"read_output_integer_register({self.register}) == {token}"
+        parts = [f"get_flag({flag})" for flag in self.flags]
+        return " and ".join(part if token >> bit & 1 else f"not {part}" for bit, part in enumerate(parts))
+
+
+class Permission(NamedTuple):
+    """The permission that a program waits for before it moves the arm.
+
+    Attributes:
+        place: where its token has to stand.
+        token: of this program, 1 to `StartPlace.tokens`.
+        cycles: of the controller, for which it waits.
+    """
+
+    place: StartPlace
+    token: int
+    cycles: int
+
+
+class Wrapped(NamedTuple):
+    """A program as it is sent.
+
+    Attributes:
+        name: as the controller will call it.
+        text: whole lines.
+        is_secondary: a `sec`, which runs beside the program.
+        first: what to take from the number of the first line to have the user's.
+        above: the same for all others.
+        indent: columns by which the user's lines are moved to the right.
+        lines: how many lines the user wrote.
+        permission: what it waits for before it moves the arm; None if it begins at once.
+    """
+
+    name: str
+    text: str
+    is_secondary: bool
+    first: int
+    above: int
+    indent: int
+    lines: int
+    permission: Permission | None
+
+    def place(self, line: int, column: int) -> tuple[int, int]:
+        """Line and column in what the user wrote, of those in the text that was sent."""
+        own = line - (self.first if line == 1 else self.above)
+        return min(max(own, 1), self.lines), max(column - self.indent, 1)
+
+    def words(self, text: str) -> str:
+        """The controller's words with the line in them, where there is one, as `place`.
+
+        A program that ends in the middle of a statement is found wrong in the line after it, which is not the user's:
+        that line is not quoted.
+        """
+        found = _NUMBER_IN_TEXT.match(text)
+        if found is None:
+            return text
+        line = int(found[2])
+        if line - (self.first if line == 1 else self.above) > self.lines:
+            return f"{found[1]}{self.lines}: the program ends in the middle of a statement"
+        quoted = text[found.end() :]
+        own = quoted.replace(":" + " " * self.indent, ":", 1) if quoted.startswith(":") else quoted
+        return f"{found[1]}{self.place(line, 1)[0]}{own}"
+
+
+class _Item(NamedTuple):
+    """A statement at the top of the source: its first and last line, counted from 0."""
+
+    word: str
+    first: int
+    last: int
+
+
+def start_marker(name: str) -> str:
+    """The first `textmsg` of a program."""
+    return f"{name} started"
+
+
+def finish_marker(name: str) -> str:
+    """The last `textmsg` of a program."""
+    return f"{name} finished"
+
+
+def expiry_marker(name: str) -> str:
+    """The `textmsg` of a program that ends because it was not permitted."""
+    return f"{name} was not permitted to go on"
+
+
+def grant(permission: Permission) -> str:
+    """The secondary program that permits the program which waits for this; it takes no time."""
+    statements = [_INDENT + statement for statement in permission.place.writing(permission.token)]
+    return "\n".join(["sec urlink_permission():", *statements, "end"]) + "\n"
+
+
+def _read(source: str) -> list[str]:
+    """The lines of a source.
+
+    Raises:
+        BadValue: it is not a text that could be a program.
+    """
+    if not isinstance(source, str):
+        raise BadValue(f"a program is text; got {type(source).__name__}")
+    try:
+        size = len(source.encode())
+    except UnicodeEncodeError as error:
+        raise BadValue(f"the program holds {source[error.start]!r}, which is no character") from None
+    if size > LARGEST:
+        raise BadValue(f"the program has {size} bytes; {LARGEST} are the most")
+    lines = source.replace("\r\n", "\n").rstrip("\n").split("\n")
+    for number, line in enumerate(lines, 1):
+        for character in line:
+            if character != "\t" and (character < " " or character == "\x7f"):
+                raise BadValue(f"line {number} of the program holds the control character {character!r}")
+    return lines
+
+
+def wrap(source: str, token: str, permission: Permission | None = None) -> Wrapped:
+    """A user's source as it is sent.
+
+    Statements at the top run in order. Where the last thing at the top is a function (`def`), it is the program and is
+    called at the end, as the controller itself would end up running the last of several; a `sec` stays one.
+
+    Args:
+        token: makes the name unique.
+        permission: what it waits for; None to begin at once. A `sec`, which may not take time, never waits.
+
+    Raises:
+        BadValue: nothing to run, a block without its `end` or an `end` without its block, a last statement that is
+            not whole, a program that wants arguments, several functions of which only the last would run, or a `sec`
+            that is not alone.
+    """
+    lines = _read(source)
+    items = _items(lines)
+    kind = _kind(items)
+    if kind == "sec":
+        return _secondary(lines, items[0], token)
+    called, called_line = "", ""
+    if kind == "def":
+        *others, last = [item for item in items if item.word == "def"]
+        called = _called(lines[last.first], last.first)
+        _check_used(lines, others, called)
+        called_line = f"{called}()"
+    return _program(f"{called or 'urlink'}_{token}", lines, called_line, permission)
+
+
+def program(name: str, body: Sequence[str], permission: Permission | None = None) -> Wrapped:
+    """The lines of a program of the library's own as they are sent."""
+    return _program(identifier(name), list(body), "", permission)
+
+
+def _program(name: str, lines: list[str], last: str, permission: Permission | None) -> Wrapped:
+    begin = [f"textmsg({quoted(start_marker(name))})"]
+    if permission is not None:
+        begin = _asking(name, begin, permission)
+    body = [
+        f"def {name}():",
+        *(_INDENT + line for line in begin),
+        *(_INDENT + line if line.strip() else "" for line in lines),
+        *([_INDENT + last] if last else []),
+        f"{_INDENT}textmsg({quoted(finish_marker(name))})",
+        "end",
+    ]
+    above = 1 + len(begin)
+    return Wrapped(
+        name,
+        "\n".join(body) + "\n",
+        is_secondary=False,
+        first=above,
+        above=above,
+        indent=len(_INDENT),
+        lines=len(lines),
+        permission=permission,
+    )
+
+
+def _asking(name: str, begin: list[str], permission: Permission) -> list[str]:
+    """`begin`, and then the wait for the answer; it is begun anew if another program's token is found."""
+    place = permission.place
+    begin = [*place.writing(0), *begin]
+    is_permitted = place.holds(permission.token)
+    return [
+        *begin,
+        "urlink_cycles = 0",
+        f"while urlink_cycles < {permission.cycles} and not ({is_permitted}):",
+        f"{_INDENT}urlink_cycles = urlink_cycles + 1",
+        f"{_INDENT}if not ({place.holds(0)}):",
+        *(_INDENT * 2 + line for line in begin),
+        f"{_INDENT}end",
+        f"{_INDENT}sync()",
+        "end",
+        f"if not ({is_permitted}):",
+        f"{_INDENT}textmsg({quoted(expiry_marker(name))})",
+        f"{_INDENT}halt",
+        "end",
+    ]
+
+
+def _secondary(lines: list[str], item: _Item, token: str) -> Wrapped:
+    # A function within a `sec` is something that no public program has, so its own statements stay where they are.
+    head = _HEAD.match(lines[item.first])
+    called = _called(lines[item.first], item.first)
+    end = lines[item.last].rpartition("end")[0]
+    if head is None or end.strip() or item.first == item.last or lines[item.first][head.end() :].strip():
+        raise BadValue("the head of a sec and its `end` have lines of their own")
+    name = f"{called}_{token}"
+    text = [
+        f"sec {name}():",
+        f"{_INDENT}textmsg({quoted(start_marker(name))})",
+        *lines[item.first + 1 : item.last],
+        f"{_INDENT}textmsg({quoted(finish_marker(name))})",
+        "end",
+    ]
+    return Wrapped(
+        name,
+        "\n".join(text) + "\n",
+        is_secondary=True,
+        first=-item.first,
+        above=1 - item.first,
+        indent=0,
+        lines=len(lines),
+        permission=None,
+    )
+
+
+def _kind(items: list[_Item]) -> Literal["def", "sec", "body"]:
+    words = [item.word for item in items]
+    if not words:
+        raise BadValue("the program is empty")
+    if "sec" in words:
+        if len(words) > 1:
+            raise BadValue("a sec has to be sent alone: it runs beside the program, not within it")
+        return "sec"
+    spoken = [word for word in words if word != "thread"]
+    return "def" if spoken[-1:] == ["def"] else "body"
+
+
+def _called(line: str, number: int) -> str:
+    """The name of the function that is to be called without arguments."""
+    head = _HEAD.match(line)
+    if head is None:
+        raise BadValue(f"line {number + 1} of the program: expected something like 'def name():'; got {line.strip()!r}")
+    arguments = [each for each in head[3].split(",") if each.strip()]
+    if not all("=" in each for each in arguments):
+        raise BadValue(f"line {number + 1} of the program: {head[2]} takes arguments, so it cannot be run by itself")
+    return head[2]
+
+
+def _check_used(lines: list[str], others: Sequence[_Item], called: str) -> None:
+    """Check that the functions above the one that is called are not all programs of their own.
+
+    A function that is not used is legal, as in a collection of helpers. But if none of them is used, the source is
+    several programs, of which only the last would run.
+
+    Raises:
+        BadValue: If none of these functions is mentioned outside of itself.
+    """
+    code = [_TOKEN.sub(lambda found: "" if found[0][0] in '"#' else found[0], line) for line in lines]
+    names = []
+    for item in others:
+        head = _HEAD.match(lines[item.first])
+        if head is None:
+            return
+        rest = [*code[: item.first], *code[item.last + 1 :]]
+        if any(re.search(rf"\b{head[2]}\b", line) for line in rest):
+            return
+        names.append(head[2])
+    if names:
+        raise BadValue(
+            f"the program has several functions and nothing calls {', '.join(names)}, so only the last one, {called}, "
+            f"would run; call them in {called}, or send each in a run() of its own"
+        )
+
+
+def _items(lines: list[str]) -> list[_Item]:
+    """The statements and functions at the top."""
+    items: list[_Item] = []
+    opened: list[tuple[str, int]] = []
+    end = (0, "")
+    for number, line in enumerate(lines):
+        code = _TOKEN.sub(lambda found: "" if found[0].startswith("#") else found[0], line).strip()
+        if code:
+            end = (number, code)
+        if not opened and code:
+            first = re.match(r"\w+", code)
+            items.append(_Item(first[0] if first else code[0], number, number))
+        for word in _tokens(line, number):
+            if word != "end":
+                opened.append((word, number))
+            elif not opened:
+                raise BadValue(f"line {number + 1} of the program: an `end` that ends nothing")
+            else:
+                opened.pop()
+                if not opened:
+                    items[-1] = items[-1]._replace(last=number)
+    if opened:
+        word, number = opened[-1]
+        raise BadValue(f"line {number + 1} of the program: `{word}` has no `end`")
+    if _UNFINISHED.search(end[1]):
+        raise BadValue(f"line {end[0] + 1} of the program: it ends in the middle of a statement, {end[1]!r}")
+    return items
+
+
+def _tokens(line: str, number: int) -> Iterator[str]:
+    """The words in a line that open or end a block; strings and comments are passed over."""
+    bare = _TOKEN.sub(lambda found: "" if found[0][0] in '"#' else found[0], line)
+    if '"' in bare:
+        raise BadValue(f"line {number + 1} of the program: a string that is not closed")
+    for found in _TOKEN.finditer(line):
+        if found[0][0] not in '"#':
+            yield found[0]

@@ -1,0 +1,1 @@
+"""Finding and knowing one controller: its address, its options, its identity, and its clock."""

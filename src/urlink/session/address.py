@@ -1,0 +1,151 @@
+"""Addresses: where a robot is, or what stands in for one."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal, cast, get_args
+from urllib.parse import parse_qsl, unquote, urlsplit
+
+from linkcore.errors import BadAddress, BadVersion
+
+from ..protocol.firmware import Firmware, existing_firmware
+from ..protocol.ports import PORTS
+
+#: Whether a simulated arm stands still until a program commands it, or moves slowly about its home posture.
+Motion = Literal["still", "demo"]
+
+
+@dataclass(frozen=True)
+class RobotAddress:
+    """A controller on the network: ``192.168.56.101`` or ``ur://192.168.56.101?primary=40001``."""
+
+    host: str
+    ports: Mapping[str, int] = field(default_factory=lambda: dict(PORTS))
+
+    def __str__(self) -> str:
+        """The address as `parse_address` reads it, with the ports that are not the usual ones."""
+        # From this machine a server that listens everywhere is reached here.
+        host = {"0.0.0.0": "127.0.0.1", "::": "::1", "": "127.0.0.1"}.get(self.host, self.host)
+        host = f"[{host}]" if ":" in host else host
+        options = "&".join(f"{name}={port}" for name, port in self.ports.items() if PORTS.get(name) != port)
+        return f"ur://{host}?{options}" if options else host
+
+
+@dataclass(frozen=True)
+class SimulatorAddress:
+    """The built-in simulator: ``sim://``, ``sim://ur10?firmware=3.4&motion=demo``; a motion of None is "still".
+
+    ``sim://ur5e?like=arm.json`` is the arm of which that file was identified; ``sim://ur5e?scene=table.xml`` stands
+    among the bodies of that file, by an adapter such as urlink-mujoco.
+    """
+
+    model: str | None = None
+    firmware: Firmware | None = None
+    motion: Motion | None = None
+    like: Path | None = None
+    scene: Path | None = None
+
+
+@dataclass(frozen=True)
+class RecordingAddress:
+    """A recording: ``replay:///path/run.urlog?rate=2``; rate 0 is as fast as possible."""
+
+    path: Path
+    rate: float = 1.0
+
+
+Address = RobotAddress | SimulatorAddress | RecordingAddress
+
+
+def parse_address(text: str | os.PathLike[str]) -> Address:
+    """Read an address. A path is that of a recording, and so is a text that ends in ``.urlog`` and names no scheme.
+
+    Raises:
+        BadAddress: says what is wrong and what was expected.
+
+    >>> parse_address("sim://ur10?motion=demo")
+    SimulatorAddress(model='ur10', firmware=None, motion='demo', like=None, scene=None)
+    >>> parse_address("ur://10.0.0.7?realtime=40003").ports["realtime"]
+    40003
+    """
+    if isinstance(text, os.PathLike):
+        return RecordingAddress(Path(text))
+    if not isinstance(text, str):
+        raise BadAddress(
+            f"{text!r} is no address; expected text such as '192.168.56.101' or 'sim://', or the path of a recording"
+        )
+    original, text = text, text.strip()
+    if "://" not in text and text.lower().endswith(".urlog"):
+        return RecordingAddress(Path(text))
+    if not text or any(character.isspace() or not character.isprintable() for character in text):
+        hint = "; a space in the name of a file is written %20" if text.startswith("replay:") else ""
+        raise BadAddress(f"{original!r} is no address; expected a host, ur://host, sim://model or replay:///file{hint}")
+    try:
+        parts = urlsplit(text if "://" in text else f"ur://{text}")
+    except ValueError as error:  # half a bracket, or what no host name may hold
+        raise BadAddress(f"{text!r} is no address: {error}") from None
+    if parts.fragment or text.endswith("#"):
+        raise BadAddress(f"{text!r}: nothing is known of #{parts.fragment}; in the name of a file # is written %23")
+    options = dict(parse_qsl(parts.query, keep_blank_values=True))
+    if parts.scheme == "ur":
+        return _robot(text, parts.hostname, parts.netloc, parts.path, options)
+    if parts.scheme == "sim":
+        return _simulator(text, parts.netloc or parts.path.strip("/"), options)
+    if parts.scheme == "replay":
+        return _recording(text, unquote(parts.netloc + parts.path), options)
+    raise BadAddress(f"{text!r}: unknown kind {parts.scheme!r}; expected ur, sim or replay")
+
+
+def _robot(text: str, host: str | None, netloc: str, path: str, options: dict[str, str]) -> RobotAddress:
+    if not host or "@" in netloc or path not in ("", "/"):
+        raise BadAddress(f"{text!r}: expected a host name or address, as in ur://192.168.56.101")
+    if netloc.rpartition("]")[2].count(":") and not netloc.endswith(("]", ":")):
+        raise BadAddress(
+            f"{text!r}: a robot has a port for each interface, so one number is not enough; "
+            f"expected ur://{host}?realtime=30003&primary=30001"
+        )
+    host = host.replace("%25", "%")  # before the network card of a link-local address, as URLs write it
+    ports = dict(PORTS)
+    for name, value in options.items():
+        if name not in ports:
+            raise BadAddress(f"{text!r}: unknown option {name!r}; expected one of {', '.join(ports)}")
+        if not value.isdecimal() or len(value) > 5 or not 0 < int(value) < 65536:
+            raise BadAddress(f"{text!r}: {name}={value!r} is not a port; expected 1 to 65535")
+        ports[name] = int(value)
+    return RobotAddress(host, ports)
+
+
+def _simulator(text: str, model: str, options: dict[str, str]) -> SimulatorAddress:
+    firmware, motion, like, scene = (options.pop(name, None) for name in ("firmware", "motion", "like", "scene"))
+    if options:
+        raise BadAddress(f"{text!r}: unknown option {next(iter(options))!r}; expected firmware, motion, like or scene")
+    if like == "":
+        raise BadAddress(f"{text!r}: like= names no file; expected like=arm.json, as urlink identify writes it")
+    if scene == "":
+        raise BadAddress(f"{text!r}: scene= names no file; expected scene=table.xml, of the bodies around the arm")
+    if motion not in (None, "still", "demo"):
+        raise BadAddress(f"{text!r}: motion={motion!r}; expected {' or '.join(get_args(Motion))}")
+    try:
+        version = None if firmware is None else existing_firmware(firmware)
+    except BadVersion as error:
+        raise BadAddress(f"{text!r}: {error}") from None
+    files = [None if each is None else Path(each) for each in (like, scene)]
+    return SimulatorAddress(model or None, version, cast("Motion | None", motion), *files)
+
+
+def _recording(text: str, path: str, options: dict[str, str]) -> RecordingAddress:
+    rate = options.pop("rate", "1")
+    if options:
+        raise BadAddress(f"{text!r}: unknown option {next(iter(options))!r}; expected rate")
+    if not path:
+        raise BadAddress(f"{text!r} names no file; expected replay:///path/run.urlog")
+    try:
+        speed = 0.0 if rate == "max" else float(rate)
+    except ValueError:
+        speed = -1.0
+    if not 0 <= speed < float("inf"):
+        raise BadAddress(f"{text!r}: rate={rate!r}; expected a positive number, or max")
+    return RecordingAddress(Path(path), speed)

@@ -1,0 +1,303 @@
+"""The dashboard server of a simulated controller: a line in, a line out.
+
+Facts and their evidence: docs/protocols/dashboard.md. Which firmware has which command, and the form of the replies, is
+in `urlink.protocol.dashboard.commands`. Commands act through the controller. All of these are guesses:
+
+- the reply to a command that is unknown, not on this firmware, or followed by text that it does not take; and to one
+  that lacks its text, but for `addToLog` and `setUserRole`;
+- that commands which have nothing to do (`power on` with the power on, `close popup` without a popup, `unlock
+  protective stop` without a stop) are answered as if they had;
+- that `power on` and `brake release` in an emergency stop are answered with a yes, although nothing happens;
+- that a `power on` or `brake release` that comes before `power off` has been carried out is carried out after it;
+- that a paused program does not count as running, and one that is being stopped as stopped;
+- `Robotmode: ` before the number that a CB2 controller says;
+- the date of the software, the ids and names of reports, and that these are done at once;
+- that `shutdown` only stops the program and switches the arm off: the simulated controller goes on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from urlink.protocol.dashboard.commands import (
+    COMMANDS,
+    COULD_NOT_UNDERSTAND,
+    GREETING,
+    NOT_IN_REMOTE_CONTROL,
+    DashboardCommand,
+)
+from urlink.protocol.enums import ProgramState
+
+from ..programs.pendant import Pendant
+from ..robot.modes import StopState
+from ..state import ControllerState
+from .interface import LineReceiver, Port, PortClient
+
+#: Seconds for which a protective stop cannot be unlocked.
+UNLOCK_AFTER = 5.0
+#: Lines that the log keeps.
+LOG_LINES = 1000
+
+_TOO_EARLY = (
+    "Cannot unlock protective stop until 5s after occurrence. Always inspect cause of protective stop before unlocking"
+)
+_STATES = {
+    ProgramState.PLAYING: "PLAYING",
+    ProgramState.RESUMING: "PLAYING",
+    ProgramState.PAUSING: "PAUSED",
+    ProgramState.PAUSED: "PAUSED",
+}
+_UNNAMED = "<unnamed>"
+
+# The longest first: `load installation` is not `load` with an argument.
+_BY_LENGTH = sorted(COMMANDS.values(), key=lambda command: -len(command.name))
+
+
+class DashboardPort(Port):
+    """The dashboard server of one controller: answers the lines of all its clients.
+
+    state: of the controller.
+    pendant: the commands press its buttons.
+
+    Attributes:
+        user_role: what the pendant of a CB3 allows its user, in lower case.
+        operational_mode: that of an e-Series, in lower case.
+        installation: path of the installation that was loaded last, or None.
+    """
+
+    def __init__(self, state: ControllerState, pendant: Pendant) -> None:
+        self._state = state
+        self._pendant = pendant
+        self._reports = 0
+        self.user_role = "none"
+        self.operational_mode = "none"
+        self.installation: str | None = None
+        # The methods have the names of the commands; a command without one fails here, and not when it is sent.
+        self._actions: dict[str, Callable[[str], str | None]] = {
+            name: getattr(self, f"_{name.replace(' ', '_').lower()}") for name in COMMANDS
+        }
+
+    def is_offered(self) -> bool:
+        return not self._state.firmware.is_polyscope_x
+
+    def greeting(self) -> list[bytes]:
+        return [f"{GREETING}\n".encode()]
+
+    def receiver(self, client: PortClient) -> LineReceiver:
+        def answer(line: str) -> None:
+            reply = self.reply(line)
+            client.send(b"Disconnected\n" if reply is None else f"{reply}\n".encode())
+            if reply is None:
+                client.finish()
+
+        return LineReceiver(client, self._state.counters, answer)
+
+    def reply(self, line: str) -> str | None:
+        """The reply to a line, without the line's end; None: send `Disconnected`, and close the connection.
+
+        Upper and lower case are alike, as the vendor says.
+        """
+        # Of the separators of lines only one ends a line on the wire; the others must not look as if they did.
+        text = " ".join(line.splitlines()).strip()
+        found = _find(text)
+        if found is None or not found[0].is_on(self._state.firmware):
+            return _not_understood(text)
+        command, argument = found
+        return self.carry_out(command.name, argument)
+
+    def carry_out(self, name: str, argument: str) -> str | None:
+        """Execute a command of the table, on any firmware; returns its reply as `reply` does."""
+        if COMMANDS[name].needs_remote_control and self._state.is_local:
+            return NOT_IN_REMOTE_CONTROL
+        return self._actions[name](argument)
+
+    # -- power ---------------------------------------------------------------------------------------
+
+    def _power_on(self, _: str) -> str:
+        self._state.modes.power_on(release_brakes=False)
+        return "Powering on"
+
+    def _power_off(self, _: str) -> str:
+        self._state.modes.power_off()
+        return "Powering off"
+
+    def _brake_release(self, _: str) -> str:
+        self._state.modes.power_on(release_brakes=True)
+        return "Brake releasing"
+
+    def _shutdown(self, _: str) -> str:
+        self._pendant.stop()
+        self._state.modes.power_off()
+        return "Shutting down"
+
+    def _quit(self, _: str) -> None:
+        return None
+
+    # -- programs ------------------------------------------------------------------------------------
+
+    def _load(self, path: str) -> str:
+        return f"Loading program: {path}" if path and self._pendant.load(path) else f"File not found: {path}"
+
+    def _load_installation(self, path: str) -> str:
+        if not path:
+            return "File not found: "
+        self.installation = path
+        return f"Loading installation: {path}"
+
+    def _play(self, _: str) -> str:
+        return "Starting program" if self._pendant.play() else "Failed to execute: play"
+
+    def _pause(self, _: str) -> str:
+        return "Pausing program" if self._pendant.pause() else "Failed to execute: pause"
+
+    def _stop(self, _: str) -> str:
+        # Also where nothing runs: two clients send it then, and take any other answer for a failure.
+        self._pendant.stop()
+        return "Stopped"
+
+    def _running(self, _: str) -> str:
+        return f"Program running: {_truth(self._program_state == 'PLAYING')}"
+
+    def _programstate(self, _: str) -> str:
+        return f"{self._program_state} {self._program}"
+
+    def _isprogramsaved(self, _: str) -> str:
+        return f"{_truth(self._state.loaded is not None)} {self._program}"
+
+    def _get_loaded_program(self, _: str) -> str:
+        path = self._state.loaded
+        return "No program loaded" if path is None else f"Loaded program: {path}"
+
+    @property
+    def _program_state(self) -> str:
+        return _STATES.get(self._state.modes.program_state, "STOPPED")
+
+    @property
+    def _program(self) -> str:
+        path = self._state.loaded
+        return _UNNAMED if path is None else path.rpartition("/")[2]
+
+    # -- safety --------------------------------------------------------------------------------------
+
+    def _robotmode(self, _: str) -> str:
+        mode = self._state.modes.robot_mode
+        return f"Robotmode: {int(mode) if self._state.firmware.is_cb2 else mode.name}"
+
+    def _safetymode(self, _: str) -> str:
+        return f"Safetymode: {self._state.modes.safety_mode.name}"
+
+    def _safetystatus(self, _: str) -> str:
+        return f"Safetystatus: {self._state.modes.safety_mode.name}"
+
+    def _unlock_protective_stop(self, _: str) -> str:
+        state = self._state
+        if state.modes.stop is StopState.PROTECTIVE:
+            since = state.stopped_since
+            # One that no cycle has seen yet has just begun. PolyScope X does not make its client wait.
+            is_early = since is None or state.time - since < UNLOCK_AFTER
+            if is_early and not state.firmware.is_polyscope_x:
+                return _TOO_EARLY
+            state.modes.clear()
+        state.popup = None
+        return "Protective stop releasing"
+
+    def _restart_safety(self, _: str) -> str:
+        modes = self._state.modes
+        if modes.stop is StopState.PROTECTIVE:
+            modes.clear()
+        modes.power_off()
+        return "Restarting safety"
+
+    def _is_in_remote_control(self, _: str) -> str:
+        return _truth(self._state.remote_control)
+
+    def _get_operational_mode(self, _: str) -> str:
+        return self.operational_mode.upper()
+
+    def _set_operational_mode(self, mode: str) -> str:
+        if mode.lower() not in COMMANDS["set operational mode"].choices:
+            return _not_understood(f"set operational mode {mode}")
+        self.operational_mode = mode.lower()
+        return f"Operational mode {mode.upper()} is set"
+
+    def _clear_operational_mode(self, _: str) -> str:
+        self.operational_mode = "none"
+        return "No longer controlling the operational mode. Current operational mode: 'NONE'."
+
+    def _getuserrole(self, _: str) -> str:
+        return self.user_role.upper()
+
+    def _setuserrole(self, role: str) -> str:
+        role = role or "none"
+        if role.lower() not in COMMANDS["setUserRole"].choices:
+            return f"Failed setting user role: {role}"
+        self.user_role = role.lower()
+        return f"Setting user role: {role}"
+
+    # -- pendant -------------------------------------------------------------------------------------
+
+    def _popup(self, text: str) -> str:
+        self._state.popup = text
+        return "showing popup"
+
+    def _close_popup(self, _: str) -> str:
+        self._state.popup = None
+        return "closing popup"
+
+    def _close_safety_popup(self, _: str) -> str:
+        return "closing safety popup"
+
+    def _addtolog(self, text: str) -> str:
+        if not text:
+            return "No log message to add"
+        log = self._state.log
+        log.append(text)
+        del log[:-LOG_LINES]
+        return "Added log message"
+
+    # -- who it is, and reports ------------------------------------------------------------------------
+
+    def _polyscopeversion(self, _: str) -> str:
+        return f"URSoftware {self._version('')} (Jan 01 2024)"
+
+    def _version(self, _: str) -> str:
+        return ".".join(map(str, self._state.firmware))
+
+    def _get_serial_number(self, _: str) -> str:
+        return self._state.serial
+
+    def _get_robot_model(self, _: str) -> str:
+        return self._state.model.name.removesuffix("e")
+
+    def _generate_flight_report(self, kind: str) -> str:
+        # The vendor's own client sends no kind; that it then gets the report of the system is a guess.
+        if kind and kind.lower() not in COMMANDS["generate flight report"].choices:
+            return _not_understood(f"generate flight report {kind}")
+        self._reports += 1
+        return f"Flight Report generated with id: {self._reports}"
+
+    def _generate_support_file(self, directory: str) -> str:
+        self._reports += 1
+        return f"Completed successfully: {directory.rstrip('/')}/ur_{self._state.serial}_{self._reports}.zip"
+
+    def _savelog(self, _: str) -> str:
+        return "Log saved to disk"
+
+
+def _find(text: str) -> tuple[DashboardCommand, str] | None:
+    """The command at the beginning of a line, and its argument; None if there is none, or if it takes no argument."""
+    for command in _BY_LENGTH:
+        name, rest = text[: len(command.name)], text[len(command.name) :]
+        if name.lower() == command.name.lower() and (not rest or rest.startswith(" ")):
+            argument = rest.strip()
+            return None if argument and not command.argument else (command, argument)
+    return None
+
+
+def _not_understood(text: str) -> str:
+    # Shortened, so that a reply is a short line whatever was sent.
+    return f"{COULD_NOT_UNDERSTAND}: '{text[:200]}'"
+
+
+def _truth(is_true: bool) -> str:
+    return "true" if is_true else "false"

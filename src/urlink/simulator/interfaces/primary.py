@@ -1,0 +1,342 @@
+"""The primary and secondary interface, 30001 and 30002: a robot state ten times a second, and messages on the first.
+
+Sizes and order of the sub-packages: docs/protocols/primary.md, Robot state. Comments say which values were read off
+captures.
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Callable
+
+import numpy as np
+
+from urlink.arm.kinematics import DhTable
+from urlink.protocol.enums import SafetyMode
+from urlink.protocol.firmware import Firmware, release_of
+from urlink.protocol.primary.robot_state import SUB_PACKAGES
+
+from ..messages import greeting
+from ..rtde_variables import ROBOT_VOLTAGE, robot_current
+from ..state import ControllerState
+from .interface import Fields, Form, Port, PortClient, ScriptReceiver, package
+
+#: Robot states a second.
+STATE_RATE = 10
+
+
+class StatePackages:
+    """The robot states of one controller, which both interfaces send.
+
+    Args:
+        state: of the controller.
+    """
+
+    def __init__(self, state: ControllerState) -> None:
+        self._state = state
+        self._firmware: Firmware | None = None
+        self._first_only: frozenset[int] = frozenset()
+        self._forms: dict[int, Form] = {}
+        self._unchanging: dict[int, bytes] = {}
+        # The packet that both interfaces send in one cycle, and the cycle.
+        self._made: tuple[int, bytes] = (-1, b"")
+        # The safety mode of the latest packet.
+        self._shown: SafetyMode | None = None
+
+    def next_cycle(self, cycle: int) -> int:
+        """The first cycle after this one in which a state is sent."""
+        rate = self._state.rate
+        return -(-(cycle * STATE_RATE // rate + 1) * rate // STATE_RATE)
+
+    def of_cycle(self, cycle: int) -> bytes:
+        """The state of this cycle, the same bytes for both interfaces."""
+        if self._made[0] != cycle:
+            self._made = cycle, self.package()
+            self._shown = self._state.modes.safety_mode
+        return self._made[1]
+
+    @property
+    def is_outdated(self) -> bool:
+        """Whether the safety mode has changed since the latest state."""
+        return self._shown is not self._state.modes.safety_mode
+
+    def package(self, first: bool = False) -> bytes:
+        """The state of this cycle; with `first`, that of a new connection, with kinematics and configuration."""
+        state = self._state
+        if self._firmware is not state.firmware:  # at first, and after a reboot into another one
+            self._lay_out(state.firmware)
+        parts = []
+        for kind, form in self._forms.items():
+            if first or kind not in self._first_only:
+                fixed = self._unchanging.get(kind)
+                parts.append(form.pack(_CHANGING[kind](state)) if fixed is None else fixed)
+        return package(16, b"".join(parts))
+
+    def _lay_out(self, firmware: Firmware) -> None:
+        release = release_of(firmware)
+        self._firmware = firmware
+        self._first_only = frozenset(release.first_state_only)
+        self._forms.clear()
+        for kind, size in release.state.items():
+            # If a number had two meanings, the size distinguishes them.
+            for cls in SUB_PACKAGES[kind]:
+                layouts = [layout for layout in cls.LAYOUTS.all if layout.size == size]
+                if layouts:
+                    self._forms[kind] = Form(layouts[0] if len(layouts) == 1 else cls.LAYOUTS.of(firmware))
+        self._unchanging = {
+            kind: self._forms[kind].pack(fill(self._state)) for kind, fill in _UNCHANGING.items() if kind in self._forms
+        }
+
+
+class SecondaryPort(Port):
+    """The secondary interface of one controller.
+
+    Args:
+        state: of the controller.
+        states: the states to send.
+        receiver: makes the receiver of a client, for a port of this name.
+    """
+
+    _NAME = "secondary"
+
+    def __init__(
+        self, state: ControllerState, states: StatePackages, receiver: Callable[[str, PortClient], ScriptReceiver]
+    ) -> None:
+        self._state = state
+        self._states = states
+        self._make_receiver = receiver
+        # The latest cycle in which a client was sent what was due.
+        self._served: int | None = None
+
+    def greeting(self) -> list[bytes]:
+        return [*greeting(self._state, self._NAME), self._states.package(first=True)]
+
+    def next_cycle(self, cycle: int) -> int:
+        return self._states.next_cycle(cycle)
+
+    def packets(self, cycle: int) -> list[bytes]:
+        since, self._served = cycle - 1 if self._served is None else self._served, cycle
+        return [self._states.of_cycle(cycle)] if self._states.next_cycle(since) <= cycle else []
+
+    def skip(self) -> None:
+        self._served = None
+
+    def receiver(self, client: PortClient) -> ScriptReceiver:
+        return self._make_receiver(self._NAME, client)
+
+
+class PrimaryPort(SecondaryPort):
+    """The primary interface of one controller: as the secondary one, with robot messages."""
+
+    _NAME = "primary"
+
+    def packets(self, cycle: int) -> list[bytes]:
+        # Messages come after the state that they speak of, so a change of the safety mode brings one of its own: the
+        # vendor's primary client takes the message for the sign that the state it holds shows the stop. How a real
+        # controller orders the two is not known.
+        messages, states = self._state.outbox.take(), super().packets(cycle)
+        if messages and not states and self._states.is_outdated:
+            states = [self._states.of_cycle(cycle)]
+        return [*states, *messages]
+
+    def skip(self) -> None:
+        super().skip()
+        self._state.outbox.take()
+
+
+# -- sub-packages of the robot state -------------------------------------------------------------
+
+
+def _robot_mode(state: ControllerState) -> Fields:
+    modes, firmware = state.modes, state.firmware
+    playing = modes.program_state.name
+    # Captured CB2 stamps are too small for microseconds; that they are milliseconds is a guess.
+    unit = 1e3 if firmware.is_cb2 else 1e6
+    return {
+        "timestamp": round(state.time * unit),
+        "is_robot_connected": True,
+        "is_robot_enabled": True,
+        "is_power_on": modes.is_powered,
+        "is_emergency_stopped": modes.safety_mode is SafetyMode.ROBOT_EMERGENCY_STOP,
+        "is_protective_stopped": modes.safety_mode is SafetyMode.PROTECTIVE_STOP,
+        "is_program_running": playing == "PLAYING",
+        "is_program_paused": playing in ("PAUSING", "PAUSED"),
+        "robot_mode": modes.robot_mode,
+        "control_mode": state.control_mode,
+        "target_speed_fraction": state.speed_fraction,
+        "speed_scaling": state.speed_scaling,
+        "target_speed_fraction_limit": 1.0,
+    }
+
+
+def _joint_data(state: ControllerState) -> Fields:
+    s = state.arm.sample
+    # Captures: the electronics of CB joints are some 20 K warmer than the motors; the e-Series sends zeros.
+    micro = [0.0] * 6 if state.firmware.is_e_series else [t + 22.0 for t in s.T_motor]
+    return {
+        "q_actual": s.q_actual,
+        "q_target": s.q_target,
+        "qd_actual": s.qd_actual,
+        "I_actual": s.I_actual,
+        "V_actual": s.V_actual,
+        "T_motor": s.T_motor,
+        "T_micro": micro,
+        "joint_modes": [state.modes.joint_mode] * 6,
+    }
+
+
+def _tool_data(state: ControllerState) -> Fields:
+    signals, modes = state.signals, state.modes
+    powered = modes.is_powered
+    return {
+        "analog_input_range_2": signals.analog_input_ranges[2],
+        "analog_input_range_3": signals.analog_input_ranges[3],
+        "analog_input_2": signals.analog_inputs[2],
+        "analog_input_3": signals.analog_inputs[3],
+        "tool_voltage_48V": 45.3 if powered else 0.0,
+        "tool_output_voltage": signals.tool_output_voltage if powered else 0,
+        "tool_current": 0.006 if powered else 0.0,
+        "tool_temperature": state.arm.sample.T_motor[5] + 15.0,
+        "tool_mode": modes.tool_mode,
+    }
+
+
+def _masterboard(state: ControllerState) -> Fields:
+    signals, modes = state.signals, state.modes
+    wide = 0xFFFF if state.firmware.is_cb2 else 0xFFFFFFFF
+    return {
+        "digital_input_bits": signals.digital_inputs & wide,
+        "digital_output_bits": signals.digital_outputs & wide,
+        "analog_input_range_0": signals.analog_input_ranges[0],
+        "analog_input_range_1": signals.analog_input_ranges[1],
+        "analog_input_0": signals.analog_inputs[0],
+        "analog_input_1": signals.analog_inputs[1],
+        "analog_output_domain_0": signals.analog_output_domains[0],
+        "analog_output_domain_1": signals.analog_output_domains[1],
+        "analog_output_0": signals.analog_outputs[0],
+        "analog_output_1": signals.analog_outputs[1],
+        "masterboard_temperature": 30.0,
+        "robot_voltage_48V": ROBOT_VOLTAGE if modes.is_powered else 0.0,
+        "robot_current": robot_current(state),
+        "master_io_current": 0.0,
+        "master_safety_state": modes.master_safety_state,
+        "master_on_off_state": modes.master_on_off_state,
+        "safety_mode": modes.safety_mode,
+        "reserved_checksum": _CHECKSUM,
+        # As in the captures of simulated e-Series controllers.
+        "operational_mode_selector_input": 1,
+        "three_position_enabling_device_input": 1,
+        "reserved": 1,
+    }
+
+
+def _cartesian(state: ControllerState) -> Fields:
+    pose, tcp = state.arm.sample.pose_actual, state.arm.tcp
+    axes = ("X", "Y", "Z", "Rx", "Ry", "Rz")
+    offsets = (f"tcp_offset_{axis}" for axis in axes)
+    return {**dict(zip(axes, pose, strict=True)), **dict(zip(offsets, tcp, strict=True))}
+
+
+def _kinematics(state: ControllerState) -> Fields:
+    table = np.array([getattr(state.kinematics.table, name) for name in DhTable._fields])
+    # All ones: not calibrated, as simulated controllers send it. What is in the checksum is not known; this is a guess.
+    is_calibrated = state.kinematics.is_calibrated
+    checksum = [zlib.crc32(row.tobytes()) for row in table.T] if is_calibrated else [0xFFFFFFFF] * 6
+    return {
+        "checksum": checksum,
+        **dict(zip(DhTable._fields, table.tolist(), strict=True)),
+        # The oldest firmware has its laser pointer here; these are the bytes of the one capture.
+        "pointer": [1000.0] * 3,
+    }
+
+
+def _configuration(state: ControllerState) -> Fields:
+    model = state.model
+    # What a controller reports is wider than the manual by its safety tolerance; an endless joint is a guess.
+    margin, faster = (0.0523599, 0.2) if state.firmware.is_e_series else (0.0, 0.0)
+    lowest, highest = (side.clip(-1e3, 1e3).tolist() for side in model.position_limits.T)
+    return {
+        "joint_min_limit": [limit - margin for limit in lowest],
+        "joint_max_limit": [limit + margin for limit in highest],
+        "joint_max_speed": [speed + faster for speed in model.max_speed.tolist()],
+        "joint_max_acceleration": model.max_acceleration.tolist(),
+        # The same in the captures of both generations.
+        "v_joint_default": 1.0471975511965976,
+        "a_joint_default": 1.3962634015954636,
+        "v_tool_default": 0.25,
+        "a_tool_default": 1.2,
+        "eq_radius": 0.25,
+        **{name: getattr(model, name).tolist() for name in DhTable._fields},
+        "masterboard_version": 6 if state.firmware.is_e_series else 5,
+        "controller_box_type": 4 if state.firmware.is_e_series else 2,
+        "robot_type": model.robot_type,
+        "robot_sub_type": 3 if state.firmware.is_e_series else 1,
+        "motor_type": [2] * 6,
+    }
+
+
+def _force_mode(state: ControllerState) -> Fields:
+    force = state.arm.sample.force
+    axes = ("Fx", "Fy", "Fz", "Frx", "Fry", "Frz")
+    return {**dict(zip(axes, force, strict=True)), "robot_dexterity": state.arm.dexterity}
+
+
+def _additional(state: ControllerState) -> Fields:
+    # The bytes of the captures.
+    return {
+        "ctrl_bits": 0x00014007,
+        "teach_button": 1,
+        "freedrive_button_pressed": False,
+        "freedrive_button_enabled": True,
+        "io_enabled_freedrive": False,
+        "reserved": 1,
+    }
+
+
+def _safety_data(state: ControllerState) -> Fields:
+    s, q1 = state.arm.sample, state.arm.sample.q_actual[0]
+    shift, radius = _ELBOW_SPHERE.get(state.model.name, _ELBOW_SPHERE_ELSE[state.model.generation])
+    x, y, z = s.elbow_position
+    return {
+        "checksum": _CHECKSUM,
+        "reserved": [1, 1],
+        "elbow_sphere_centre": [x + shift * math.sin(q1), y - shift * math.cos(q1), z],
+        "elbow_sphere_radius": radius,
+    }
+
+
+def _tool_mode(state: ControllerState) -> Fields:
+    first, second = state.signals.tool_digital_output_modes
+    return {
+        "output_mode": state.signals.tool_output_mode,
+        "digital_output_0_mode": first,
+        "digital_output_1_mode": second,
+    }
+
+
+#: Of the safety configuration: one made-up number in both places where captures show the same one twice.
+_CHECKSUM = 0x5AFE0001
+
+# Along the axis of the shoulder, and radius; m. Read off a simulated UR5e and UR3e; on CB3 both are zero in the one
+# capture there is. The larger e-Series arms are a guess.
+_ELBOW_SPHERE = {"UR5e": (0.093, 0.13), "UR3e": (0.080, 0.1)}
+_ELBOW_SPHERE_ELSE = {"CB": (0.0, 0.0), "e": (0.1, 0.15)}
+
+_CHANGING: dict[int, Callable[[ControllerState], Fields]] = {
+    0: _robot_mode,
+    1: _joint_data,
+    2: _tool_data,
+    3: _masterboard,
+    4: _cartesian,
+    7: _force_mode,
+    10: _safety_data,
+    11: lambda state: state.signals.tool_communication._asdict(),
+    12: _tool_mode,
+}
+_UNCHANGING: dict[int, Callable[[ControllerState], Fields]] = {
+    5: _kinematics,
+    6: _configuration,
+    8: _additional,
+    9: lambda state: {},
+}

@@ -1,0 +1,390 @@
+"""RTDE, 30004: variables by name, for many clients at once, each with recipes of its own (docs/protocols/rtde.md).
+
+Known from the vendor's documents and from clients that run against real controllers:
+
+- names are trimmed, and what follows a trailing comma is not a name; unknown names read NOT_FOUND, held inputs IN_USE,
+  and such a recipe is refused with the number 0, or under protocol 1 with the word alone;
+- output packages come in every floor(rate / frequency)-th cycle; a second output recipe replaces the first;
+- input recipes count from 1 in the order of the requests, refused ones too (a client counts on that); there are 255;
+- data packages are taken before a start and without an output recipe; those that are longer than their recipe as far
+  as it goes, and packages that do not fit otherwise do no harm;
+- the controller drops data packages rather than queue them, and closes the connection of a client that does not read.
+
+Guesses: requests that are not of their size, unknown types and text messages are left without an answer; a package that
+says it is shorter than its own header ends the connection; changing the protocol ends the output recipe; names beyond
+the limit, no names at all and frequencies of no more than zero refuse a recipe; how long a client may not read.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from linkcore.errors import PacketError
+from linkcore.wire.fields import Since
+from linkcore.wire.packet import State
+from urlink.protocol.rtde.packets import (
+    HEADER,
+    ControllerVersionReply,
+    ControllerVersionRequest,
+    DataPackage,
+    InputsReply,
+    InputsRequest,
+    MessageLevel,
+    OutputsReply,
+    OutputsRequest,
+    PauseReply,
+    PauseRequest,
+    Protocol,
+    ProtocolReply,
+    ProtocolRequest,
+    RtdeMessage,
+    StartReply,
+    StartRequest,
+    decode_request,
+    join_names,
+    split_names,
+)
+from urlink.protocol.rtde.recipes import MOST_RECIPES, Recipe
+from urlink.protocol.rtde.variables import IN_USE, INPUTS, NOT_FOUND, OUTPUTS, Variable
+
+from ..registers import FIELDBUSES
+from ..rtde_variables import OUTPUT_VALUES, write_inputs
+from ..state import ControllerState
+from .interface import Form, Port, PortClient, PortReceiver
+
+_log = logging.getLogger("urlink.simulator")
+
+#: The first firmware with RTDE. Sources say 3.2 to 3.4; 3.3 is that of the oldest variables.
+SINCE = Since("3.3/5.0")
+#: Data packages a second under protocol 1.
+RATE_1 = 125
+#: Data packages a second below which a client asks for none that it could wait for: one in a year.
+LEAST_FREQUENCY = 3e-8
+#: The source of the simulator's text messages.
+SOURCE = "simulator"
+#: Bytes of names in one request (vendor's documents).
+MOST_NAMES = 2048
+#: Seconds after which a client whose data packages are all dropped is disconnected.
+UNREAD = 2.0
+
+
+@dataclass
+class Disturbance:
+    """The faults of this interface at present; see `urlink.simulator.Faults`.
+
+    Attributes:
+        hello: text that each connection begins with; "" for none.
+        protocols: the accepted versions.
+        text_before: type of a request -> text that is sent before each reply to it.
+        data_before_start: whether a data package is sent before each reply to a start.
+        instead: type of a request -> what happens instead of the next reply to it, once.
+        refuses_start: whether a start is refused.
+        sends_no_data: whether nothing is sent after an accepted start.
+        late: cycles by which data packages are late.
+        stale: cycles for which the inputs of a connection that is over stay held.
+    """
+
+    hello: str = ""
+    protocols: tuple[int, ...] = (1, 2)
+    text_before: dict[int, str] = field(default_factory=dict)
+    data_before_start: bool = False
+    instead: dict[int, Callable[[RtdeSession], object]] = field(default_factory=dict)
+    refuses_start: bool = False
+    sends_no_data: bool = False
+    late: int = 0
+    stale: int = 0
+
+
+class RtdePort(Port):
+    """RTDE of one controller.
+
+    Args:
+        state: of the controller.
+        on_text: called with each text message of a client.
+
+    Attributes:
+        disturbance: the present faults.
+        sessions: the connections.
+    """
+
+    def __init__(self, state: ControllerState, on_text: Callable[[str], object]) -> None:
+        self._state = state
+        self.disturbance = Disturbance()
+        self.sessions: list[RtdeSession] = []
+        self._on_text = on_text
+
+    def is_offered(self) -> bool:
+        return self._state.firmware in SINCE
+
+    def greeting(self) -> list[bytes]:
+        hello = self.disturbance.hello
+        return [_text(1, hello, level=MessageLevel.WARNING)] if hello else []
+
+    def next_cycle(self, cycle: int) -> int | None:
+        wanted = [session.next_cycle(cycle) for session in self.sessions if session.is_started]
+        return min(wanted, default=None)
+
+    def packets(self, cycle: int) -> list[bytes]:
+        """Empty: each client is sent the outputs of its own recipes."""
+        for session in list(self.sessions):
+            session.advance(cycle)
+        return []
+
+    def receiver(self, client: PortClient) -> RtdeSession:
+        session = RtdeSession(self, client)
+        self.sessions.append(session)
+        return session
+
+    def send_text(self, text: str, source: str, level: MessageLevel) -> None:
+        """Send a text message to all clients."""
+        for session in self.sessions:
+            session.send_text(text, source, level)
+
+
+class _Outputs:
+    """The output recipe of a client, and the period of its packages.
+
+    Attributes:
+        step: cycles from one package to the next.
+    """
+
+    def __init__(self, recipe: Recipe, step: int) -> None:
+        self.step = step
+        self._form = Form(recipe.layout)
+        self._values = [(key, OUTPUT_VALUES[name]) for key, name in zip(recipe.fields, recipe.names, strict=True)]
+
+    def package(self, state: ControllerState) -> bytes:
+        return self._form.pack({key: value(state) for key, value in self._values})
+
+
+class RtdeSession(PortReceiver):
+    """One connection: its protocol, its recipes and whether it is started. Sans-IO: bytes and cycles, no socket.
+
+    Attributes:
+        protocol: 1, until the client requests 2.
+        is_started: whether data packages are sent.
+    """
+
+    def __init__(self, port: RtdePort, client: PortClient) -> None:
+        self.protocol: Protocol = 1
+        self.is_started = False
+        self._port = port
+        self._state = port._state
+        self._client = client
+        self._buffer = bytearray()
+        self._outputs: _Outputs | None = None
+        self._inputs: dict[int, Recipe] = {}
+        self._requests = 0
+        self._due = 0  # the cycle in which data are
+        self._unread_since: int | None = None
+        self._late: deque[tuple[int, bytes]] = deque()
+        self._answers: dict[type[State], Callable[[Any], bytes | None]] = {
+            ProtocolRequest: self._protocol,
+            ControllerVersionRequest: self._version,
+            OutputsRequest: self._set_up_outputs,
+            InputsRequest: self._set_up_inputs,
+            StartRequest: self._start,
+            PauseRequest: self._pause,
+            RtdeMessage: self._listen,
+            DataPackage: self._write,
+        }
+
+    # -- input ---------------------------------------------------------------------------------------
+
+    def feed(self, data: bytes) -> None:
+        """Handle bytes, as they came."""
+        self._buffer += data
+        while len(self._buffer) >= HEADER.width and self._client.is_open:
+            size = int.from_bytes(self._buffer[:2], "big")
+            if size < HEADER.width:
+                _log.info("RTDE client closed: a package of %d bytes", size)
+                self._client.drop()
+                return
+            if len(self._buffer) < size:
+                return
+            package = bytes(self._buffer[:size])
+            del self._buffer[:size]
+            self._take(package)
+
+    def end(self) -> None:
+        """Handle the end of the connection: its inputs are free again, at once or later."""
+        self._port.sessions.remove(self)
+        claims, stale = self._state.claims, self._port.disturbance.stale
+        if stale:
+            claims.go_stale(self, self._state.cycle + stale)
+        else:
+            claims.release(self)
+
+    def _take(self, package: bytes) -> None:
+        kind = package[2]
+        instead = self._port.disturbance.instead.pop(kind, None)
+        if instead is not None:
+            instead(self)
+            return
+        try:
+            request = decode_request(package, self.protocol)
+        except PacketError as error:
+            self._ignore(str(error))
+            return
+        reply = self._answers[type(request)](request)
+        if reply is None:
+            return
+        before = self._port.disturbance.text_before.get(kind)
+        if before is not None:
+            self.send_text(before)
+        self._client.send(reply)
+
+    def _ignore(self, why: str) -> None:
+        self._state.counters.ignored_packages += 1
+        _log.info("RTDE package ignored: %s", why)
+
+    # -- handshake -----------------------------------------------------------------------------------
+
+    def _protocol(self, request: ProtocolRequest) -> bytes:
+        is_accepted = request.wanted in self._port.disturbance.protocols
+        if is_accepted and request.wanted != self.protocol:
+            self.protocol = 1 if request.wanted == 1 else 2
+            self._outputs, self.is_started = None, False
+        return self._reply(ProtocolReply, accepted=is_accepted)
+
+    def _version(self, request: ControllerVersionRequest) -> bytes:
+        return self._reply(ControllerVersionReply, **self._state.firmware._asdict())
+
+    def _set_up_outputs(self, request: OutputsRequest) -> bytes:
+        self._outputs, self.is_started = None, False
+        names, types = self._looked_up(request.names, OUTPUTS)
+        step = self._step(request.frequency)
+        if names and step is not None and NOT_FOUND not in types:
+            self._outputs = _Outputs(Recipe(names, types, None if self.protocol == 1 else 1), step)
+        return self._reply(OutputsReply, recipe=int(self._outputs is not None), types=join_names(types))
+
+    def _step(self, frequency: float | None) -> int | None:
+        """Cycles from one package to the next; None if the frequency is invalid."""
+        rate = self._state.rate
+        if frequency is None:
+            return rate // RATE_1
+        if not 0.0 < frequency < math.inf:
+            return None
+        # The quotient of a frequency such as 5e-324 is infinite.
+        return max(1, math.floor(rate / max(frequency, LEAST_FREQUENCY)))
+
+    def _set_up_inputs(self, request: InputsRequest) -> bytes:
+        self._requests += 1
+        names, types = self._looked_up(request.names, INPUTS)
+        is_good = bool(names) and self._requests <= MOST_RECIPES and not {NOT_FOUND, IN_USE}.intersection(types)
+        if is_good:
+            self._state.claims.claim(names, self)
+            self._inputs[self._requests] = Recipe(names, types, self._requests, INPUTS)
+        return self._reply(InputsReply, recipe=self._requests if is_good else 0, types=join_names(types))
+
+    def _is_in_use(self, name: str) -> bool:
+        state = self._state
+        if state.fieldbus is not None and name in FIELDBUSES[state.fieldbus]:
+            return True
+        return state.claims.holder(name, state.cycle) not in (None, self)
+
+    def _looked_up(self, text: str, table: Mapping[str, Variable]) -> tuple[Sequence[str], Sequence[str]]:
+        """The names, and a type or a refusal for each."""
+        if len(text.encode()) > MOST_NAMES:
+            return (), ()
+        names = split_names(text)
+        firmware = self._state.firmware
+        types = []
+        for name in names:
+            variable = table.get(name)
+            if variable is None or not variable.is_in(firmware):
+                types.append(NOT_FOUND)
+            else:
+                types.append(IN_USE if table is INPUTS and self._is_in_use(name) else variable.type)
+        return names, types
+
+    def _start(self, request: StartRequest) -> bytes:
+        outputs, disturbance = self._outputs, self._port.disturbance
+        self.is_started = outputs is not None and not disturbance.refuses_start
+        self._due = self._state.cycle + (1 if outputs is None else outputs.step)
+        if self.is_started and disturbance.data_before_start:
+            self._send_data()
+        return self._reply(StartReply, accepted=self.is_started)
+
+    def _pause(self, request: PauseRequest) -> bytes:
+        self.is_started = False
+        self._late.clear()
+        return self._reply(PauseReply, accepted=True)
+
+    def _listen(self, message: RtdeMessage) -> None:
+        source = f"{message.source}: " if message.source else ""
+        self._port._on_text(f"{source}{message.message}")
+
+    def _write(self, package: DataPackage) -> None:
+        recipe = self._inputs.get(package.recipe or 0)
+        if recipe is None:
+            self._ignore(f"data of the unknown recipe {package.recipe}")
+            return
+        try:
+            # The rest of one that is longer is not read: ur_rtde sends 104 bytes for a recipe of 56, and waits for the
+            # result of its command.
+            values = recipe.decode(bytes(package)[: recipe.size])
+        except PacketError as error:
+            self._ignore(str(error))
+            return
+        state = self._state
+        write_inputs(state, values)
+        state.watchdogs.feed(recipe.names, state.cycle)
+
+    # -- output --------------------------------------------------------------------------------------
+
+    def _reply(self, kind: type[State], **values: Any) -> bytes:
+        return kind.LAYOUTS.of((self.protocol, 0)).encode(values)
+
+    def send_text(self, text: str, source: str = SOURCE, level: MessageLevel = MessageLevel.INFO) -> None:
+        """Send a text message."""
+        self._client.send(_text(self.protocol, text, source, level))
+
+    def next_cycle(self, cycle: int) -> int:
+        """The first cycle after this one in which something is due."""
+        return cycle + 1 if self._late else max(self._due, cycle + 1)
+
+    def advance(self, cycle: int) -> None:
+        """Send what has become due by this cycle."""
+        while self._late and self._late[0][0] <= cycle:
+            self._client.send(self._late.popleft()[1])
+        outputs = self._outputs
+        if not self.is_started or outputs is None or cycle < self._due:
+            return
+        self._due = cycle + outputs.step - (cycle - self._due) % outputs.step
+        if self._port.disturbance.sends_no_data:
+            return
+        if self._client.pending:
+            self._drop(cycle)
+        else:
+            self._unread_since = None
+            self._send_data()
+
+    def _send_data(self) -> None:
+        assert self._outputs is not None, "started without an output recipe"
+        package = self._outputs.package(self._state)
+        late = self._port.disturbance.late
+        if late:
+            self._late.append((self._state.cycle + late, package))
+        else:
+            self._client.send(package)
+
+    def _drop(self, cycle: int) -> None:
+        """Handle a package that cannot be sent, because older ones still wait for the client."""
+        self._state.counters.unread += 1
+        if self._unread_since is None:
+            self._unread_since = cycle
+        elif cycle - self._unread_since > UNREAD * self._state.rate:
+            self._state.counters.dropped += 1
+            self._client.drop()
+
+
+def _text(protocol: Protocol, text: str, source: str = SOURCE, level: MessageLevel = MessageLevel.INFO) -> bytes:
+    """A text message. Under protocol 2 its length is one byte."""
+    message = text if protocol == 1 else text.encode()[:255].decode("utf-8", "ignore")
+    return RtdeMessage.LAYOUTS.of((protocol, 0)).encode({"message": message, "source": source, "level": level})

@@ -1,0 +1,111 @@
+"""Names that are imported when they are first asked for: the mechanism, and the two packages that use it."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import json
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+import rhdlink
+import urlink
+from linkcore.names import lazy_names
+
+PACKAGES = [urlink, rhdlink]
+LAZY = [*PACKAGES, urlink.packets, urlink.rtde, rhdlink.host, rhdlink.smrcl, rhdlink.variables]
+
+
+@pytest.fixture
+def package(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    made = ModuleType("made")
+    monkeypatch.setitem(sys.modules, "made", made)
+    get, names, public = lazy_names("made", {"json": "loads dumps", "fractions": "Fraction"})
+    vars(made).update(__getattr__=get, __dir__=names, __all__=public)
+    return made
+
+
+def test_a_name_is_that_of_its_module(package: ModuleType) -> None:
+    assert package.loads is json.loads
+    assert vars(package)["loads"] is json.loads, "it is found without asking again"
+    assert "dumps" not in vars(package)
+
+
+def test_only_what_is_public_shows(package: ModuleType) -> None:
+    assert dir(package) == ["Fraction", "dumps", "loads"]
+    found: dict[str, object] = {}
+    exec("from made import *", found)
+    assert found.keys() >= {"Fraction", "dumps", "loads"}
+
+
+def test_another_name_is_no_attribute(package: ModuleType) -> None:
+    with pytest.raises(AttributeError, match="module 'made' has no attribute 'load'"):
+        package.load  # noqa: B018
+    assert not hasattr(package, "json")
+
+
+@pytest.mark.real_time
+def test_a_module_is_imported_when_it_is_first_asked_for() -> None:
+    program = "import sys, urlink; before = 'urlink.arm.poses' in sys.modules; urlink.poses.compose; print(before)"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
+
+
+@pytest.mark.parametrize("package", LAZY)
+def test_type_checkers_are_told_the_same(package: ModuleType) -> None:
+    assert package.__file__ is not None
+    tree = ast.parse(Path(package.__file__).read_text(encoding="utf-8"))
+    (branch,) = (node for node in tree.body if isinstance(node, ast.If))
+    told = {}
+    for node in branch.body:
+        assert isinstance(node, ast.ImportFrom)
+        module = importlib.import_module("." * node.level + (node.module or ""), package.__name__)
+        for alias in node.names:
+            assert alias.asname == alias.name, "so it is exported"
+            told[alias.name] = getattr(module, alias.name)
+    assert sorted(told) == dir(package)
+    for name, value in told.items():
+        assert getattr(package, name) is value
+
+
+@pytest.mark.parametrize("package", LAZY)
+def test_no_public_name_is_that_of_a_module(package: ModuleType) -> None:
+    """Who imports the module would replace the name."""
+    assert package.__file__ is not None
+    modules = {path.stem for path in Path(package.__file__).parent.iterdir()}
+    assert modules & set(package.__all__) == set()
+
+
+def test_an_attribute_error_inside_of_a_module_is_shown(
+    package: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It would otherwise be taken for a name that is not there."""
+    (tmp_path / "broken_module.py").write_text("import math\nmath.sine(1.0)\nName = 1\n", encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    get, _, _ = lazy_names("made", {"broken_module": "Name"})
+    monkeypatch.setattr(package, "__getattr__", get)
+    message = "^broken_module of made cannot be imported: module 'math' has no attribute 'sine'$"
+    with pytest.raises(ImportError, match=message):
+        exec("from made import Name", {})
+    with pytest.raises(ImportError, match=message):
+        hasattr(package, "Name")
+
+
+def test_a_module_is_found_under_its_last_name() -> None:
+    get, names, public = lazy_names("email", {"json": "loads"}, modules="mime.text utils")
+    assert get("text") is importlib.import_module("email.mime.text")
+    assert (names(), public) == (["loads", "text", "utils"], ["loads"])
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+@pytest.mark.real_time
+def test_importing_a_package_imports_nothing_of_it(package: ModuleType) -> None:
+    program = f"import sys; import {package.__name__}; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    ours = {name for name in done.stdout.split() if name.partition(".")[0] in ("linkcore", "urlink", "rhdlink")}
+    assert ours == {"linkcore", "linkcore.names", package.__name__}
+    assert "numpy" not in done.stdout.split()

@@ -1,0 +1,92 @@
+"""What was started on a robot is stopped when this process ends without closing it."""
+
+from __future__ import annotations
+
+import atexit
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from linkcore import process
+
+
+class Part:
+    """Something that has started programs."""
+
+    def __init__(self) -> None:
+        self.reasons: list[str] = []
+        self.is_end = False
+
+    def abandon(self, why: str, is_end: bool) -> None:
+        self.reasons.append(why)
+        self.is_end = is_end
+
+
+@pytest.fixture
+def events(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, Any]]:
+    """A process in which nothing is watched yet, inside a notebook; the callbacks that were registered, by event."""
+    found: dict[str, Any] = {}
+    shell = SimpleNamespace(events=SimpleNamespace(register=found.__setitem__))
+    monkeypatch.setattr(process, "_watched", set())
+    monkeypatch.setattr(atexit, "register", lambda call, *of: found.update(exit=lambda: call(*of)))
+    monkeypatch.setitem(sys.modules, "IPython", SimpleNamespace(get_ipython=lambda: shell))
+    monkeypatch.setattr(os, "register_at_fork", lambda after_in_child: found.update(fork=after_in_child))
+    before = signal.getsignal(signal.SIGTERM)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    yield found
+    signal.signal(signal.SIGTERM, before)
+
+
+def test_exit_abandons_what_is_open(events: dict[str, Any]) -> None:
+    kept, closed = Part(), Part()
+    process.abandon_at_end(kept)
+    process.abandon_at_end(closed)
+    process.forget(closed)
+    events["exit"]()
+    assert kept.reasons == ["the interpreter exits"]
+    assert kept.is_end
+    assert closed.reasons == []
+
+
+def test_sigterm_abandons_and_ends_the_process(events: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    part, sent = Part(), []
+    process.abandon_at_end(part)
+    handler = signal.getsignal(signal.SIGTERM)
+    assert callable(handler)
+    monkeypatch.setattr(os, "kill", lambda pid, number: sent.append((pid, number)))
+    handler(signal.SIGTERM, None)
+    assert part.reasons == ["the process received SIGTERM"]
+    assert sent == [(os.getpid(), signal.SIGTERM)]
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+
+
+def test_handler_of_the_program_is_left_alone(events: dict[str, Any]) -> None:
+    def own(number: int, frame: object) -> None: ...
+
+    signal.signal(signal.SIGTERM, own)
+    process.abandon_at_end(Part())
+    assert signal.getsignal(signal.SIGTERM) is own
+
+
+@pytest.mark.parametrize(("error", "is_abandoned"), [(KeyboardInterrupt(), True), (ValueError(), False), (None, False)])
+def test_notebook_cell_abandons_when_interrupted(
+    events: dict[str, Any], error: BaseException | None, is_abandoned: bool
+) -> None:
+    part = Part()
+    process.abandon_at_end(part)
+    events["post_run_cell"](SimpleNamespace(error_in_exec=error))
+    assert part.reasons == (["the notebook cell was interrupted"] if is_abandoned else [])
+    assert not part.is_end
+
+
+def test_forked_child_abandons_nothing(events: dict[str, Any]) -> None:
+    part = Part()
+    process.abandon_at_end(part)
+    events["fork"]()
+    events["exit"]()
+    assert part.reasons == []

@@ -1,0 +1,137 @@
+"""The table of parameters: every row says what it rests on, is read where it says, and no guess is outside of it."""
+
+from __future__ import annotations
+
+import ast
+import io
+import re
+import tokenize
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from linkcore.errors import BadValue
+from urlink.arm.models import MODELS
+from urlink.arm.motors import friction, motors_of
+from urlink.arm.parameters import Evidence, Parameter, is_assumed, number, numbers, parameters
+
+SRC = Path(__file__).resolve().parents[3] / "src/urlink"
+ROWS = list(parameters().values())
+#: The word, not as a part of a name in the code.
+GUESS = re.compile(r"(?<![`_\w])guess(es|ed)?(?![`_\w])", re.IGNORECASE)
+
+
+def words(source: str) -> Iterator[str]:
+    """The docstrings of a module, and its comments: lines that are nothing else and follow each other are one."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)):
+            yield ast.get_docstring(node) or ""
+    block: list[str] = []
+    last = 0
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type == tokenize.COMMENT:
+            if token.start[0] != last + 1 or not token.line.lstrip().startswith("#"):
+                yield " ".join(block)
+                block = []
+            block.append(token.string)
+            last = token.start[0]
+    yield " ".join(block)
+
+
+def guesses(source: str) -> int:
+    """How many docstrings and comments speak of a guess."""
+    return sum(bool(GUESS.search(text)) for text in words(source))
+
+
+def place(row: Parameter) -> Path:
+    return SRC.joinpath(*row.used.split(".")).with_suffix(".py")
+
+
+def test_guesses_are_counted() -> None:
+    assert guesses('"""A guess."""\n# one\n# and a guess: 3\nx = 1  # guessed\n') == 3
+    assert guesses('"""Its `guesses`."""\nguess = guesses(1)  # as guess_sender does\n') == 0
+
+
+@pytest.mark.slow
+def test_no_guess_is_outside_the_table() -> None:
+    """A module with more comments and docstrings about guesses than rows that name it has one that stands nowhere."""
+    listed = Counter(place(row) for row in ROWS if row.evidence == "guess")
+    # The module that reads the table says what a guess is.
+    modules = sorted(path for path in SRC.rglob("*.py") if path != SRC / "arm/parameters.py")
+    found = {module: guesses(module.read_text(encoding="utf-8")) for module in modules}
+    missing = {str(module.relative_to(SRC)): (n, listed[module]) for module, n in found.items() if n > listed[module]}
+    assert missing == {}, "module: (comments and docstrings that speak of a guess, rows of parameters.tsv for it)"
+
+
+def test_every_row_says_what_it_rests_on() -> None:
+    for row in ROWS:
+        assert row.evidence in get_args(Evidence), row
+        assert row.source, row
+        value = (
+            [float(each) for each in re.findall(r"-?[\d.]+(?:e-?\d+)?", row.value)]
+            if row.value[0] in "-.0123456789"
+            else []
+        )
+        if len(value) == 1:
+            assert row.low is not None, row
+            assert row.high is not None, row
+            assert row.low <= value[0] <= row.high, row
+        else:
+            assert (row.low, row.high) == (None, None), row
+            assert value or row.value in ("yes", "no", "assumed") or row.value.startswith("as "), row
+
+
+def test_every_row_is_read_where_it_says() -> None:
+    sources = {place(row): place(row).read_text(encoding="utf-8") for row in ROWS}
+    for row in ROWS:
+        if row.value != "assumed" and not row.value.startswith("as "):
+            assert f'"{row.name}"' in sources[place(row)], row
+
+
+def test_a_number_is_of_one_module() -> None:
+    used = Counter(name for name, _ in {(row.name, row.used) for row in ROWS})
+    assert [name for name, modules in used.items() if modules > 1] == []
+
+
+def test_the_table_has_what_arms_borrow() -> None:
+    borrowed = {name: {row.name for row in ROWS if (row.of, row.used) == (name, "models")} for name in MODELS}
+    assert borrowed == {name: set(arm.guesses) for name, arm in MODELS.items()}
+
+
+def test_a_parameter_that_is_not_there() -> None:
+    with pytest.raises(BadValue, match="'rotor_inertia' of 'size 9'"):
+        number("rotor_inertia", "size 9")
+    with pytest.raises(BadValue, match="no parameter is called 'wheels'"):
+        numbers("wheels")
+    assert is_assumed("servoj_lag_stretches")
+
+
+# -- motors ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_every_arm_has_motors(name: str) -> None:
+    motors = motors_of(name)
+    for each in (motors.rotor_inertias, motors.torque_constants, motors.coulomb, motors.viscous):
+        assert len(each) == 6
+        assert min(each) > 0.0
+    # A stronger joint has a larger rotor.
+    order = np.argsort(MODELS[name].max_torque, kind="stable")
+    assert (np.diff(np.array(motors.rotor_inertias)[order]) >= 0.0).all()
+
+
+def test_friction_has_its_full_size_from_a_speed_on() -> None:
+    assert friction(0.2, 0.5, 0.0) == 0.0
+    assert friction(0.2, 0.0, 0.005) == pytest.approx(0.1)
+    assert friction(0.2, 0.5, -1.0) == pytest.approx(-0.7)
+
+
+def test_the_current_of_a_joint() -> None:
+    motors = motors_of("UR10e")
+    still = motors.current([11.98, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0] * 6)
+    assert still == pytest.approx([1.0, 0, 0, 0, 0, 0])
+    assert motors.current([0.0] * 6, [1.0, 0, 0, 0, 0, 0])[0] == pytest.approx(1.6 + 1.39)

@@ -1,0 +1,335 @@
+"""The command channel on a clock that the test holds: how long it waits, what it decides anew, what it gives up."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+import pytest
+
+from linkcore.errors import Cancelled, ConnectionLost, LinkTimeout
+from linkcore.net.undo import Recall
+from linkcore.pending_call import PendingCall, check_wanted
+from tests.fakes.line import Desk, give_up, slow
+from urlink.command.channel import CommandChannel
+from urlink.errors import NotRunning, SafetyStop
+from urlink.protocol.enums import RobotMode, SafetyMode
+from urlink.protocol.primary.robot_state import RobotState
+
+pytestmark = pytest.mark.simulated_time
+
+TEXT = "movej(q)"
+
+
+@pytest.fixture
+def desk() -> Desk:
+    desk = Desk()
+    desk.clear()
+    return desk
+
+
+def test_a_controller_has_half_a_second_to_take_a_text(desk: Desk) -> None:
+    for room, aborts in ((0, 0), (3, 1)):  # what has left in part must not be seen
+        desk.waits.clear()
+        desk.primary.room = room
+        with pytest.raises(LinkTimeout, match=r"has not taken a text of 9 bytes within 0\.5 s; it was not sent"):
+            desk.channel.motion(TEXT)
+        assert desk.waits == pytest.approx([0.5, 0.3, 0.1])
+        assert desk.primary.aborts == aborts
+    desk.primary.room = None
+    desk.channel.motion("stopj(2)")
+    assert desk.sent == ["mov", "stopj(2)\n"]
+
+
+@pytest.mark.parametrize("line", ["stopj(2)", "stopj(2)\n", "stopj(2)\n\n"])
+def test_a_text_ends_in_one_newline(desk: Desk, line: str) -> None:
+    desk.channel.motion(line)
+    assert desk.sent == ["stopj(2)\n"]
+
+
+def test_who_cannot_wait_sends_now_or_not_at_all(desk: Desk) -> None:
+    desk.primary.room = 0
+    with pytest.raises(LinkTimeout, match="within 0 s"):
+        desk.channel.motion(TEXT, wait=False)
+    assert (desk.waits, desk.primary.aborts) == ([], 0)
+    desk.primary.room = 3
+    with pytest.raises(LinkTimeout, match="within 0 s"):
+        desk.channel.motion(TEXT, wait=False)
+    assert (desk.waits, desk.primary.aborts) == ([], 1)
+
+
+@pytest.mark.parametrize("room", [0, 3])
+def test_it_is_decided_anew_after_each_wait(desk: Desk, room: int) -> None:
+    """A text of which nothing has left is only kept back; of one that has begun nobody may see the rest."""
+    desk.primary.room = room
+
+    def stop() -> None:
+        desk.primary.tell(slow(SafetyMode.PROTECTIVE_STOP))
+        desk.primary.room = None
+
+    desk.meanwhile = stop
+    with pytest.raises(SafetyStop):
+        desk.channel.motion(TEXT)
+    assert "".join(desk.sent) == TEXT[:room]
+    assert desk.primary.aborts == (room > 0)
+    desk.primary.tell(slow())
+    desk.channel.motion("stopj(2)")
+    assert desk.sent[-1] == "stopj(2)\n"
+
+
+@pytest.mark.parametrize("room", [0, 3])
+def test_what_has_begun_does_not_go_on_over_another_connection(desk: Desk, room: int) -> None:
+    desk.primary.room = room
+
+    def reconnect() -> None:
+        desk.primary.counters.connections += 1
+        desk.primary.room = None
+
+    desk.meanwhile = reconnect
+    if room:
+        with pytest.raises(ConnectionLost, match="connected anew while a text was sent"):
+            desk.channel.motion(TEXT)
+        assert desk.sent == ["mov"]
+    else:
+        desk.channel.motion(TEXT)
+        assert desk.sent == [TEXT + "\n"]
+
+
+@pytest.mark.parametrize("error", [ConnectionLost("pulled"), KeyboardInterrupt()])
+@pytest.mark.parametrize("is_new", [False, True])
+def test_a_text_that_ends_while_it_waits_for_room_is_in_nobodys_way(
+    desk: Desk, error: BaseException, is_new: bool
+) -> None:
+    """Its connection is lost in the middle of it, or Ctrl-C comes; a connection that was made meanwhile stays."""
+    desk.primary.room = 3
+
+    def end() -> None:
+        desk.meanwhile = lambda: None
+        desk.primary.counters.connections += is_new
+        desk.primary.room = None
+        raise error
+
+    desk.meanwhile = end
+    with pytest.raises(type(error)):
+        desk.channel.motion(TEXT)
+    desk.channel.motion("stopj(2)", is_stop=True)
+    assert (desk.sent, desk.primary.aborts) == (["mov", "stopj(2)\n"], not is_new)
+
+
+def test_in_parts_over_the_same_connection(desk: Desk) -> None:
+    desk.primary.room = 3
+
+    def make_room() -> None:
+        desk.primary.room = 4
+
+    desk.meanwhile = make_room
+    desk.channel.motion(TEXT)
+    assert (desk.sent, desk.primary.aborts) == (["mov", "ej(q", ")\n"], 0)
+    desk.primary.room = None
+    desk.channel.command("set_tool_voltage(0)")
+    assert desk.sent[3:] == ["set_tool_voltage(0)\n"]
+
+
+def test_a_signal_handler_that_gave_the_text_up_is_believed(desk: Desk) -> None:
+    """It interrupts the thread that waits for room for its text, and sends a stop; nothing of the text follows."""
+    desk.primary.room = 3
+    raised: list[Exception] = []
+
+    def interrupt() -> None:
+        desk.meanwhile = lambda: None
+        for _ in range(2):
+            try:
+                desk.channel.motion("stopj(2)", is_stop=True)
+            except ConnectionLost as error:
+                raised.append(error)
+                desk.primary.room = None
+
+    desk.meanwhile = interrupt
+    with pytest.raises(ConnectionLost, match="connected anew"):
+        desk.channel.motion(TEXT)
+    assert len(raised) == 1
+    assert "only a part of the text before this one" in str(raised[0])
+    # Aborted once: not also the connection that the stop has left by.
+    assert (desk.sent, desk.primary.aborts) == (["mov", "stopj(2)\n"], 1)
+
+
+def test_who_waits_for_another_threads_text_leaves_the_processor_alone(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    desk.primary.room = 3
+    begun, go_on = threading.Event(), threading.Event()
+
+    def hold() -> None:
+        begun.set()
+        assert go_on.wait(10)
+
+    desk.meanwhile = hold
+    first = threading.Thread(target=desk.channel.motion, args=(TEXT,))
+    first.start()
+    assert begun.wait(10)
+    pauses: list[float] = []
+
+    def pause(seconds: float) -> None:
+        pauses.append(seconds)
+        desk.primary.room = None
+        go_on.set()
+        first.join(10)
+
+    monkeypatch.setattr("urlink.command.channel.clock.sleep", pause)
+    desk.channel.motion("stopj(2)")
+    assert pauses == [0.001]
+    assert desk.sent == ["mov", "ej(q)\n", "stopj(2)\n"]
+
+
+#: What sends or asks, the state in its way, and whether news that lifts a stop is waited for, or that it runs.
+NEWS: dict[str, tuple[Callable[[CommandChannel], object], RobotState, bool]] = {
+    "check": (lambda channel: channel.check(), slow(SafetyMode.PROTECTIVE_STOP), True),
+    "motion": (lambda channel: channel.motion(TEXT), slow(SafetyMode.PROTECTIVE_STOP), True),
+    "setpoint": (lambda channel: channel.setpoint(lambda: None), slow(SafetyMode.PROTECTIVE_STOP), True),
+    "command": (lambda channel: channel.command(TEXT), slow(mode=RobotMode.IDLE), False),
+    "check_running": (lambda channel: channel.check_running(), slow(mode=RobotMode.IDLE), False),
+}
+
+
+@pytest.mark.parametrize("name", NEWS)
+def test_what_is_in_the_way_may_be_over_already(desk: Desk, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The word that says so is waited for."""
+    act, in_the_way, moves = NEWS[name]
+    asked: list[bool] = []
+
+    def await_news(moves: bool) -> None:
+        asked.append(moves)
+        desk.primary.tell(slow())
+
+    monkeypatch.setattr(desk.monitor, "await_news", await_news)
+    desk.primary.tell(in_the_way)
+    act(desk.channel)
+    assert asked == [moves]
+    if name == "motion":
+        desk.primary.tell(in_the_way)
+        with pytest.raises(SafetyStop):
+            desk.channel.motion(TEXT, wait=False)
+        assert asked == [moves]
+
+
+def test_a_set_point_follows_news_only_of_an_arm_that_may_move(desk: Desk) -> None:
+    sent: list[int] = []
+    desk.monitor.await_news = lambda moves: desk.primary.tell(slow())  # type: ignore[method-assign]
+    for mode, safety in ((RobotMode.RUNNING, SafetyMode.FAULT), (RobotMode.IDLE, SafetyMode.NORMAL)):
+        desk.primary.tell(slow(safety, mode))
+        desk.channel.setpoint(lambda: sent.append(1))
+    assert sent == [1, 1]
+
+
+def test_a_claim_that_raises_keeps_the_text(desk: Desk) -> None:
+    def claim() -> None:
+        raise Cancelled("given up")
+
+    with pytest.raises(Cancelled):
+        desk.channel.motion(TEXT, claim=claim)
+    assert desk.sent == []
+
+
+def test_what_was_claimed_leaves_also_for_a_task_that_gives_it_up_at_that_moment(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is claimed last is stopped by what is sent next, and has to be there to be stopped."""
+    call, send = PendingCall(), desk.primary.send_some
+
+    def as_a_transport(data: memoryview) -> int:
+        check_wanted()
+        return send(data)
+
+    monkeypatch.setattr(desk.primary, "send_some", as_a_transport)
+    call.make(lambda: desk.channel.motion(TEXT, claim=lambda: call.give_up(lambda cancel: cancel())))
+    assert desk.sent == [f"{TEXT}\n"]
+    with pytest.raises(Cancelled, match="nothing more is sent"):
+        call.make(lambda: desk.channel.motion(TEXT, claim=lambda: pytest.fail("it was claimed")))
+    assert desk.sent == [f"{TEXT}\n"]
+
+
+def test_only_what_was_sent_just_now_is_discarded(desk: Desk) -> None:
+    desk.channel.discard(1000.0)
+    assert desk.primary.aborts == 0  # nothing was ever sent
+    desk.channel.motion(TEXT)
+    desk.clock.now += 2.5
+    desk.channel.discard(2.0)
+    assert desk.primary.aborts == 0
+    desk.channel.discard(2.5)
+    assert desk.primary.aborts == 1
+    desk.channel.discard(1000.0)
+    assert desk.primary.aborts == 1  # it is gone
+
+
+def test_over_another_connection(desk: Desk) -> None:
+    """Set-points need an arm that may be moved; what moves nothing needs a robot that runs."""
+    sent: list[str] = []
+    desk.primary.tell(slow(SafetyMode.PROTECTIVE_STOP))
+    desk.channel.check_running()
+    desk.channel.beside(lambda: sent.append("setting"))
+    for is_stop in (False, True):
+        with pytest.raises(SafetyStop):
+            desk.channel.setpoint(lambda: sent.append("set-point"), is_stop=is_stop)
+    with pytest.raises(SafetyStop):
+        desk.channel.check()
+    desk.primary.tell(slow(mode=RobotMode.POWER_OFF))
+    with pytest.raises(NotRunning):
+        desk.channel.check_running()
+    with pytest.raises(NotRunning):
+        desk.channel.beside(lambda: sent.append("setting"))
+    assert sent == ["setting"]
+    desk.primary.tell(slow())
+    desk.interlock.policy = "always"
+    with pytest.raises(SafetyStop, match="not enabled"):
+        desk.channel.setpoint(lambda: sent.append("set-point"))
+    desk.channel.setpoint(lambda: sent.append("stop"), is_stop=True)
+    with pytest.raises(SafetyStop, match="not enabled"):
+        desk.channel.motion(TEXT)
+    desk.channel.motion("stopj(2)", is_stop=True)
+    assert (sent, desk.sent) == (["setting", "stop"], ["stopj(2)\n"])
+
+
+@pytest.mark.parametrize(
+    ("options", "may_wait", "order", "pending"),
+    [
+        ({}, True, ["taken back", "sent"], ()),
+        ({"is_stop": True}, True, ["sent"], ("play",)),
+        ({"wait": False}, True, ["sent"], ("play",)),
+        ({}, False, ["sent"], ("play",)),
+        ({"is_stop": True, "replaces": True}, True, ["sent"], ()),
+    ],
+)
+def test_what_was_given_up_is_taken_back_before_a_motion(
+    options: dict[str, bool], may_wait: bool, order: list[str], pending: tuple[str, ...]
+) -> None:
+    """Not before a stop, nor by who cannot wait; a program that replaces the one that runs supersedes it."""
+    desk, recall, seen = Desk(may_wait=may_wait), Recall("controller"), list[str]()
+    desk.clear()
+    channel = CommandChannel(desk.channel._connection, desk.monitor, desk.section, desk.clock, recall)
+
+    def take_back(client: object, is_wanted: Callable[[], bool]) -> None:
+        time.sleep(0.3)
+        if is_wanted():
+            seen.append("taken back")
+
+    give_up(recall, "play", take_back)
+    channel.motion(TEXT, claim=lambda: seen.append("sent"), **options)
+    assert (seen, recall.pending) == (order, pending)
+    recall.close()
+
+
+def test_a_second_for_what_cannot_be_taken_back() -> None:
+    desk, recall = Desk(may_wait=True), Recall("controller")
+    desk.clear()
+    channel = CommandChannel(desk.channel._connection, desk.monitor, desk.section, desk.clock, recall)
+
+    def take_back(client: object, is_wanted: Callable[[], bool]) -> None:
+        raise ConnectionLost("it is away")
+
+    give_up(recall, "play", take_back)
+    begin = time.monotonic()
+    channel.motion(TEXT)
+    assert time.monotonic() - begin == pytest.approx(1.0, abs=0.05)
+    assert (desk.sent, recall.pending) == ([TEXT + "\n"], ("play",))
+    recall.close()

@@ -1,0 +1,361 @@
+"""Interpreter mode: `robot.interpreter()` on the simulated controller, its protocol, and the port as others use it."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import cast
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import urlink
+from linkcore.errors import BadValue, Cancelled, Closed, ConnectFailed, LinkTimeout, LocalError, PacketError, WrongPeer
+from linkcore.handle import Lifecycle, Phase
+from linkcore.net.dialogue import Dialogue
+from tests.fakes.line import Desk
+from tests.waiting import until
+from urlink.command.interpreter import CLEAR_AFTER, _take_back
+from urlink.protocol.interpreter import LONGEST_REPLY, WORDS, InterpreterProtocol, parse_reply, statement_line
+from urlink.simulator import Controller, Still
+from urlink.simulator.urscript.statements import MOST
+
+pytestmark = pytest.mark.simulated_time
+
+TIMEOUT = 20.0
+HOME = [0.0, -1.57, 1.57, -1.57, -1.57, 0.0]
+AWAY = [1.5, *HOME[1:]]
+
+
+def movej(q: list[float], speed: float = 3.0) -> str:
+    return f"movej({q}, a=20, v={speed})"
+
+
+@pytest.fixture
+def controller() -> Iterator[Controller]:
+    with Controller("UR5e", "10.12", motion=Still()) as controller:
+        yield controller
+
+
+@pytest.fixture
+def robot(controller: Controller) -> Iterator[urlink.Robot]:
+    before = set(threading.enumerate())
+    with urlink.connect(controller.address, stale_after=20.0, silence=30.0) as robot:
+        yield robot
+    until(lambda: set(threading.enumerate()) <= before)
+    controller.faults.clear()
+
+
+def turned(robot: urlink.Robot) -> float:
+    return float(robot.realtime.wait(5).q_actual[0])
+
+
+def test_statements_are_executed_one_by_one_and_share_their_names(robot: urlink.Robot) -> None:
+    texts: list[str] = []
+    with robot.interpreter(on_text=texts.append) as interpreter:
+        assert interpreter.phase is Phase.RUNNING
+        first = interpreter.execute("a = 3")
+        interpreter.execute("def twice(x):\n  return 2 * x  # of course\nend")
+        interpreter.execute(movej(AWAY), wait=True)
+        assert turned(robot) == pytest.approx(AWAY[0], abs=1e-3)
+        assert interpreter.execute('textmsg("a is ", twice(a))') == first + 4  # beside one of its own to wait for
+        with pytest.raises(urlink.StatementDiscarded, match="does not compile: 'nobody") as discarded:
+            interpreter.execute("nobody(1)")
+        assert discarded.value.statement == "nobody(1)"
+        interpreter.wait_executed(TIMEOUT)
+        state = interpreter.state
+        assert (state.unexecuted, state.last_cleared) == (0, 0)
+        assert state.last_executed == state.last_interpreted > first
+        interpreter.clear()
+        interpreter.execute(movej(HOME))
+    # Left in order, all of it was executed and the program has come to its own end.
+    assert interpreter.done
+    assert interpreter.error is None
+    assert turned(robot) == pytest.approx(HOME[0], abs=1e-3)
+    until(lambda: texts == ["a is 6"])
+    interpreter.end()
+    with pytest.raises(LocalError):
+        interpreter.execute("a = 4")
+
+
+def leave_half_way(robot: urlink.Robot) -> urlink.Interpreter:
+    """Abort and skip, and then leave the block by an exception while the arm moves."""
+    with contextlib.suppress(KeyboardInterrupt), robot.interpreter() as interpreter:
+        interpreter.execute(movej(HOME), wait=True)
+        interpreter.execute(movej(AWAY, 0.2))
+        last = interpreter.execute(movej(HOME, 0.2))
+        with pytest.raises(LinkTimeout, match=r"not executed within 0\.1 s.*they go on"):
+            interpreter.wait_executed(0.1)
+        interpreter.skip()
+        interpreter.abort()
+        interpreter.wait_executed(TIMEOUT)
+        assert interpreter.state.last_executed > last
+        assert turned(robot) < 1.0
+        interpreter.execute(movej(AWAY, 0.2))
+        raise KeyboardInterrupt
+    return interpreter
+
+
+def test_abort_skip_and_cancel(controller: Controller, robot: urlink.Robot) -> None:
+    assert leave_half_way(robot).phase is Phase.CANCELLED
+    until(lambda: not controller.is_running_program)
+    assert controller.arm.q_actual[0] < 1.0
+    preempted = robot.interpreter()
+    robot.motion.stop().wait(TIMEOUT)
+    for use in (lambda: preempted.execute("sync()"), lambda: preempted.wait(TIMEOUT), preempted.end):
+        with pytest.raises(Cancelled, match="preempted"):
+            use()
+
+
+def execute_in_a_stop(controller: Controller, robot: urlink.Robot) -> None:
+    with robot.interpreter() as stopped:
+        stopped.execute(movej(AWAY, 0.1))
+        controller.faults.protective_stop()
+        until(lambda: stopped.done)
+        stopped.execute("sync()")
+
+
+def execute_what_fails(robot: urlink.Robot) -> None:
+    with robot.interpreter() as failing:
+        failing.execute("x = 1")
+        failing.execute("x = x[0]")
+        failing.wait_executed(TIMEOUT)
+
+
+def execute_on_and_on(robot: urlink.Robot) -> None:
+    with robot.interpreter() as failing:
+        failing.execute("x = 1")
+        failing.execute("x = x[0]")
+        for _ in range(1000):
+            failing.execute("sync()")
+
+
+def test_a_statement_after_the_end_is_refused_with_the_reason(robot: urlink.Robot) -> None:
+    """It may be discarded before the message of the error has come."""
+    with pytest.raises(urlink.ScriptFailed, match="int has no elements"):
+        execute_on_and_on(robot)
+
+
+def test_a_stop_and_an_error_end_it(controller: Controller, robot: urlink.Robot) -> None:
+    with pytest.raises(urlink.SafetyStop):
+        execute_in_a_stop(controller, robot)
+    # The program was paused by the stop: once somebody lets it go on, it ends.
+    controller.faults.clear()
+    controller.call(controller.pendant.play)
+    until(lambda: not controller.is_running_program)
+    until(lambda: robot.safety.refusal is None)
+    with pytest.raises(urlink.ScriptFailed, match="int has no elements"):
+        execute_what_fails(robot)
+    controller.faults.protective_stop()
+    with pytest.raises(urlink.SafetyStop):
+        robot.interpreter()
+
+
+@pytest.mark.slow
+def test_a_statement_that_was_given_up_is_taken_back(
+    controller: Controller, robot: urlink.Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("urlink.command.interpreter._REPLY", 0.5)
+    with robot.interpreter() as interpreter:
+        interpreter.execute(movej(HOME), wait=True)
+        controller.faults.stall(1.0, "interpreter")
+        with pytest.raises(LinkTimeout, match="it may still be carried out"):
+            interpreter.execute(movej(AWAY, 0.2))
+        assert robot._commanded()._recall.settle(TIMEOUT)
+        until(lambda: max(map(abs, controller.arm.setpoint.qd)) == 0.0)
+        assert turned(robot) < 1.0
+        # What is handed over after that is carried out.
+        interpreter.execute("a = 42")
+        interpreter.execute('textmsg("a is ", a)', wait=True)
+        until(lambda: interpreter.texts == ("a is 42",))
+
+
+@pytest.mark.parametrize("is_over", [False, True])
+@pytest.mark.parametrize("until_done", range(5))
+def test_what_takes_a_statement_back(is_over: bool, until_done: int) -> None:
+    """First it is asked whether the controller answers; the mode ends where its program was given up too. What is
+    superseded meanwhile is taken back no further."""
+    asked: list[str] = []
+    life = Lifecycle("interpreter mode", Desk().callbacks)
+    if is_over:
+        life.fail(LinkTimeout("no answer"))
+    dialogue = cast(Dialogue, SimpleNamespace(ask=lambda line, timeout: asked.append(line)))
+    _take_back(life, dialogue, lambda: len(asked) < until_done)
+    lines = ["statelastexecuted", "skipbuffer", "abort", *["end_interpreter()"] * is_over]
+    assert asked == lines[:until_done]
+
+
+def test_ctrl_c_while_statements_are_waited_for_ends_the_mode(
+    robot: urlink.Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(word: str) -> int:
+        raise KeyboardInterrupt
+
+    interpreter = robot.interpreter()
+    monkeypatch.setattr(interpreter, "_ask", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        interpreter.wait_executed(TIMEOUT)
+    assert interpreter.phase is Phase.CANCELLED
+
+
+def test_a_program_that_is_not_in_the_mode_yet_is_asked_again_at_once(robot: urlink.Robot) -> None:
+    begin = time.monotonic()
+    with robot.interpreter():
+        assert time.monotonic() - begin < 0.5
+
+
+def test_a_closed_robot_connects_to_no_interpreter(controller: Controller) -> None:
+    with urlink.connect(controller.address) as robot, robot.interpreter():
+        pass
+    with pytest.raises(Closed, match=r"the robot at 127\.0\.0\.1 was closed"):
+        robot.interpreter()
+
+
+def test_many_statements_are_cleared_before_there_are_too_many(controller: Controller, robot: urlink.Robot) -> None:
+    with robot.interpreter() as interpreter:
+        interpreter.execute("n = 0")
+        for _ in range(CLEAR_AFTER + 20):
+            interpreter.execute("n = n + 1")
+        interpreter.wait_executed(TIMEOUT)
+        assert interpreter.state.last_cleared > CLEAR_AFTER
+        interpreter.execute("write_output_integer_register(0, n)", wait=True)
+    assert controller.registers.outputs.integers[0] == CLEAR_AFTER + 20
+
+
+def test_where_there_is_no_interpreter_mode() -> None:
+    none = r"5\.9 has no interpreter mode; the first that has it is 5\.10"
+    with urlink.connect("sim://ur5e?firmware=5.9") as old, pytest.raises(LocalError, match=none):
+        old.interpreter()
+    with Controller("UR5e", "5.25", motion=Still()) as controller:
+        with socket.create_server(("127.0.0.1", 0)) as gone:
+            dead = gone.getsockname()[1]
+        served = f"interpreter={controller.ports['interpreter']}"
+        with urlink.connect(controller.address.replace(served, f"interpreter={dead}")) as robot:
+            with pytest.raises(ConnectFailed, match="the service may be switched off"):
+                robot.interpreter()
+            assert not controller.is_running_program
+            with pytest.raises(BadValue):
+                robot.interpreter(start_timeout=0)
+        controller.remote_control = False
+        with urlink.connect(controller.address) as robot, pytest.raises(LinkTimeout):
+            robot.interpreter(start_timeout=0.3)
+
+
+# -- the port, as any client uses it ---------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_the_port_answers_each_line() -> None:
+    with Controller("UR5e", "5.11", motion=Still()) as controller:
+        where = (controller.host, controller.ports["interpreter"])
+        with socket.create_connection(where, TIMEOUT) as link, link.makefile("rw", newline="\n") as lines:
+
+            def say(line: str) -> str:
+                lines.write(line + "\n")
+                lines.flush()
+                return lines.readline().rstrip("\n")
+
+            assert say("a = 1") == "discard: 0: a = 1"
+            assert say("statelastexecuted") == "state: 0: statelastexecuted"
+            controller.take(
+                "def main():\n  b = 5\n  interpreter_mode()\n  interpreter_mode(clearOnEnd=False)\n"
+                '  textmsg("over")\nend\n'
+            )
+            until(lambda: controller.program_name == "main")
+            until(lambda: say("sync()").startswith("ack"))
+            assert say('b = b + 1   textmsg("b  is", b)').endswith(': b = b + 1   textmsg("b  is", b)')
+            assert say("interpreter_mode()").startswith("ack")  # an error once it is executed
+            until(lambda: controller.program_name is None)
+
+            controller.take('def main():\n  interpreter_mode()\n  interpreter_mode()\n  textmsg("over")\nend\n')
+            until(lambda: say("sync()").startswith("ack"))
+            assert say("sleep(0.05)").startswith("ack")
+            for word in WORDS:
+                assert say(word).startswith("state: ")
+            replies = [say("x = 1").partition(":")[0] for _ in range(MOST + 5)]
+            assert replies[-1] == "discard"
+            assert replies.count("ack") <= MOST
+            until(lambda: say("stateunexecuted").startswith("state: 0"))
+            # What was executed is kept, so that what would make room cannot come in either.
+            assert say("clear_interpreter()").startswith("discard")
+
+
+def test_a_program_goes_on_when_the_mode_is_over() -> None:
+    with Controller("UR5e", "5.11", motion=Still()) as controller, urlink.connect(controller.address) as robot:
+        program = robot.script.run('def main():\n  x = 1\n  interpreter_mode()\n  textmsg("x is ", x)\nend')
+        where = (controller.host, controller.ports["interpreter"])
+        with socket.create_connection(where, TIMEOUT) as link, link.makefile("rw", newline="\n") as lines:
+            for line in ("x = x + 41", "end_interpreter()"):
+                reply = ""
+                end = time.monotonic() + TIMEOUT
+                while not reply.startswith("ack") and time.monotonic() < end:
+                    lines.write(line + "\n")
+                    lines.flush()
+                    reply = lines.readline()
+        program.wait(TIMEOUT)
+        assert program.texts == ("x is 42",)
+        thread = "thread t():\n  interpreter_mode()\nend\nh = run t()\nsleep(1)"
+        with pytest.raises(urlink.ScriptFailed, match="main thread only"):
+            robot.script.run(thread, wait=TIMEOUT)
+
+
+# -- the protocol ----------------------------------------------------------------------------------------
+
+texts = st.text(st.characters(codec="utf-8", exclude_categories=("Cc", "Zl", "Zp", "Cs")), min_size=1, max_size=60)
+
+
+@pytest.mark.property
+@given(st.sampled_from(["ack", "discard", "state"]), st.integers(0, 10**6), texts, st.integers(0, 80))
+def test_a_reply_is_read_however_it_is_cut(word: str, number: int, text: str, at: int) -> None:
+    protocol = InterpreterProtocol()
+    assert protocol.ask("sync()") == b"sync()\n"
+    with pytest.raises(LocalError, match="out of step"):
+        protocol.ask("sync()")
+    data = f"{word}: {number}: {text}\n".encode()
+    found = protocol.feed(data[:at])
+    found = protocol.feed(data[at:]) if found is None else found
+    assert found is not None
+    reply = parse_reply(found)
+    # Blanks of other scripts stay before a text, where those of a line are taken away.
+    assert (reply.word, reply.number, reply.text.strip()) == (word, number, text.strip())
+    assert protocol.is_in_step
+
+
+@pytest.mark.property
+@given(st.text(max_size=80))
+def test_any_text_is_a_statement_or_a_bad_value(text: str) -> None:
+    try:
+        line = statement_line(text)
+    except BadValue:
+        return
+    assert line.strip()
+    assert "\n" not in line
+    assert len(line.splitlines()) == 1
+
+
+def test_what_is_no_reply_and_no_statement() -> None:
+    for line in ("", "ack", "ack: x: y", "maybe: 1: sync()"):
+        with pytest.raises(PacketError, match="no answer that is known"):
+            parse_reply(line)
+    with pytest.raises(WrongPeer, match="says short lines"):
+        InterpreterProtocol().feed(b"x" * (LONGEST_REPLY + 1))
+    unasked = InterpreterProtocol()
+    for _ in range(LONGEST_REPLY // 10):
+        assert unasked.feed(b"ack: 1: x\n") is None
+    with pytest.raises(WrongPeer, match="nothing asked for, which begin with b'ack: 1: x'"):
+        unasked.feed(b"ack: 1: x\n")
+    for statement, error in (
+        ("# nothing", "is no statement"),
+        (" abort ", "'abort' is no statement"),
+        (5, "got int"),
+        ("x = '\0'", "no control characters"),
+        ("x = " + "1" * 9000, "at most 8000"),
+    ):
+        with pytest.raises(BadValue, match=error):
+            statement_line(statement)  # type: ignore[arg-type]
+    assert statement_line('x = "# no comment"  # a comment') == 'x = "# no comment"'

@@ -1,0 +1,372 @@
+"""What the monitor listens to, what it makes of each report, whom it tells, and what it leaves behind."""
+
+from __future__ import annotations
+
+import gc
+import threading
+import time
+import weakref
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import pytest
+
+from linkcore.clock import Stamp
+from linkcore.errors import ConnectFailed, ConnectionLost, LinkError
+from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
+from linkcore.wire.packet import State
+from tests.fakes.line import FIRMWARE, Desk, Subscriber, fast, slow
+from urlink.command.interlock import Interlock
+from urlink.command.safety_monitor import SafetyMonitor
+from urlink.command.section import Section
+from urlink.errors import NotRunning, SafetyStop
+from urlink.protocol.enums import RobotMode, SafetyMode
+from urlink.protocol.primary.robot_message import SafetyModeMessage
+from urlink.protocol.primary.robot_state import MasterboardData, RobotModeData, RobotState
+from urlink.protocol.realtime.packets import RealtimeState
+
+STALE_AFTER = 1.0
+
+
+class Monitored(Desk):
+    """`closings` is what motions ended with, `stops` what users were told."""
+
+    def __init__(self) -> None:
+        super().__init__(stale_after=STALE_AFTER)
+        self.closings: list[LinkError] = []
+        self.stops: list[LinkError] = []
+        self.silences: list[float] = []
+        self.monitor.on_close(self.closings.append)
+        self.monitor.on_silence(self.silences.append)
+        self.forget = self.monitor.on_stop(self.stops.append)
+
+    def listen(self) -> None:
+        self.monitor.listen(closely=True)
+
+    @property
+    def listeners(self) -> list[int]:
+        """How many there are of each kind: packets and events, and silence, of both lines."""
+        return [len(each) for line in (self.primary, self.realtime) for each in (line.subscribers, line.watches)]
+
+
+@pytest.fixture
+def desk() -> Monitored:
+    return Monitored()
+
+
+def test_each_interface_is_listened_to_once(desk: Monitored) -> None:
+    desk.monitor.listen()
+    assert desk.listeners == [2, 1, 0, 0]
+    for _ in range(2):
+        desk.listen()
+        assert desk.listeners == [2, 1, 2, 1]
+    desk.clear()
+    desk.primary.tell(slow(SafetyMode.PROTECTIVE_STOP))
+    assert [str(error) for error in desk.closings] == ["the robot is stopped: protective stop"]
+    assert desk.stops == desk.closings
+    desk.primary.tell(slow())
+    desk.forget()
+    desk.forget()
+    desk.realtime.tell(fast(SafetyMode.FAULT))
+    assert (len(desk.closings), len(desk.stops)) == (2, 1)
+
+
+def test_an_interface_that_says_nothing_lets_nothing_through(desk: Monitored) -> None:
+    desk.monitor.listen()
+    desk.primary.tell(slow())
+    assert desk.monitor.refusal() is None
+    desk.listen()
+    assert "nothing has been received on the realtime interface yet" in str(desk.monitor.refusal())
+    assert desk.closings == []  # until it has been waited for, what runs goes on
+
+
+def test_a_stop_of_the_arm_needs_nobody_to_enable_it(desk: Monitored) -> None:
+    desk.clear()
+    with desk.monitor.decision() as interlock:
+        interlock.policy = "always"
+    assert (str(desk.monitor.refusal()).partition(":")[0], desk.monitor.refusal(is_stop=True)) == ("not enabled", None)
+    desk.monitor.require(is_stop=True)
+    with pytest.raises(SafetyStop, match="not enabled"):
+        desk.monitor.require()
+
+
+@pytest.mark.parametrize(("limit", "seconds"), [(None, 1.0), (0.5, 0.5), (3.0, 1.0)])
+def test_silence_is_told_of_before_the_connection_counts_as_lost(
+    desk: Monitored, limit: float | None, seconds: float
+) -> None:
+    desk.primary.silence.limit = limit
+    desk.clear()
+    desk.primary.be_silent()
+    assert desk.silences == [seconds]
+    assert f"has said nothing on the primary interface for {seconds} s" in str(desk.monitor.refusal())
+    assert len(desk.closings) == 1
+
+
+def test_what_was_said_before_one_listens_counts(desk: Monitored) -> None:
+    newest: dict[type, State] = {RobotState: slow(SafetyMode.SAFEGUARD_STOP), RealtimeState: fast()}
+    for line in (desk.primary, desk.realtime):
+        line.fan_out.newest = newest.__getitem__
+    desk.listen()
+    assert "safeguard stop" in str(desk.monitor.refusal())
+
+
+def test_a_connection_that_is_down_already_is_a_lost_one(desk: Monitored) -> None:
+    desk.realtime.state = ConnectionState.CONNECTING
+    desk.monitor.listen()
+    desk.primary.tell(slow())
+    was_connected = desk.monitor.is_connected
+    desk.listen()
+    assert (was_connected, desk.monitor.is_connected) == (True, False)
+    assert "not connected at present" in str(desk.monitor.refusal())
+    desk.realtime.state = ConnectionState.CONNECTED
+    desk.realtime.tell(fast())
+    assert desk.monitor.refusal() is None
+
+
+@pytest.mark.parametrize("fails_at", [1, 2])
+def test_what_cannot_be_listened_to_leaves_nothing_behind(desk: Monitored, fails_at: int) -> None:
+    subscribe, tries = desk.realtime.subscribe_inline, iter(range(1, 100))
+
+    def refuse(kind: type, callback: Callable[[Any], object]) -> Subscriber:
+        if next(tries) < fails_at:
+            return subscribe(kind, callback)
+        desk.event(desk.realtime, ConnectionState.LOST, ConnectFailed("refused"))
+        raise ConnectFailed("refused")
+
+    desk.realtime.subscribe_inline = refuse  # type: ignore[method-assign]
+    desk.monitor.listen()
+    desk.primary.tell(slow())
+    with pytest.raises(ConnectFailed):
+        desk.listen()
+    assert desk.listeners == [2, 1, 0, 0]
+    assert desk.monitor.refusal() is None  # of the primary interface enough is known
+    desk.realtime.subscribe_inline = subscribe  # type: ignore[method-assign]
+    desk.clear()
+
+
+def test_two_that_listen_at_the_same_time_listen_once(desk: Monitored) -> None:
+    """A signal handler can come while its own thread subscribes."""
+    subscribe = desk.primary.subscribe_inline
+
+    def interrupted(kind: type, callback: Callable[[Any], object]) -> Subscriber:
+        desk.primary.subscribe_inline = subscribe  # type: ignore[method-assign]
+        desk.monitor.listen()
+        return subscribe(kind, callback)
+
+    desk.primary.subscribe_inline = interrupted  # type: ignore[method-assign]
+    desk.clear()
+    assert desk.listeners == [2, 1, 2, 1]
+
+
+def test_what_a_connection_tells(desk: Monitored) -> None:
+    desk.clear()
+    for state in (ConnectionState.CONNECTING, ConnectionState.CONNECTED):
+        desk.event(desk.primary, state)
+        assert desk.monitor.refusal() is None
+    desk.event(desk.primary, ConnectionState.LOST, ConnectionLost("pulled"))
+    assert "nothing is known of the robot: pulled" in str(desk.monitor.refusal())
+    assert desk.listeners == [2, 1, 2, 1]  # it is made again
+    desk.clear()
+    desk.event(desk.primary, ConnectionState.LOST)
+    assert "nothing is known of the robot: closed" in str(desk.monitor.refusal())
+
+
+@pytest.mark.parametrize("state", [ConnectionState.IDLE, ConnectionState.CLOSED])
+def test_a_connection_that_was_given_up_is_listened_to_anew(desk: Monitored, state: ConnectionState) -> None:
+    desk.clear()
+    (told,) = [each.callback for each in desk.primary.subscribers if each.kind is ConnectionEvent]
+    desk.event(desk.primary, state)
+    assert desk.listeners == [0, 0, 2, 1]
+    assert isinstance(desk.closings[0], NotRunning)
+    desk.clear()
+    assert desk.listeners == [2, 1, 2, 1]
+    told(ConnectionEvent(ConnectionState.LOST, "line", None, Stamp(desk.clock.now, desk.clock.now)))
+    assert desk.monitor.refusal() is None  # an event of the connection before
+
+
+def test_what_the_primary_interface_says_in_parts(desk: Monitored) -> None:
+    desk.clear()
+    desk.primary.tell(SafetyModeMessage(FIRMWARE, safety_mode=SafetyMode.VIOLATION))
+    assert "violation" in str(desk.monitor.refusal())
+    desk.primary.tell(RobotState(MasterboardData(FIRMWARE, safety_mode=SafetyMode.NORMAL)))
+    assert "violation" in str(desk.monitor.refusal())  # without its mode it reports nothing of the robot
+    desk.primary.tell(slow())
+    assert desk.monitor.refusal() is None
+    for fields in ({"is_emergency_stopped": True}, {"is_protective_stopped": True}):
+        desk.primary.tell(RobotState(RobotModeData(FIRMWARE, robot_mode=RobotMode.RUNNING, **fields)))
+        assert isinstance(desk.monitor.refusal(), SafetyStop)
+
+
+def test_a_report_is_as_old_as_its_bytes(desk: Monitored) -> None:
+    """However late it is read: a program that was held up has old states waiting."""
+    desk.clear()
+
+    def stamped(packet: Any, at: float) -> Any:
+        return type(packet).LAYOUTS.decode(bytes(packet), FIRMWARE, Stamp(at, at))
+
+    for age in (STALE_AFTER - 0.1, STALE_AFTER + 0.1):
+        desk.clock.now += 10.0
+        desk.primary.tell(slow())
+        desk.realtime.tell(stamped(fast(), desk.clock.now - age))
+        refusal = desk.monitor.refusal()
+        assert (refusal is not None) == (age > STALE_AFTER)
+    assert "nothing has been read from the realtime interface for 1.1 s" in str(refusal)
+
+
+def test_closing_lets_go_of_everything(desk: Monitored) -> None:
+    desk.clear()
+    desk.monitor.close()
+    assert desk.listeners == [0, 0, 0, 0]
+    assert "closed here" in str(desk.monitor.refusal())
+    assert len(desk.closings) == 1
+    assert desk.stops == []  # it is no stop of the robot
+
+
+def test_closing_keeps_nobody_who_asked_to_be_called(desk: Monitored) -> None:
+    """They are parts that hold the monitor: it would live until the garbage collector runs."""
+
+    class Part:
+        def on_close(self, error: LinkError) -> None: ...
+
+        def on_silence(self, seconds: float) -> None: ...
+
+    parts = [Part(), Part()]
+    desk.monitor.on_close(parts[0].on_close)
+    desk.monitor.on_silence(parts[1].on_silence)
+    kept = list(map(weakref.ref, parts))
+    desk.monitor.close()
+    parts.clear()
+    assert [each() for each in kept] == [None, None]
+
+
+@pytest.mark.parametrize(
+    "ask",
+    [
+        SafetyMonitor.require,
+        SafetyMonitor.require_running,
+        lambda monitor: monitor._interlock.enable(monitor.clock()),
+    ],
+)
+def test_a_refusal_lives_no_longer_than_who_catches_it(desk: Monitored, ask: Callable[[SafetyMonitor], None]) -> None:
+    """Its traceback has the frame that raised it, which must not refer to it."""
+    caught: list[weakref.ref[LinkError]] = []
+    gc.disable()
+    try:
+        try:
+            ask(desk.monitor)
+        except NotRunning as error:
+            caught.append(weakref.ref(error))
+        assert [each() for each in caught] == [None]
+    finally:
+        gc.enable()
+
+
+# -- waiting -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.simulated_time
+def test_who_waits_looks_again_when_time_is_up() -> None:
+    desk = Desk(may_wait=True)
+    answers = iter([False, True, False, False])
+    assert desk.monitor.wait_for(lambda interlock: next(answers), 0.01)
+    assert desk.monitor.wait_for(lambda interlock: next(answers), 0.01) is False
+    assert not desk.monitor._waiting
+
+
+def test_who_waits_is_told_of_all_that_changes() -> None:
+    desk = Desk(may_wait=True)
+    desk.monitor.wait_for = lambda *_: True  # type: ignore[method-assign]
+    desk.clear()
+    del desk.monitor.wait_for
+
+    def change_policy() -> None:
+        with desk.monitor.decision() as interlock:
+            interlock.policy = "always"
+
+    changes: list[Callable[[], object]] = [
+        lambda: desk.primary.tell(slow()),
+        lambda: desk.realtime.be_silent(),
+        lambda: desk.event(desk.primary, ConnectionState.LOST),
+        change_policy,
+    ]
+    for change in changes:
+        looks: list[int] = []
+
+        def look(interlock: Interlock, change: Callable[[], object] = change, looks: list[int] = looks) -> bool:
+            looks.append(1)
+            if len(looks) == 1:
+                change()
+            return len(looks) > 1
+
+        # Not woken it would look again only when time is up, and that is too late for the test.
+        assert desk.monitor.wait_for(look, 3600.0)
+
+
+def test_how_long_news_is_waited_for() -> None:
+    """Two seconds for a first report. Where something is in the way a quarter, for the next report of every source."""
+    desk = Desk(may_wait=True)
+    asked: list[tuple[Callable[[Interlock], object], float]] = []
+
+    def wait_for(condition: Callable[[Interlock], object], timeout: float) -> bool:
+        asked.append((condition, timeout))
+        return True
+
+    desk.monitor.wait_for = wait_for  # type: ignore[method-assign]
+    desk.monitor.listen(closely=True)
+    (has_reported, seconds), (also, _) = asked
+    assert seconds == 2.0
+    assert not has_reported(desk.interlock)
+    desk.primary.tell(slow())
+    assert has_reported(desk.interlock)
+    assert not also(desk.interlock)
+    desk.realtime.tell(fast())
+    for moves in (True, False):
+        asked.clear()
+        desk.monitor.await_news(moves=moves)
+        ((is_settled, seconds),) = asked
+        assert seconds == 0.5
+        assert is_settled(desk.interlock)
+        desk.primary.tell(slow(SafetyMode.PROTECTIVE_STOP))
+        # It is in the way of motions only, until both have spoken again.
+        assert bool(is_settled(desk.interlock)) is not moves
+        desk.clock.now += 0.1
+        desk.primary.tell(slow(SafetyMode.PROTECTIVE_STOP))
+        assert bool(is_settled(desk.interlock)) is not moves
+        desk.realtime.tell(fast())
+        assert is_settled(desk.interlock)
+        desk.primary.tell(slow())
+    asked.clear()
+    desk.monitor._section = Section(lambda: True)
+    desk.monitor.await_news(moves=True)
+    assert asked == []  # in the thread that would have to hear it
+
+
+def test_the_thread_that_reads_looks_itself_where_something_is_in_the_way(desk: Monitored) -> None:
+    """At the lines that it reads: what has come meanwhile, before it is refused."""
+    desk.clear()
+    looks: list[str] = []
+    for name, line in (("primary", desk.primary), ("realtime", desk.realtime)):
+        line.look = partial(looks.append, name)  # type: ignore[method-assign]
+    desk.monitor.await_news(moves=True)
+    assert looks == []
+    desk.primary.tell(slow(SafetyMode.PROTECTIVE_STOP))
+    desk.monitor.await_news(moves=False)
+    assert looks == []
+    desk.monitor.await_news(moves=True)
+    assert looks == ["primary", "realtime"]
+    desk.primary.reads_here = lambda: False  # type: ignore[method-assign]
+    desk.monitor.await_news(moves=True)
+    assert looks == ["primary", "realtime", "realtime"]
+
+
+@pytest.mark.simulated_time
+def test_who_waits_is_told_that_the_robot_was_closed() -> None:
+    """Also where nothing was listened to yet."""
+    desk = Desk(may_wait=True)
+    closing = threading.Timer(0.1, desk.monitor.close)
+    closing.start()
+    begin = time.monotonic()
+    assert not desk.monitor.wait_for(lambda interlock: False, 3600.0)
+    assert time.monotonic() - begin < 1.0
+    closing.join(1.0)

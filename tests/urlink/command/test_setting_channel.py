@@ -1,0 +1,323 @@
+"""Settings over RTDE inputs where they can be had, by script otherwise: which way, and when that is decided."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Callable, Iterator, Mapping
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+import urlink
+from linkcore.errors import ConnectFailed, ConnectionLost, LinkError
+from linkcore.streaming.connection import Connection
+from tests.fakes.clock import Clock
+from tests.fakes.controller import ScriptedController
+from tests.fakes.line import Line
+from tests.waiting import until
+from urlink import InputInUse
+from urlink.command import settings
+from urlink.command.channel import CommandChannel
+from urlink.command.section import Section
+from urlink.errors import NotConfirmed, NotRunning
+from urlink.protocol.enums import RobotMode
+from urlink.rtde import claims, client
+from urlink.simulator import Controller
+
+pytestmark = pytest.mark.simulated_time
+
+# -- against a controller that says what the test says -------------------------------------------------
+
+
+class Inputs:
+    """RTDE inputs that can be had, but for those that are `held`; `error` refuses all of them."""
+
+    def __init__(self) -> None:
+        self.held: set[str] = set()
+        self.error: LinkError | None = None
+        self.lost = False
+        self.asked: list[tuple[tuple[str, ...], bool]] = []
+        self.written: list[Mapping[str, Any]] = []
+        self.aborted = 0
+
+    def claim(self, names: tuple[str, ...], *, wait: bool) -> Callable[[Mapping[str, Any]], None] | None:
+        self.asked.append((names, wait))
+        if self.error is not None:
+            raise self.error
+        if self.held & set(names):
+            raise InputInUse("in use", names)
+        return self._write if wait else None
+
+    def _write(self, values: Mapping[str, Any]) -> None:
+        if self.lost:
+            raise ConnectionLost("cut")
+        self.written.append(values)
+
+    def abort(self) -> None:
+        self.aborted += 1
+
+
+@pytest.fixture
+def inputs() -> Inputs:
+    return Inputs()
+
+
+@pytest.fixture
+def robot(inputs: Inputs, monkeypatch: pytest.MonkeyPatch) -> Iterator[ScriptedController]:
+    monkeypatch.setattr(settings, "_SETTLED", 0.0)
+    with ScriptedController(inputs=inputs) as robot:
+        robot.clear()
+        yield robot
+
+
+def test_masks_and_values_of_each_setting(robot: ScriptedController, inputs: Inputs) -> None:
+    robot.state(board={"analog_output_domain_1": 1})
+    acts: list[Callable[[], object]] = [
+        lambda: robot.io.set_digital_out(3, True, confirm=0.01),
+        lambda: robot.io.set_configurable_digital_out(7, False, confirm=0.01),
+        lambda: robot.io.set_tool_digital_out(1, True, confirm=0.01),
+        lambda: robot.io.set_analog_out(1, 0.5, confirm=0.01),
+        lambda: robot.settings.speed_slider(0.25, 0.01),
+    ]
+    for act in acts:
+        with pytest.raises(NotConfirmed):
+            act()
+        robot.settings._channel._refused.clear()  # after one that was not confirmed text is sent
+    assert inputs.written == [
+        {"standard_digital_output_mask": 8, "standard_digital_output": 8},
+        {"configurable_digital_output_mask": 128, "configurable_digital_output": 0},
+        {"tool_digital_output_mask": 2, "tool_digital_output": 2},
+        {
+            "standard_analog_output_mask": 2,
+            "standard_analog_output_type": 2,  # what an output drives stays as it is
+            "standard_analog_output_1": 0.5,
+        },
+        {"speed_slider_mask": 1, "speed_slider_fraction": 0.25},
+    ]
+    assert robot.sent == []
+    robot.settings.flag(3, True)
+    assert len(robot.sent) == 1
+
+
+def test_what_does_not_show_is_discarded_and_the_next_goes_by_script(robot: ScriptedController, inputs: Inputs) -> None:
+    for _ in range(2):
+        with pytest.raises(NotConfirmed):
+            robot.io.set_digital_out(0, True, confirm=0.01)
+    assert (len(inputs.written), inputs.aborted, len(robot.sent)) == (1, 1, 1)
+
+
+def test_without_waiting_nothing_is_claimed(robot: ScriptedController, inputs: Inputs) -> None:
+    robot.io.set_digital_out(0, True, confirm=None)
+    assert inputs.asked == [(("standard_digital_output_mask", "standard_digital_output"), False)]
+    assert len(robot.sent) == 1
+
+
+def test_no_package_overtakes_a_text(
+    robot: ScriptedController, inputs: Inputs, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(settings, "_SETTLED", 60.0)
+    robot.io.set_digital_out(0, True, confirm=None)
+    robot.io.set_digital_out(0, False, confirm=None)
+    assert (len(inputs.asked), len(robot.sent)) == (1, 2)
+
+
+@pytest.mark.parametrize("error", [ConnectFailed("refused"), urlink.LinkTimeout("no answer")], ids=str)
+def test_where_there_is_no_rtde_it_is_tried_once_for_each_connection(
+    robot: ScriptedController, inputs: Inputs, error: LinkError
+) -> None:
+    inputs.error = error
+    acts: list[Callable[[], object]] = [
+        lambda: robot.io.set_digital_out(0, True, confirm=0.01),
+        lambda: robot.io.set_digital_out(0, True, confirm=0.01),
+        lambda: robot.settings.speed_slider(0.5, 0.01),
+    ]
+    for act in acts:
+        with pytest.raises(NotConfirmed):
+            act()
+    assert (len(inputs.asked), len(robot.sent)) == (1, 3)
+    inputs.error = None
+    robot.slow.put(ConnectionLost("cut"))
+    until(lambda: robot.slow.opened == 2)
+    robot.clear()
+    with pytest.raises(NotConfirmed):
+        robot.io.set_digital_out(0, True, confirm=0.01)
+    assert (len(inputs.written), len(robot.sent)) == (1, 3)
+
+
+def test_an_input_in_use_is_refused_by_itself(robot: ScriptedController, inputs: Inputs) -> None:
+    inputs.held = {"speed_slider_mask"}
+    with pytest.raises(NotConfirmed):
+        robot.settings.speed_slider(0.5, 0.01)
+    assert (len(inputs.written), len(robot.sent)) == (0, 1)
+    assert robot.settings._channel._is_refused(("speed_slider_mask", "speed_slider_fraction"))
+
+
+def test_what_could_not_be_written_goes_by_script(robot: ScriptedController, inputs: Inputs) -> None:
+    inputs.lost = True
+    with pytest.raises(NotConfirmed):
+        robot.io.set_digital_out(0, True, confirm=0.01)
+    assert len(robot.sent) == 1
+
+
+def test_a_robot_that_does_not_run_is_sent_nothing_by_either_way(robot: ScriptedController, inputs: Inputs) -> None:
+    robot.state(RobotMode.POWER_OFF)
+    until(lambda: robot.safety.robot_mode is RobotMode.POWER_OFF)
+    with pytest.raises(NotRunning):
+        robot.io.set_digital_out(0, True)
+    assert (inputs.asked, robot.sent) == ([], [])
+
+
+# -- on a clock that the test holds --------------------------------------------------------------------
+
+
+class Desk:
+    """A channel for settings, before one that takes all; `sent` is what went by text."""
+
+    def __init__(self) -> None:
+        self.clock = Clock()
+        self.sent: list[str] = []
+        self.inputs = Inputs()
+        self.line = Line()
+        channel = SimpleNamespace(check_running=lambda: None, command=self.sent.append, beside=lambda send: send())
+        self.settings = settings.SettingChannel(
+            cast(CommandChannel, channel),
+            cast(Connection, self.line),
+            Section(),
+            lambda: self.inputs,
+            self.clock,
+        )
+
+    def send(self, values: Mapping[str, Any] | None) -> None:
+        self.settings.send("text", lambda: values)
+
+
+def test_a_package_half_a_second_after_a_text_overtakes_nothing() -> None:
+    desk = Desk()
+    desk.inputs.held = {"a"}
+    desk.send({"a": 1})
+    for later, written in ((0.499, 0), (0.499, 0), (0.5, 1), (0.0, 2)):
+        desk.clock.now += later
+        desk.send({"b": 1})
+        assert len(desk.inputs.written) == written
+    assert len(desk.sent) == 3
+
+
+def test_what_has_no_inputs_now_goes_by_text_and_the_next_does_not() -> None:
+    """Of an analogue output it is not known what it drives before the robot has said so."""
+    desk = Desk()
+    desk.send(None)
+    assert (desk.inputs.asked, desk.sent) == ([], ["text"])
+    desk.clock.now += 1.0
+    desk.send({"a": 1})
+    assert (desk.inputs.written, desk.sent) == ([{"a": 1}], ["text"])
+
+
+def test_what_was_refused_is_refused_for_as_long_as_the_connection_holds(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO")
+    desk = Desk()
+    desk.inputs.held = {"a"}
+    for _ in range(2):
+        desk.send({"a": 1})
+        desk.clock.now += 1.0
+    assert len(desk.inputs.asked) == 1
+    assert caplog.text.count("('a',) by script: in use") == 1
+    desk.settings.doubt()
+    desk.settings.doubt()
+    assert desk.inputs.aborted == 1
+    desk.send({"b": 1})
+    assert len(desk.inputs.asked) == 1
+    desk.line.counters.connections += 1
+    desk.clock.now += 1.0
+    desk.send({"b": 1})
+    assert desk.inputs.written == [{"b": 1}]
+
+
+# -- against the simulator -----------------------------------------------------------------------------
+
+
+@pytest.fixture
+def controller() -> Iterator[Controller]:
+    with Controller("UR5e", "5.11") as controller:
+        yield controller
+
+
+def set_all(robot: urlink.Robot, on: bool) -> None:
+    """Each of them is confirmed, or raises."""
+    robot.io.set_digital_out(3, on)
+    robot.io.set_configurable_digital_out(7, on)
+    robot.io.set_tool_digital_out(1, on)
+    robot.io.set_analog_out(1, 0.5 if on else 0.25)
+    robot.set_speed_slider(0.5 if on else 1.0)
+
+
+def texts(controller: Controller) -> list[str]:
+    return [line for _, line in controller.received]
+
+
+def connect(controller: Controller) -> urlink.Robot:
+    """To one that may be held up by a busy machine."""
+    return urlink.connect(controller.address, stale_after=20.0, silence=30.0)
+
+
+@pytest.fixture
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a busy machine a claim may take longer than a setting is ready to wait for it."""
+    for place in (claims, client):
+        monkeypatch.setattr(place, "CLAIM_TIMEOUT", 20.0)
+    monkeypatch.setattr(claims, "HOLD", 60.0)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("patient")
+def test_settings_go_over_rtde_and_nothing_stays_claimed(
+    controller: Controller, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    controller.received.clear()
+    with connect(controller) as robot, connect(controller) as other:
+        for on in (True, False):
+            set_all(robot, on)
+            with monkeypatch.context() as soon:
+                soon.setattr(claims, "HOLD", 0.0)
+                until(lambda: not other.rtde.who_holds())
+        robot.io.set_digital_out(3, True)
+        assert other.rtde.who_holds()
+        with robot.rtde.inputs("standard_digital_output") as inputs:  # asked for by the same robot
+            inputs.send(standard_digital_output={3: False})
+            until(lambda: not robot.io.digital_out(3))
+        robot.io.set_digital_out(3, True)
+        robot.rtde._brief._standing._connection.abort()  # type: ignore[union-attr]
+        until(lambda: robot.rtde._brief._standing._connection.failure is not None)  # type: ignore[union-attr]
+        robot.io.set_digital_out(3, False)
+    assert texts(controller) == []
+
+
+@pytest.mark.usefixtures("patient")
+def test_what_another_client_holds_goes_by_script(controller: Controller) -> None:
+    controller.received.clear()
+    with connect(controller) as robot, connect(controller) as other:
+        with other.rtde.inputs("speed_slider_fraction"):
+            set_all(robot, True)
+            assert texts(controller) == ["set speed 0.5"]
+            robot.set_speed_slider(0.75)
+        robot.set_speed_slider(1.0)  # nobody asks again on the same connection
+        assert texts(controller) == [f"set speed {each}" for each in (0.5, 0.75, 1.0)]
+        controller.faults.cut("primary")
+        until(lambda: robot.primary.stats.reconnects)
+        robot.safety.wait_until_clear(5)
+        time.sleep(settings._SETTLED)
+        robot.set_speed_slider(0.9)
+        assert len(texts(controller)) == 3
+
+
+def test_a_port_that_is_closed_costs_nothing_but_one_try(controller: Controller) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        closed = server.getsockname()[1]
+    served = dict(controller.ports) | {"rtde": closed}
+    address = f"ur://{controller.host}?" + "&".join(f"{name}={port}" for name, port in served.items())
+    controller.received.clear()
+    with urlink.connect(address) as robot:
+        set_all(robot, True)
+        set_all(robot, False)
+        assert len(texts(controller)) == 2 * (4 * 3 + 1)

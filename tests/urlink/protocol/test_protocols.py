@@ -1,0 +1,583 @@
+"""Packet protocols: streams cut anywhere, frame boundaries lost and found, peers that are somebody else."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from linkcore.clock import Stamp
+from linkcore.errors import PacketError, WrongPeer
+from linkcore.net.transport import Finished
+from linkcore.streaming.packet_queue import block
+from linkcore.wire.framing import Framer
+from linkcore.wire.packet import State
+from tests.fakes.link import ScriptedTransport
+from urlink.packets import (
+    AdditionalInfo,
+    JointData,
+    KeyMessage,
+    MasterboardData,
+    OtherPackage,
+    PopupMessage,
+    ProgramStateMessage,
+    RealtimeState,
+    RobotModeData,
+    RobotState,
+    TextMessage,
+    ToolData,
+    UnknownSubPackage,
+    UnnamedMessage12,
+    VersionMessage,
+)
+from urlink.protocol.firmware import RELEASES, Firmware, Release, release_of
+from urlink.protocol.primary.protocol import PackageBoundary, PrimaryProtocol
+from urlink.protocol.primary.robot_state import SUB_PACKAGES
+from urlink.protocol.realtime.protocol import RealtimeBoundary, RealtimeProtocol
+from urlink.session.identity import Identity
+from urlink.session.source import Source
+
+Session = type[RealtimeProtocol] | type[PrimaryProtocol]
+
+
+def fed(kind: Session, *chunks: bytes) -> tuple[list[bytes], Framer]:
+    """The frames of a stream that comes in these chunks; the books are kept after each."""
+    framer = kind().framer
+    boundary: type[RealtimeBoundary | PackageBoundary] = (
+        RealtimeBoundary if kind is RealtimeProtocol else PackageBoundary
+    )
+    bound = boundary.largest + boundary.pace
+    frames: list[bytes] = []
+    total = 0
+    for chunk in chunks:
+        frames += framer.feed(chunk)
+        total += len(chunk)
+        assert framer.skipped + sum(map(len, frames)) + len(framer.rest) == total
+        assert len(framer.rest) < bound
+    return frames, framer
+
+
+def bytewise(stream: bytes) -> list[bytes]:
+    return [stream[n : n + 1] for n in range(len(stream))]
+
+
+def cut(stream: bytes, at: Sequence[int]) -> list[bytes]:
+    places = [0, *sorted(n % (len(stream) + 1) for n in at), len(stream)]
+    return [stream[start:end] for start, end in pairwise(places)]
+
+
+def realtime(number: int, version: str = "5.10", **fields: Any) -> bytes:
+    """Packet `number` of a connection: only the time goes on."""
+    return bytes(RealtimeState(version, time=12.0 + number * 0.008, q_actual=[0.5, -1.5, 1.0, 0, 0.1, 3], **fields))
+
+
+def robot_state(version: str = "5.8", first: bool = False, number: int = 0) -> bytes:
+    """A state as that firmware sends it."""
+    release = release_of(Firmware.parse(version))
+    parts = []
+    for kind, size in release.state.items():
+        if kind in release.first_state_only and not first:
+            continue
+        (cls,) = (each for each in SUB_PACKAGES[kind] if size in {layout.size for layout in each.LAYOUTS.all})
+        fields: dict[str, Any] = (
+            {"timestamp": number} if kind == 0 else {"q_actual": [0.1, -1.2, 1.3, -0.4, 2.5, 0.6]} if kind == 1 else {}
+        )
+        parts.append(cls(version, **fields))
+    return bytes(RobotState(*parts))
+
+
+VERSION = bytes(VersionMessage("5.8", project_name="URControl", major=5, minor=8, build_date="x" * 20))
+MESSAGE_12 = bytes(UnnamedMessage12(timestamp=2**64 - 1, source=-2, third=1))
+KEY = bytes(KeyMessage(title="PROGRAM_XXX_STARTED", text="job.urp"))
+MODBUS = struct.pack(">iBi", 9, 5, 0)
+VARIABLES = bytes(ProgramStateMessage(message_type=1))
+UNKNOWN = struct.pack(">iB", 25, 77) + b"nobody knows it here"
+LEAK_560, LEAK_9 = robot_state("1.8"), MODBUS
+
+
+def test_the_leaks_are_what_the_simulator_of_1_8_sends() -> None:
+    assert (len(LEAK_560), len(LEAK_9)) == (560, 9)
+
+
+# -- whole streams, cut anywhere
+
+
+@pytest.mark.parametrize("release", RELEASES, ids=lambda release: str(release.since))
+def test_whole_streams(release: Release) -> None:
+    version = str(release.since)
+    packets = [realtime(n, version) for n in range(4)]
+    packages = [VERSION, MESSAGE_12, robot_state(version, first=True), KEY, robot_state(version), MODBUS, VARIABLES]
+    for kind, parts in ((RealtimeProtocol, packets), (PrimaryProtocol, packages)):
+        stream = b"".join(parts)
+        for chunks in ([stream], bytewise(stream), parts, cut(stream, [3, 4, 5, 1000, 1001])):
+            frames, framer = fed(kind, *chunks)
+            assert frames == parts
+            assert (framer.skipped, framer.resyncs, framer.rest) == (0, 0, b"")
+
+
+#: So many that the largest size which a forged header can declare ends among them.
+MANY_PACKETS = [realtime(n) for n in (1, 2, 3)]
+MANY_STATES = [robot_state(number=n) for n in range(120)]
+GOOD_PACKAGES = [VERSION, MESSAGE_12, KEY, MODBUS, VARIABLES, UNKNOWN, robot_state(), robot_state(first=True), LEAK_560]
+
+damage: st.SearchStrategy[Callable[[bytes], bytes]] = st.one_of(
+    st.just(lambda packet: packet),
+    st.integers(0, 2**32 - 1).map(lambda size: lambda packet: size.to_bytes(4, "big") + packet[4:]),
+    st.integers(0, 70_000).map(lambda size: lambda packet: size.to_bytes(4, "big") + packet[4:]),
+    st.integers(0, 1400).map(lambda at: lambda packet: packet[:at]),
+    st.tuples(st.integers(0, 1400), st.binary(min_size=1, max_size=9)).map(
+        lambda put: lambda packet: packet[: put[0]] + put[1] + packet[put[0] :]
+    ),
+    st.tuples(st.integers(4, 700), st.binary(min_size=1, max_size=9)).map(
+        lambda put: lambda packet: packet[: put[0]] + put[1] + packet[put[0] + len(put[1]) :]
+    ),
+)
+
+
+@st.composite
+def damaged_streams(draw: st.DrawFn, kind: Session) -> bytes:
+    """Good packets, packets with something wrong in them, garbage and leaks, in any order behind one good packet."""
+    parts = [realtime(0) if kind is RealtimeProtocol else VERSION]
+    for number in range(1, draw(st.integers(1, 7))):
+        if kind is RealtimeProtocol:
+            packet = draw(
+                st.sampled_from([realtime(number), realtime(number), realtime(number, "3.4"), LEAK_560, LEAK_9])
+            )
+        else:
+            packet = draw(st.sampled_from(GOOD_PACKAGES))
+        parts.append(draw(damage)(packet))
+        parts.append(draw(st.one_of(st.just(b""), st.just(b""), st.binary(max_size=20), st.just(bytes(7)))))
+    return b"".join(parts)
+
+
+@pytest.mark.property
+@pytest.mark.parametrize("kind", [RealtimeProtocol, PrimaryProtocol])
+@given(data=st.data())
+def test_it_does_not_matter_how_a_stream_is_cut(kind: Session, data: st.DataObject) -> None:
+    stream = data.draw(damaged_streams(kind))
+    whole, framer = fed(kind, stream)
+    # Out of step a packet may be held back until `pace` more bytes have come.
+    more = b"\xff" * RealtimeBoundary.pace
+    in_the_end, _ = fed(kind, stream + more)
+    for chunks in (bytewise(stream), cut(stream, data.draw(st.lists(st.integers(0, 2**16), max_size=6)))):
+        frames, other = fed(kind, *chunks)
+        assert frames == whole[: len(frames)]
+        if frames == whole:
+            # What no packet can begin in any more may be skipped now or with the next bytes.
+            assert other.skipped + len(other.rest) == framer.skipped + len(framer.rest)
+            assert other.resyncs == framer.resyncs
+        frames, _ = fed(kind, *chunks, *bytewise(more))
+        assert frames[: len(whole)] == whole
+        assert frames == in_the_end[: len(frames)]
+    # And what is framed decodes, or says what is wrong; a session survives both.
+    session = kind()
+    for frame in session.framer.feed(stream):
+        try:
+            state: State = session.decode(frame, Stamp(1.0, 2.0))
+        except PacketError:
+            continue
+        assert bytes(state) == frame
+        assert state.received == Stamp(1.0, 2.0)
+
+
+@pytest.mark.property
+@pytest.mark.parametrize("kind", [RealtimeProtocol, PrimaryProtocol])
+@given(
+    chunks=st.lists(
+        st.one_of(st.binary(max_size=200), st.just(bytes(500)), st.just(b"\x00\x00\x10\x14" * 90)), max_size=8
+    )
+)
+def test_arbitrary_bytes_keep_the_books_and_the_bound(kind: Session, chunks: list[bytes]) -> None:
+    try:
+        fed(kind, *chunks)
+    except WrongPeer:
+        return
+    # After a good packet nobody is somebody else, and the next good packets are found whatever came.
+    first = realtime(0) if kind is RealtimeProtocol else VERSION
+    later = MANY_PACKETS if kind is RealtimeProtocol else MANY_STATES
+    frames, framer = fed(kind, first, *chunks, *later)
+    assert frames[0] == first
+    assert frames[-1] == later[-1]
+    assert framer.rest == b""
+
+
+@pytest.mark.parametrize("kind", [RealtimeProtocol, PrimaryProtocol])
+@pytest.mark.parametrize(
+    "piece", [bytes(4096), b"\xff" * 4096, b"\x00\x00\x10\x14" * 1024, b"\x00\x00\xff\xff\x10" * 900]
+)
+def test_memory_is_bounded(kind: Session, piece: bytes) -> None:
+    first = realtime(0) if kind is RealtimeProtocol else VERSION
+    _, framer = fed(kind, first, *[piece] * 40)
+    assert len(framer.rest) < (4096 + 12 if kind is RealtimeProtocol else 65536 + 5) + 256
+
+
+# -- the real-time frame boundary, lost and found
+
+
+@pytest.mark.parametrize("version", ["1.8", "3.0", "3.4", "5.10"])
+@pytest.mark.parametrize(
+    "garbage",
+    [
+        b"\x00",
+        b"\xff" * 5,
+        bytes(811),
+        b"\x00\x00\x02\xfc" * 3,
+        LEAK_560,
+        LEAK_9,
+        LEAK_560 + LEAK_9,
+        realtime(0)[9:600],
+    ],
+    ids=["zero", "ff", "zeros", "sizes", "leak-560", "leak-9", "leaks", "half a packet"],
+)
+def test_realtime_packets_around_garbage_are_all_found(version: str, garbage: bytes) -> None:
+    packets = [realtime(n, version) for n in range(4)]
+    for chunks in ([packets[0], garbage, *packets[1:]], bytewise(packets[0] + garbage + b"".join(packets[1:]))):
+        frames, framer = fed(RealtimeProtocol, *chunks)
+        assert frames == packets
+        assert (framer.skipped, framer.resyncs, framer.rest) == (len(garbage), 1, b"")
+    between = garbage.join(packets)
+    frames, framer = fed(RealtimeProtocol, between)
+    assert frames == packets
+    assert (framer.skipped, framer.resyncs) == (3 * len(garbage), 3)
+
+
+def test_each_packet_is_there_as_soon_as_it_has_come() -> None:
+    """Behind garbage too: nobody waits for the packet after."""
+    for garbage in (b"", LEAK_560, b"\xff" * 99):
+        framer = RealtimeProtocol().framer
+        framer.feed(realtime(0) + garbage)
+        for number in (1, 2):
+            assert framer.feed(realtime(number)) == [realtime(number)]
+
+
+def test_garbage_before_the_first_packet() -> None:
+    packets = [realtime(n) for n in range(3)]
+    frames, framer = fed(RealtimeProtocol, b"\xff" * 77 + b"".join(packets))
+    assert frames == packets
+    assert framer.skipped == 77
+
+
+@pytest.mark.parametrize("size", [0, 4, 5, 499, 508, 716, 812, 1212, 1219, 1221, 1228, 4092, 65535, 2**31, 2**32 - 1])
+def test_a_realtime_size_that_lies_costs_that_packet_and_no_other(size: int) -> None:
+    packets = [realtime(n) for n in range(5)]
+    lying = size.to_bytes(4, "big") + packets[2][4:]
+    for join in (bytewise, lambda stream: [stream]):
+        frames, framer = fed(RealtimeProtocol, *join(b"".join([*packets[:2], lying, *packets[3:]])))
+        assert frames == [*packets[:2], *packets[3:]]
+        assert framer.skipped == 1220
+
+
+@pytest.mark.parametrize("lost", [1, 8, 700])
+def test_bytes_missing_in_a_realtime_packet_cost_it_and_the_next(lost: int) -> None:
+    packets = [realtime(n) for n in range(5)]
+    stream = b"".join([packets[0], packets[1][:-lost], *packets[2:]])
+    frames, framer = fed(RealtimeProtocol, stream)
+    # Its size is believed, so it takes from the next what it lacks.
+    assert [frames[0], *frames[2:]] == [packets[0], *packets[3:]]
+    assert framer.skipped == 1220 - lost
+
+
+@pytest.mark.parametrize("more", [1, 8, 700])
+def test_bytes_inserted_in_a_realtime_packet_cost_it_alone(more: int) -> None:
+    packets = [realtime(n) for n in range(5)]
+    stream = b"".join([packets[0], packets[1][:500], b"\xee" * more, packets[1][500:], *packets[2:]])
+    frames, framer = fed(RealtimeProtocol, stream)
+    assert [frames[0], *frames[2:]] == [packets[0], *packets[2:]]
+    assert framer.skipped == more
+
+
+def test_digital_bits_that_spell_the_size_are_no_boundary() -> None:
+    """Inputs 2, 6, 7 and 10 on: as an integer 1220, in each packet at the same place."""
+    packets = [realtime(n, digital_input_bits=1220, motor_temperatures=[25.0] * 6) for n in range(6)]
+    assert packets[0][688:692] == packets[0][:4]
+    # From the middle of a packet, ahead of the digital bits.
+    for chunks in (lambda stream: [stream], bytewise):
+        frames, framer = fed(RealtimeProtocol, *chunks(packets[0] + packets[1][100:] + b"".join(packets[2:])))
+        assert frames == [packets[0], *packets[2:]]
+        assert framer.skipped == 1120
+
+
+@pytest.mark.parametrize("header", ["000004c4", "0000032c", "000001fc", "00000ffc"])
+def test_doubles_that_look_like_headers_are_no_boundary(header: str) -> None:
+    (double,) = struct.unpack(">d", bytes.fromhex(header + "3ff00000"))
+    (other,) = struct.unpack(">d", bytes.fromhex("3ff00000" + header))
+    fields: dict[str, Any] = {
+        "qd_actual": [double] * 6,
+        "I_actual": [other] * 6,
+    }
+    packets = [realtime(n, **fields) for n in range(6)]
+    for chunks in (lambda stream: [stream], bytewise):
+        frames, _ = fed(RealtimeProtocol, *chunks(packets[0] + packets[1][7:] + b"".join(packets[2:])))
+        assert frames == [packets[0], *packets[2:]]
+
+
+def test_a_connection_with_another_size_is_believed_when_two_packets_agree() -> None:
+    old, new = [realtime(n, "5.9") for n in range(2)], [realtime(n, "5.10") for n in range(2, 6)]
+    frames, framer = fed(RealtimeProtocol, b"".join(old + new))
+    # The first one of the new size is what shows that the boundary is lost.
+    assert frames == [*old, *new[1:]]
+    assert framer.skipped == 1220
+    session = RealtimeProtocol()
+    frames = session.framer.feed(b"".join(old + new))
+    # Each goes by its own length, although the boundary knows a newer one by now.
+    states = [session.decode(frame) for frame in frames]
+    assert [state.payload_mass for state in states] == [None, None, 0.0, 0.0, 0.0]
+    assert all(state.tail == b"" for state in states)
+
+
+# -- the package frame boundary, lost and found
+
+
+@pytest.mark.parametrize(
+    "garbage",
+    [
+        b"\x00",
+        bytes(9),
+        b"\xff" * 300,
+        b"\x00\x00\x02\xcc\x10",
+        b"\x00\x00\x00\x18\x15\xff",
+        b"\x00\x00\x40\x00\x63" + bytes(40),
+        b"\x00\x00\x01\x00\x63" + b"\xaa" * 30,
+        robot_state()[300:],
+        bytes(range(256)),
+    ],
+)
+@pytest.mark.parametrize("before", [VERSION, robot_state()], ids=["message", "state"])
+def test_packages_around_garbage_are_all_found(garbage: bytes, before: bytes) -> None:
+    later = [robot_state(number=n) for n in range(1, 4)]
+    parts = [before, garbage, later[0], KEY, MODBUS, later[1], later[2]]
+    for chunks in (parts, [b"".join(parts)], bytewise(b"".join(parts))):
+        frames, framer = fed(PrimaryProtocol, *chunks)
+        assert frames == [before, later[0], KEY, MODBUS, later[1], later[2]]
+        assert (framer.skipped, framer.resyncs, framer.rest) == (len(garbage), framer.resyncs, b"")
+        assert framer.resyncs >= 1
+
+
+def test_a_message_behind_garbage_is_found_when_a_package_follows_it() -> None:
+    frames, framer = fed(PrimaryProtocol, VERSION, b"\xee" * 20, KEY)
+    assert frames == [VERSION]
+    assert framer.feed(robot_state()) == [KEY, robot_state()]
+    # Other packages are no proof of a boundary: they go with the garbage.
+    frames, framer = fed(PrimaryProtocol, VERSION, b"\xee" * 20, MODBUS, robot_state())
+    assert frames == [VERSION, robot_state()]
+    assert framer.skipped == 29
+
+
+@pytest.mark.parametrize("length", [0x110, 0x114, 0x210, 0x214, 0x310, 0x514, 0x1010, 0x1410])
+def test_a_size_with_the_look_of_a_type_behind_a_zero(length: int) -> None:
+    """The pattern of a header matches one byte early, and must not hide the header itself."""
+    part = UnknownSubPackage(payload=bytes(length - 10))
+    state = bytes(RobotState(part))
+    assert len(state) == length
+    for zeros in range(1, 6):
+        frames, framer = fed(PrimaryProtocol, VERSION + b"\xee" + bytes(zeros) + state + KEY)
+        assert frames == [VERSION, state, KEY]
+        assert framer.skipped == 1 + zeros
+
+
+@pytest.mark.parametrize("size", [0, 4, 5, 6, 300, 715, 717, 816, 2000, 8191, -1, 2**31 - 1])
+def test_a_state_size_that_lies_costs_that_state_and_no_other(size: int) -> None:
+    states = [robot_state(number=n) for n in range(16)]
+    lying = struct.pack(">i", size) + states[1][4:]
+    parts = [states[0], lying, *states[2:]]
+    for chunks in ([b"".join(parts)], parts, bytewise(b"".join(parts))):
+        frames, _ = fed(PrimaryProtocol, *chunks)
+        good = [frame for frame in frames if frame in states]
+        assert good == [states[0], *states[2:]]
+        # What else came out is small and is inside the lying one.
+        assert all(frame[:5] in lying for frame in frames if frame not in states)
+
+
+def test_the_largest_lie_about_a_size_ends_too() -> None:
+    states = [robot_state(number=n) for n in range(120)]
+    lying = struct.pack(">i", 65536) + states[0][4:]
+    frames, framer = fed(PrimaryProtocol, VERSION, lying, *states[1:])
+    assert frames == [VERSION, *states[1:]]
+    assert framer.skipped == len(lying)
+
+
+def test_a_damaged_inside_between_two_boundaries_is_passed_on_and_fails_alone() -> None:
+    states = [robot_state(number=n) for n in range(3)]
+    broken = states[1][:5] + b"\x00\x00\x00\x03" + states[1][9:]
+    session = PrimaryProtocol()
+    outcome: list[State | None] = []
+    for chunk in (states[0], broken, states[2]):
+        for frame in session.framer.feed(chunk):
+            try:
+                outcome.append(session.decode(frame))
+            except PacketError:
+                outcome.append(None)
+    kinds = [type(state).__name__ for state in outcome]
+    assert kinds in (["RobotState", "NoneType", "RobotState"], ["RobotState", "RobotState"])
+    assert outcome[0] is not None
+    assert bytes(outcome[0]) == states[0]
+    assert outcome[-1] is not None
+    assert bytes(outcome[-1]) == states[2]
+
+
+def test_unknown_packages_and_sub_packages_are_passed_on() -> None:
+    subs = bytes(RobotModeData("5.8")) + struct.pack(">iB", 8, 14) + b"new" + bytes(ToolData("5.8"))
+    unknown_sub = struct.pack(">iB", 5 + len(subs), 16) + subs
+    longer = JointData.LAYOUTS.of("5.8").encode({}, b"appended")
+    longer_state = struct.pack(">iB", 5 + len(longer), 16) + longer
+    parts = [VERSION, UNKNOWN, UNKNOWN, unknown_sub, longer_state, UNKNOWN, robot_state()]
+    for chunks in (parts, bytewise(b"".join(parts))):
+        assert fed(PrimaryProtocol, *chunks)[0] == parts
+    session = PrimaryProtocol()
+    states = [session.decode(frame) for frame in session.framer.feed(b"".join(parts))]
+    unknown = states[1]
+    assert isinstance(unknown, OtherPackage)
+    assert (unknown.type, unknown.payload) == (77, UNKNOWN[5:])
+    state = states[3]
+    assert isinstance(state, RobotState)
+    assert [type(part) for part in state] == [RobotModeData, UnknownSubPackage, ToolData]
+    state = states[4]
+    assert isinstance(state, RobotState)
+    assert state.joint_data is not None
+    assert state.joint_data.tail == b"appended"
+
+
+# -- somebody else
+
+
+@pytest.mark.parametrize("size", [1, 4, 7, 10**6])
+@pytest.mark.parametrize(
+    ("kind", "stream", "text"),
+    [
+        *[
+            (PrimaryProtocol, realtime(0, version), "the real-time interface .port 30003")
+            for version in ("1.8", "3.4", "5.4", "5.10")
+        ],
+        (PrimaryProtocol, bytes(RealtimeState("5.10")), "the real-time interface .port 30003"),
+        (RealtimeProtocol, VERSION, "a primary or secondary interface .port 30001 or 30002"),
+        (RealtimeProtocol, robot_state("1.8"), "a primary or secondary interface"),
+        # 716 bytes: a length that a real-time packet could have.
+        (RealtimeProtocol, robot_state("5.8"), "a primary or secondary interface"),
+        (RealtimeProtocol, robot_state("5.8", first=True), "a primary or secondary interface"),
+        (PrimaryProtocol, b"Connected: Universal Robots Dashboard Server\n", "the dashboard server .port 29999"),
+        (RealtimeProtocol, b"Connected: Universal Robots Dashboard Server\n", "the dashboard server .port 29999"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else None,
+)
+def test_the_wrong_port_is_named(kind: Session, stream: bytes, text: str, size: int) -> None:
+    chunks = [stream[at : at + size] for at in range(0, len(stream), size)]
+    expected = "a primary or secondary interface" if kind is PrimaryProtocol else "the real-time interface"
+    with pytest.raises(WrongPeer, match=f"expected {expected} .port 3000.*, but this is {text}.*begins with b'"):
+        fed(kind, *chunks)
+
+
+@pytest.mark.parametrize("kind", [RealtimeProtocol, PrimaryProtocol])
+def test_who_says_nothing_sensible_is_given_up(kind: Session) -> None:
+    chunks = [b"HTTP/1.1 400 Bad Request\r\n" * 40] * 100
+    with pytest.raises(WrongPeer, match="no packet among them"):
+        fed(kind, *chunks)
+
+
+def test_a_connection_that_once_was_right_is_not_doubted() -> None:
+    packets = [realtime(n) for n in range(3)]
+    frames, _ = fed(RealtimeProtocol, packets[0], VERSION, robot_state("5.8"), packets[1], packets[2])
+    assert frames == packets
+    states = [robot_state(number=n) for n in range(2)]
+    frames, _ = fed(PrimaryProtocol, states[0], b"\xee" + realtime(0), states[1])
+    assert frames == states
+
+
+# -- the version that a controller tells
+
+
+def popup_of_cb2() -> bytes:
+    return bytes(
+        PopupMessage("1.8", is_error=True, title="Popup", text="a text that is long enough to be the new form")
+    )
+
+
+def version_message(major: int, minor: int) -> bytes:
+    layout = f"{major}.{minor}"
+    return bytes(
+        VersionMessage(layout, project_name="URControl", major=major, minor=minor, build_date="Jul 08 2016, 16:07:20")
+    )
+
+
+def test_the_version_message_governs_what_follows() -> None:
+    assert PrimaryProtocol().firmware is None
+    session = PrimaryProtocol()
+    version = session.decode(version_message(1, 8))
+    assert isinstance(version, VersionMessage)
+    assert session.firmware == Firmware(1, 8)
+    popup = session.decode(popup_of_cb2())
+    assert isinstance(popup, PopupMessage)
+    assert (popup.request_id, popup.is_error, popup.title) == (None, True, "Popup")
+    # The same length is something else on another generation: here a tail of the old board, there a longer one.
+    board = MasterboardData.LAYOUTS.of("1.8").encode({"robot_voltage_48V": 48.0}, b"12345678")
+    state = session.decode(struct.pack(">iB", 5 + len(board), 16) + board)
+    assert isinstance(state, RobotState)
+    assert state.masterboard_data is not None
+    assert (state.masterboard_data.robot_voltage_48V, state.masterboard_data.tail) == (48.0, b"12345678")
+
+
+def test_a_packet_shorter_than_the_version_told_is_an_error_and_the_session_goes_on() -> None:
+    session = PrimaryProtocol()
+    short = bytes(RobotState(RobotModeData("3.4"), AdditionalInfo("3.4")))
+    assert isinstance(session.decode(short), RobotState)  # nothing is known yet: the length decides
+    session.decode(version_message(5, 8))
+    with pytest.raises(PacketError, match=r"RobotModeData of firmware 5\.8.*expected 47 bytes, got 46"):
+        session.decode(short)
+    assert isinstance(session.decode(robot_state("5.8")), RobotState)
+    # A controller that comes back with another firmware says so.
+    session.decode(version_message(3, 4))
+    assert isinstance(session.decode(short), RobotState)
+    assert session.firmware == (3, 4, 0, 0)
+
+
+def test_sessions_share_nothing() -> None:
+    one, other = PrimaryProtocol(), PrimaryProtocol()
+    one.decode(VERSION)
+    one.framer.feed(VERSION[:9])
+    assert other.firmware is None
+    assert other.framer.rest == b""
+
+
+def test_text_may_hold_headers() -> None:
+    """In step, a size is believed: what lies inside a package is not looked at."""
+    text = bytes(TextMessage(text="\x00\x00\x00\x18\x14\x00\x00\x02\x2c\x10"))
+    parts = [VERSION, text, robot_state()]
+    assert fed(PrimaryProtocol, *bytewise(b"".join(parts)))[0] == parts
+
+
+@pytest.mark.real_time
+def test_what_shares_its_bytes_with_a_bad_package_is_counted_once() -> None:
+    broken = of_type(16, of_type(0, b"too short for robot mode data"[:20]))
+    longer = JointData.LAYOUTS.of("5.8").encode({}, b"appended")
+    chunk = UNKNOWN + of_type(16, longer) + broken + UNKNOWN + robot_state()
+    transport = ScriptedTransport()
+    source = Source(lambda: Identity(Firmware(5, 11), True, None), lambda name: transport, None, 5.0, None, False)
+    stream = source.stream("primary", "script", lambda: None)
+    transport.put(VERSION + chunk, Finished())
+    stream.subscribe(lambda state: None, policy=block)
+    assert stream.join(10)
+    stream.close()
+    stats = stream.stats
+    assert (stats.received, stats.failed, stats.unknown, stats.tails) == (6, 1, 2, 1)
+
+
+def of_type(kind: int, body: bytes) -> bytes:
+    return struct.pack(">iB", 5 + len(body), kind) + body
+
+
+def test_each_kind_of_unknown_part_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
+    session = PrimaryProtocol()
+    unknown = of_type(77, b"x" * 4) + of_type(78, b"y" * 4)
+    states = [of_type(16, bytes(RobotModeData("5.4")) + of_type(77 + number % 2, b"?" * 3)) for number in range(6)]
+    frames = session.framer.feed(states[0] + unknown + b"".join(states))
+    for frame in frames:
+        session.decode(frame)
+    assert session.unknown == len(frames)
+    told = [record.message for record in caplog.records]
+    assert len(told) == len(set(told)) == 4
+    session.decode(of_type(5, bytes(4)))
+    assert session.unknown == len(frames), "MODBUS info is known, if not what is in it"
