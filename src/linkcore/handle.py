@@ -259,7 +259,8 @@ class Lifecycle:
         return True
 
     def _settle(self, error: Exception | None) -> None:
-        _drain(self._releases, lambda release: release())
+        # Also if the call that ends it was abandoned: what it holds must not stay open.
+        _drain(self._releases, regardless)
         if error is None:
             self.future.set_result(None)
         else:
@@ -273,7 +274,7 @@ class Lifecycle:
         """Call `release` when it ends, in the thread that ends it: the library's own, which neither wait nor raise."""
         self._releases.append(release)
         if self.is_over:
-            _drain(self._releases, lambda release: release())
+            _drain(self._releases, regardless)
 
     def call_back(self, callback: Callable[[], object]) -> None:
         """Call `callback` when it has ended, in the thread for callbacks."""

@@ -16,8 +16,10 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
+from linkcore import clock
 from linkcore.errors import BadValue, Cancelled, ConnectionLost, LinkTimeout, LocalError
 from linkcore.handle import AFTER, TRANSITIONS, Event, Handle, Lifecycle, Motion, Occurrence, Phase
+from linkcore.pending_call import PendingCall
 from linkcore.threads import CallbackThread
 from tests.waiting import interrupted, until
 
@@ -400,6 +402,26 @@ def test_a_mistake_in_the_brake_leaves_nobody_waiting(life: Lifecycle) -> None:
     assert released.is_set()
     with pytest.raises(Cancelled):
         Handle(life).wait(0)
+
+
+def test_lifecycle_releases_what_it_holds_when_the_call_that_ends_it_was_abandoned(life: Lifecycle) -> None:
+    """A release may wait for no time at all, such as for a thread; that wait raises in an abandoned call."""
+    pending, released = PendingCall(), []
+
+    def release() -> None:
+        clock.join(threading.main_thread(), 0)
+        released.append(True)
+
+    def end() -> None:
+        pending.give_up()
+        life.fail(ConnectionLost("pulled"))
+
+    life.on_end(release)
+    in_thread = threading.Thread(target=lambda: pending.make(end))
+    in_thread.start()
+    in_thread.join()
+    assert released == [True]
+    assert isinstance(life.error, ConnectionLost)
 
 
 def test_two_threads_end_it_once(callbacks: CallbackThread) -> None:

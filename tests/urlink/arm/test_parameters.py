@@ -98,7 +98,7 @@ def test_a_number_is_of_one_module() -> None:
 
 
 def test_the_table_has_what_arms_borrow() -> None:
-    borrowed = {name: {row.name for row in ROWS if (row.of, row.used) == (name, "models")} for name in MODELS}
+    borrowed = {name: {row.name for row in ROWS if (row.of, row.used) == (name, "arm.models")} for name in MODELS}
     assert borrowed == {name: set(arm.guesses) for name, arm in MODELS.items()}
 
 

@@ -176,7 +176,7 @@ def test_what_opens_after_rtde_was_closed_is_closed() -> None:
 
 def test_registers_of_a_kind_have_one_stream(monkeypatch: pytest.MonkeyPatch) -> None:
     with urlink.connect("sim://") as robot:
-        registers, made = robot.registers, []
+        made = []
         outputs = type(robot.rtde).outputs
 
         def noting(rtde: Any, *names: Any, **how: Any) -> Any:
@@ -184,6 +184,7 @@ def test_registers_of_a_kind_have_one_stream(monkeypatch: pytest.MonkeyPatch) ->
             return outputs(rtde, *names, **how)
 
         monkeypatch.setattr(type(robot.rtde), "outputs", noting)
+        registers = robot.registers
         registers._lock = Contended(registers._lock, before=lambda: registers.read_integer(24))  # type: ignore[assignment]
         registers.read_integer(25)
     assert len(made) == 1

@@ -9,6 +9,7 @@ from typing import ClassVar
 import pytest
 
 from linkcore.errors import BadAddress, ConnectFailed, ConnectionLost, LinkTimeout
+from linkcore.net.transport import TcpTransport
 from tests.waiting import until
 from urlink.motion.servo.reverse import ReverseLink, ReversePort
 
@@ -59,6 +60,23 @@ def test_takes_one_program(link: ReverseLink) -> None:
         assert program.recv(100) == b"answer"
         with pytest.raises(ConnectionRefusedError):
             socket.create_connection(link.endpoint[:2], TIMEOUT)
+
+
+def test_link_aborts_a_connection_that_is_accepted_while_another_thread_closes_it(
+    link: ReverseLink, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    accept = link._listener.accept
+
+    def accept_and_close(timeout: float) -> TcpTransport:
+        connection = accept(timeout)
+        link.close()
+        return connection
+
+    with socket.create_connection(link.endpoint[:2], TIMEOUT) as program:
+        monkeypatch.setattr(link._listener, "accept", accept_and_close)
+        assert not is_up(link)
+        with pytest.raises(ConnectionResetError):
+            program.recv(1)
 
 
 def test_a_program_that_is_gone(link: ReverseLink) -> None:

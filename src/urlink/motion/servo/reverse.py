@@ -102,6 +102,8 @@ class ReverseLink:
         for candidate in tuple(self._candidates):
             if self._connection is None:
                 self._look(candidate)
+        if self._is_closed:  # by another thread, which did not see a connection that was accepted here since
+            self.stop_listening()
         return self._connection is not None
 
     def _accepted(self) -> TcpTransport | None:
