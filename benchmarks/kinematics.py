@@ -7,7 +7,8 @@ search of its own, which has its own row. Each figure is processor time, the bes
 by how much the flange misses the pose, at worst.
 
 ur-analytic-ik is the closed form in C++; ikpy optimises numerically along a chain that it reads from the URDF that
-urlink writes. They are compared where they are installed (`nox -s kinematics` does that), and are no requirement.
+urlink writes. They are compared where they are installed (`nox -f nightly.py -s kinematics` does that), and are no
+requirement.
 
     python benchmarks/kinematics.py                # UR5e
     python benchmarks/kinematics.py --quick

@@ -18,7 +18,7 @@ from hypothesis import Phase, settings
 from tests import real_captures
 from tests.waiting import until
 
-# Few by default, so that the suite stays quick; `nox -s fuzz` tries many.
+# Few by default, so that the suite stays quick; `nox -f nightly.py -s fuzz` tries many.
 settings.register_profile("default", deadline=None, derandomize=False, max_examples=10)
 # A gate gives the same verdict on the same tree; `fuzz` and every run at home look for what is new.
 settings.register_profile("ci", deadline=None, derandomize=True, max_examples=10, print_blob=True)

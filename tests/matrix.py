@@ -1,7 +1,8 @@
 """A plugin for pytest: of a table of cases that are alike, `@pytest.mark.matrix(3)` tries every third row.
 
-Each test begins with another row, so that tests which share a table try all of it between them. `nox -s fuzz` and
-`nox -s mutants` try every row, and so does who names one. `@pytest.mark.matrix` alone: the test itself decides.
+Each test begins with another row, so that tests which share a table try all of it between them.
+`nox -f nightly.py -s fuzz` and `nox -f nightly.py -s mutants` try every row, and so does who names one.
+`@pytest.mark.matrix` alone: the test itself decides.
 
 Where a table is a product, a share that has no factor in common with its axes tries every value of each.
 """

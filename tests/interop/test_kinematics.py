@@ -1,6 +1,6 @@
 """Kinematics and dynamics beside those of ur-analytic-ik, Pinocchio and MuJoCo, which others wrote.
 
-`nox -s kinematics` installs them; elsewhere the tests of what is not there are skipped.
+`nox -f nightly.py -s kinematics` installs them; elsewhere the tests of what is not there are skipped.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Profiles beside those of ruckig, which others wrote: state to state, never its waypoints, which go to a service.
 
-`nox -s kinematics` installs it; elsewhere these tests are skipped.
+`nox -f nightly.py -s kinematics` installs it; elsewhere these tests are skipped.
 """
 
 from __future__ import annotations

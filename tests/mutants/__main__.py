@@ -1,4 +1,4 @@
-"""How many small changes to the program its tests notice: ``nox -s mutants``.
+"""How many small changes to the program its tests notice: ``nox -f nightly.py -s mutants``.
 
 Prints a row for each module, and every mutation that no test noticed. ``docs/reliability.md`` says what came of it.
 """

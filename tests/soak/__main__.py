@@ -1,4 +1,6 @@
-"""Workloads side by side for a long time: memory, descriptors, threads and objects have to stay flat. ``nox -s soak``.
+"""Workloads side by side for a long time: memory, descriptors, threads and objects have to stay flat.
+
+Run it by ``nox -f nightly.py -s soak``.
 
 Each workload has a process of its own, so that a growth is told by its name. Exits with 1 if anything grows, or if a
 workload fails.

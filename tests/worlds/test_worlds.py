@@ -1,4 +1,4 @@
-"""Worlds in simulated time: 300 of them here, as many as wanted by `nox -s simulate`."""
+"""Worlds in simulated time: 300 of them here, as many as wanted by `nox -f nightly.py -s simulate`."""
 
 from __future__ import annotations
 

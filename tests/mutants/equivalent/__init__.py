@@ -19,7 +19,7 @@ class Equivalent(NamedTuple):
     path: str
     #: the name of the innermost function; None outside all
     function: str | None
-    #: the text before and after the change, as `nox -s mutants` prints it
+    #: the text before and after the change, as `nox -f nightly.py -s mutants` prints it
     before: str
     after: str
     why: str

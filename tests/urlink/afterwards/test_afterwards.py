@@ -1,7 +1,8 @@
 """What becomes of each kind of motion and call when something fails; `table.py` has the table.
 
-Each cell is tried in simulated time; `nox -s fuzz` goes through all of them, and watches to its end what goes on, on
-the first firmware that has it. A cell of each column is also tried in real time, with processes of their own.
+Each cell is tried in simulated time; `nox -f nightly.py -s fuzz` goes through all of them, and watches to its end what
+goes on, on the first firmware that has it. A cell of each column is also tried in real time, with processes of their
+own.
 """
 
 from __future__ import annotations

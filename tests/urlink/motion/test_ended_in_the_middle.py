@@ -1,7 +1,7 @@
 """Every motion and mode on the simulated controller, ended in its middle in every way, on each generation.
 
 The table is modes x firmware x ends. By default each mode meets each end once, and each firmware has its share of
-both; `nox -s fuzz` goes through all of it.
+both; `nox -f nightly.py -s fuzz` goes through all of it.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ with contextlib.suppress(ImportError):
 def reader(name: str) -> Any:
     """A package that reads a format again."""
     package = name.partition(".")[0]
-    pytest.importorskip(package, reason=f"{package} is not installed; the session `data` of nox has it")
+    pytest.importorskip(package, reason=f"{package} is not installed; nox -f nightly.py -s data installs it")
     return importlib.import_module(name)
 
 

@@ -22,7 +22,7 @@ from urlink.packets import TextMessage
 from urlink.recording import live
 from urlink.recording.live import FoxgloveServer, RobotView
 
-WHY = "it is not installed; the session `data` of nox has it"
+WHY = "it is not installed; nox -f nightly.py -s data installs it"
 
 
 def view(address: str, topics: set[str], messages: int) -> tuple[dict[str, Any], dict[str, list[tuple[int, bytes]]]]:

@@ -253,7 +253,7 @@ def test_frames_of_pandas_and_the_error_without_it(monkeypatch: pytest.MonkeyPat
                 table.to_frame()
     with pytest.raises(urlink.BadValue, match="expected 'pandas' or 'polars'"):
         table.to_frame(library="excel")
-    pandas = pytest.importorskip("pandas", reason="pandas is not installed; the session `data` of nox has it")
+    pandas = pytest.importorskip("pandas", reason="pandas is not installed; nox -f nightly.py -s data installs it")
     frame = table.to_frame("q_actual", "robot_mode")
     assert isinstance(frame, pandas.DataFrame)
     assert list(frame.columns) == ["wall", *(f"q_actual_{number}" for number in range(6)), "robot_mode"]
@@ -263,7 +263,7 @@ def test_frames_of_pandas_and_the_error_without_it(monkeypatch: pytest.MonkeyPat
 
 def test_frames_of_polars() -> None:
     table = load([packet(number) for number in range(5)]).realtime
-    polars = pytest.importorskip("polars", reason="polars is not installed; the session `data` of nox has it")
+    polars = pytest.importorskip("polars", reason="polars is not installed; nox -f nightly.py -s data installs it")
     frame = table.to_frame("q_actual", "robot_mode", library="polars")
     assert isinstance(frame, polars.DataFrame)
     assert frame.columns == ["t", "wall", *(f"q_actual_{number}" for number in range(6)), "robot_mode"]

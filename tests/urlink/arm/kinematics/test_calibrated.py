@@ -18,7 +18,7 @@ from urlink.arm.models import MODELS, Model, model
 from urlink.arm.poses import compose, invert, to_matrix
 
 EVERY = pytest.mark.parametrize("name", MODELS)
-#: Of each arm; ten thousand in the session of `nox -s fuzz`.
+#: Of each arm; ten thousand in the session of `nox -f nightly.py -s fuzz`.
 POSES = min(40 * settings().max_examples, 10_000)
 READY = (0.2, -1.4, 1.8, -1.9, -1.5, 0.3)
 

