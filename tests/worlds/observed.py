@@ -197,8 +197,8 @@ class Observed:
         self._call_of: dict[int, float] = {}
         #: stops that a client has asked for and that have returned: when they were entered and when they returned, s
         self._stops: dict[Computer, list[tuple[float, float]]] = {}
-        #: when `Robot.close` returned, s
-        self._left: dict[Computer, float] = {}
+        #: those of the robots whose `close` has returned
+        self._left: weakref.WeakSet[CommandChannel] = weakref.WeakSet()
         #: when a person, or a client, let a paused program go on
         self.played: list[float] = []
         self.stop_holds = False
@@ -321,7 +321,9 @@ class Observed:
     def _leave(self, close: Callable[..., None]) -> Callable[..., None]:
         def wrapped(robot: Robot, *arguments: Any, **options: Any) -> None:
             close(robot, *arguments, **options)
-            self._left[here()] = self._sim.now
+            control = robot._control.made
+            if control is not None:
+                self._left.add(control.script._channel)
 
         return wrapped
 
@@ -365,7 +367,7 @@ class Observed:
                     overtaken = self._overtaken(sent)
                     if overtaken is not None:
                         self._fault(f"{here().name} sent {sent.wrapped.name} ({sent.life.name}), which {overtaken}")
-            if here() in self._left:
+            if channel in self._left:
                 self._fault(f"{here().name} sent {whole.splitlines()[0]} after its robot was closed")
             if refusal is not None and (is_permission or whole.startswith("def ")):
                 self._fault(f"{here().name} sent {whole.splitlines()[0]} although {refusal}")

@@ -35,6 +35,7 @@ from .happening import at_the_robot, elsewhere
 from .mobile import Base
 from .signals import signalled
 from .surface import ACTIONS
+from .trials import AWAITED, MOBILE, TRIALS, Bench
 from .watch import ADMITS, BRAKING, Outcome, Watch
 from .world import AT_THE_ROBOT, Ask, Client, Event, World
 
@@ -72,6 +73,7 @@ PREEMPTED = (
     "urlink.motion",
     "urlink.robot",
     "urlink.rtde",
+    "rhdlink",
 )
 #: Calls that neither move the arm nor keep others from moving it.
 _HARMLESS = ("output", "analog_output", "payload", "tcp", "registers", "outputs", "subscribe", "iterate", "wait_state")
@@ -303,6 +305,9 @@ class Run:
             "urx": self._urx,
             "foreign": self._foreign,
             "mobile": self._mobile,
+            "trials": self._trials,
+            "trials in tasks": lambda number, client: asyncio.run(self._trials_in_tasks(number, client)),
+            "mobile trials": self._mobile_trials,
         }
         try:
             kinds.get(client.kind, self._threads)(number, client)
@@ -725,6 +730,47 @@ class Run:
             base.use(client.asks, sum(event.lasts for event in self.world.events))
         finally:
             base.close()
+
+    # -- trials ------------------------------------------------------------------------------------------
+
+    def _bench(self, number: int, ask: Ask, robot: Any, there: Computer) -> Bench:
+        chance = random.Random(f"{ask.what} {ask.size}")
+        here = self.computers[number]
+        return Bench(self.sim, self.controller, HOST, robot, here, there, chance, self.watch.fault, ask.what)
+
+    @contextlib.contextmanager
+    def _trying(self, number: int, ask: Ask) -> Iterator[None]:
+        """What is tried may move the arm meanwhile; whatever it raises is a fault."""
+        self.watch.note(f"client {number}: {ask.what} ({ask.size:.4f})")
+        owner = self.begin(number)
+        error: BaseException | None = None
+        try:
+            yield
+        except Exception as raised:
+            error = raised
+            where = [each for each in traceback.extract_tb(raised.__traceback__) if "trials" in each.filename]
+            line = f"line {where[-1].lineno}: {where[-1].line}" if where else ""
+            self.watch.fault(f"{ask.what} raised {raised!r}, {line}")
+        self.end(number, owner, error)
+
+    def _trials(self, number: int, client: Client) -> None:
+        for ask in client.asks:
+            with self._trying(number, ask), urlink.connect(HOST, **self._options(client)) as robot:
+                TRIALS[ask.what](self._bench(number, ask, robot, self.robot))
+            time.sleep(BRAKING)
+
+    async def _trials_in_tasks(self, number: int, client: Client) -> None:
+        for ask in client.asks:
+            with self._trying(number, ask):
+                async with urlink.connect_async(HOST, **self._options(client)) as robot:
+                    await AWAITED[ask.what](self._bench(number, ask, robot, self.robot))
+            await asyncio.sleep(BRAKING)
+
+    def _mobile_trials(self, number: int, client: Client) -> None:
+        for ask in client.asks:
+            there = self.sim.computer(f"mobile{number}", "192.168.0.201")
+            with self._trying(number, ask):
+                MOBILE[ask.what](self._bench(number, ask, None, there))
 
     # -- events ------------------------------------------------------------------------------------------
 
