@@ -70,7 +70,7 @@ def tried(seed: int) -> World:
     client = Client(asks, chance.uniform(-1e-4, 1e-4), kind, "never", start)
     latency, lines = chance.choice((5e-5, 5e-4)), chance.choice((0.0,) * 5 + (0.3, 0.3, 1.0))
     # Fewer states a second make a world cheaper.
-    firmware = chance.choice(("3.15", "3.15", "3.10", "5.9", "5.11", "10.12"))
+    firmware = chance.choice(("3.15",) * 4 + ("3.10", "5.9", "5.11", "10.12"))
     return World(seed, firmware, latency, 0.0, (client,), (), lines)
 
 

@@ -10,14 +10,16 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import functools
 import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import FunctionType
+from types import FrameType, FunctionType
 from typing import Any
 
+from linkcore import clock
 from linkcore.attributes import StrictAttributes
 from linkcore.simulated.scheduler import current
 
@@ -43,14 +45,16 @@ class Row:
 
     Attributes:
         owner, name: class and method, or attribute.
-        kind: "with" a lock or "without" it, "assigned" with it.
+        kind: "with" a lock or "without" it, "assigned" with it, or "waits" with it.
         lock: where the object has the lock: ``_section.lock``.
+        caller: of the function that makes the call; empty for all.
     """
 
     owner: str
     name: str
     kind: str
     lock: str
+    caller: str = ""
 
 
 def _read() -> tuple[Row, ...]:
@@ -64,6 +68,7 @@ def _read() -> tuple[Row, ...]:
 KNOWN = _read()
 
 
+@functools.cache
 def classes() -> dict[str, type]:
     """The classes of the packages, by their names, which do not change when a module moves."""
     found: dict[str, type] = {}
@@ -108,15 +113,29 @@ def watching(fault: Callable[[str], object], rows: tuple[Row, ...] = KNOWN) -> I
     for row in rows:
         if row.kind == "assigned":
             attributes.setdefault(row.owner, {}).setdefault(row.name, []).append(row.lock)
-        else:
+        elif row.kind != "waits":
             methods.setdefault((row.owner, row.name), []).append(row)
+    may_wait = {(row.owner, row.name, row.lock) for row in rows if row.kind == "waits"}
+
+    def waiting(wait: Callable[..., Any]) -> Callable[..., Any]:
+        def wrapped(*arguments: Any, **options: Any) -> Any:
+            for each in held_in_callers(sys._getframe(1)):
+                if each not in may_wait:
+                    fault(f"{each[0]}.{each[1]} waits with {each[2]}")
+            return wait(*arguments, **options)
+
+        return wrapped
 
     def calling(found: list[Row]) -> Callable[[Any], Any]:
         checks = [(row.lock, row.kind == "with", row) for row in found]
+        callers = any(row.caller for row in found)
 
         def around(method: Callable[..., Any]) -> Callable[..., Any]:
             def wrapped(thing: Any, *arguments: Any, **options: Any) -> Any:
+                caller = sys._getframe(1).f_code.co_name if callers else ""
                 for path, is_with, row in checks:
+                    if row.caller and row.caller != caller:
+                        continue
                     lock = lock_of(thing, path)
                     if lock is not None and is_held(lock) is not is_with and _counts(lock, is_with):
                         fault(f"{row.owner}.{row.name} is called {'without' if is_with else 'with'} {path}")
@@ -149,7 +168,23 @@ def watching(fault: Callable[[str], object], rows: tuple[Row, ...] = KNOWN) -> I
         for owner, names in attributes.items():
             if owner in known:
                 stack.enter_context(replaced(known[owner], "__setattr__", assigning(names)))
+        if may_wait:
+            stack.enter_context(replaced(clock, "wait", waiting))
+            stack.enter_context(replaced(clock, "sleep", waiting))
         yield
+
+
+def held_in_callers(frame: FrameType | None) -> Iterator[tuple[str, str, str]]:
+    """Class, method and lock of each calling method of the packages whose object has a lock that this thread holds."""
+    while frame is not None:
+        module = frame.f_globals.get("__name__", "")
+        if module.partition(".")[0] in _PACKAGES and "simul" not in module:
+            names = frame.f_code.co_varnames
+            thing = frame.f_locals.get("self") if names and names[0] == "self" else None
+            for name, value in getattr(thing, "__dict__", {}).items():
+                if type(value).__name__ in ("RLock", "Condition") and is_held(value):
+                    yield type(thing).__name__, frame.f_code.co_name, name
+        frame = frame.f_back
 
 
 def _plain(setter: Callable[..., None]) -> Callable[..., None]:
@@ -187,7 +222,8 @@ class Learning:
     """Notes which locks are held in each call and each assignment."""
 
     def __init__(self) -> None:
-        self.methods: dict[tuple[str, str], _Seen] = {}
+        self.methods: dict[tuple[str, str, str], _Seen] = {}
+        self.waits: dict[tuple[str, str, str], int] = {}
         self.attributes: dict[tuple[str, str], _Seen] = {}
         self.world = 0
         self._kinds = frozenset(classes().values())
@@ -211,20 +247,33 @@ class Learning:
                 if "__dict__" in dir(cls) and not issubclass(cls, (tuple, BaseException)):
                     with contextlib.suppress(TypeError):
                         stack.enter_context(replaced(cls, "__setattr__", self._assigning(owner)))
+            stack.enter_context(replaced(clock, "wait", self._waiting))
+            stack.enter_context(replaced(clock, "sleep", self._waiting))
             yield
 
-    def _calling(self, owner: str, name: str) -> Callable[[Any], Any]:
-        seen = self.methods.setdefault((owner, name), _Seen())
+    def _waiting(self, wait: Callable[..., Any]) -> Callable[..., Any]:
+        def wrapped(*arguments: Any, **options: Any) -> Any:
+            for each in held_in_callers(sys._getframe(1)):
+                self.waits[each] = self.waits.get(each, 0) + 1
+            return wait(*arguments, **options)
 
+        return wrapped
+
+    def _calling(self, owner: str, name: str) -> Callable[[Any], Any]:
         def around(method: Callable[..., Any]) -> Callable[..., Any]:
             def wrapped(*arguments: Any, **options: Any) -> Any:
                 thing, scheduler = arguments[0], current()
                 before = 0 if scheduler is None else scheduler.steps
-                seen.add(self._of(thing), thing, self.world)
+                caller = sys._getframe(1).f_code.co_name
+                both = [self.methods.setdefault((owner, name, each), _Seen()) for each in ("", caller)]
+                for seen in both:
+                    seen.add(self._of(thing), thing, self.world)
                 try:
                     return method(*arguments, **options)
                 finally:
-                    seen.steps += scheduler is not None and scheduler.steps > before
+                    if scheduler is not None and scheduler.steps > before:
+                        for seen in both:
+                            seen.steps += 1
 
             return wrapped
 
@@ -245,14 +294,17 @@ class Learning:
         return around
 
     def rows(self) -> Iterator[Row]:
-        for (owner, name), seen in sorted(self.methods.items()):
+        for owner, name, lock in self.waits:
+            yield Row(owner, name, "waits", lock)
+        known: set[Row] = set()
+        for (owner, name, caller), seen in sorted(self.methods.items()):  # those of all callers come first
             if seen.calls < _CALLS or len(seen.worlds) < _WORLDS:
                 continue
-            for lock in _shortest(seen.always or set()):
-                yield Row(owner, name, "with", lock)
+            rows = [Row(owner, name, "with", lock, caller) for lock in _shortest(seen.always or set())]
             if seen.steps:
-                for lock in _shortest(seen.places - seen.ever):
-                    yield Row(owner, name, "without", lock)
+                rows += [Row(owner, name, "without", lock, caller) for lock in _shortest(seen.places - seen.ever)]
+            yield from (row for row in rows if replace(row, caller="") not in known)
+            known |= set(rows)
         for (owner, name), seen in sorted(self.attributes.items()):
             if seen.calls >= 10 and len(seen.worlds) >= _WORLDS:
                 for lock in _shortest(seen.always or set()):
@@ -277,6 +329,12 @@ def learned(seeds: range) -> set[Row]:
     return set(learning.rows())
 
 
+def agreed(parts: list[set[Row]]) -> set[Row]:
+    """What each part has learned; and what may wait by any of them."""
+    every = set().union(*parts)
+    return set.intersection(*parts) | {row for row in every if row.kind == "waits"}
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.worlds.learned", description=__doc__)
     parser.add_argument("--seeds", type=int, default=800, help="how many worlds")
@@ -286,9 +344,11 @@ def main() -> int:
     each = given.seeds // given.jobs
     with ProcessPoolExecutor(given.jobs) as pool:
         parts = pool.map(learned, [range(number * each, (number + 1) * each) for number in range(given.jobs)])
-        found = set.intersection(*parts)
-    lines = ["# class, method or attribute, how, lock: learned by python -m tests.worlds.learned"]
-    lines += ["\t".join((row.owner, row.name, row.kind, row.lock)) for row in sorted(found, key=str)]
+        found = agreed(list(parts))
+    lines = ["# class, method or attribute, how, lock, caller: learned by python -m tests.worlds.learned"]
+    lines += [
+        "\t".join((row.owner, row.name, row.kind, row.lock, row.caller)).rstrip() for row in sorted(found, key=str)
+    ]
     _FILE.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return 0
 

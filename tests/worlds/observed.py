@@ -327,9 +327,9 @@ class Observed:
 
         return wrapped
 
-    def _overtaken(self, sent: Sent) -> str | None:
-        """Why a program must not be sent any more."""
-        for entered, returned in self._stops.get(sent.computer, ()):
+    def _overtaken(self, sent: Sent, stops: int) -> str | None:
+        """Why a program must not be sent any more, by the first `stops` stops."""
+        for entered, returned in self._stops.get(sent.computer, [])[:stops]:
             if sent.entered < entered and not sent.is_stop:
                 return f"was asked for at {sent.entered:.6f} s, before the stop that returned at {returned:.6f} s"
         return None
@@ -358,13 +358,16 @@ class Observed:
             is_given_up = call is not None and call.is_given_up
             permitted = [sent for sent in self._of(here()) if is_permission and sent.grant == whole]
             is_wanted = not permitted or any(not sent.life.is_over for sent in permitted)
+            # A signal handler that stops in the middle of this does not take the text back, which moves nothing
+            # without a permission (urlink.commanding.section).
+            stops = len(self._stops.get(here(), ()))
             send(channel, text, decide)
             if was_begun or not text.is_begun:
                 return
             for sent in self._of(here()):
                 if sent.wrapped.text == whole:
                     sent.asked = self._sim.now
-                    overtaken = self._overtaken(sent)
+                    overtaken = self._overtaken(sent, stops)
                     if overtaken is not None:
                         self._fault(f"{here().name} sent {sent.wrapped.name} ({sent.life.name}), which {overtaken}")
             if channel in self._left:

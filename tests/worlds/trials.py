@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import random
 import threading
 from collections.abc import Awaitable, Callable, Iterator
@@ -91,6 +92,16 @@ class Bench:
             self.check(after - 2e-3 <= took <= after + within, f"{error!r} after {took:.3f} s, promised: {after:.3f} s")
         else:
             self.check(False, f"nothing was raised; expected {' or '.join(kind.__name__ for kind in kinds)}")
+
+    @contextlib.contextmanager
+    def quiet(self) -> Iterator[None]:
+        """What is logged in the block is expected."""
+        before = logging.root.manager.disable
+        logging.disable(logging.CRITICAL)
+        try:
+            yield
+        finally:
+            logging.disable(before)
 
     def thread(self, call: Callable[[], object]) -> threading.Thread:
         """Call something in another thread."""

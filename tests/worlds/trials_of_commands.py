@@ -366,8 +366,13 @@ def registers(bench: Bench) -> None:
     holders = other.rtde.who_holds()
     held = {name for name in holders if name.startswith("input_int_register")}
     bench.check(held == {f"input_int_register_{number}"} or len(held) > 1, f"held are {sorted(holders)}")
-    bench.reset()
-    time.sleep(1.5)
+    if chance.random() < 0.5:
+        bench.reset()
+        time.sleep(1.5)
+    else:
+        with bench.silence(), bench.raises(LinkError, within=6.0):
+            robot.registers.write_integer(24 + (number - 23) % 24, 1)
+        time.sleep(3.0)
     robot.registers.write_integer(number, 7)
     time.sleep(0.1)
     bench.check(banks.inputs.integers[number] == 7, "nothing is written after the connection was lost")
@@ -525,3 +530,76 @@ def gripper(bench: Bench) -> None:
     time.sleep(0.3)
     gripper.open()
     bench.check(gripper.position() < 10, f"open() leaves it at {gripper.position()}")
+
+
+@trial
+def a_slow_network(bench: Bench) -> None:
+    """Texts that leave in parts arrive whole, whoever sends meanwhile; what does not leave in time fails."""
+    route = bench.sim.network.route(bench.here, bench.there)
+    before, signals = route.bandwidth, bench.controller.signals
+    signals.digital_outputs = 0
+    filler = "  # " + 200 * "x" + "\n"
+    size = bench.chance.choice((200, 600, 1500))
+    source = "def p():\n" + size * filler + "  set_digital_out(1, True)\nend\n"
+    bench.robot.safety.wait_until_clear(2.0)
+    route.bandwidth = 1e5 + 1e6 * bench.chance.random()
+    outcomes = [
+        bench.ended(lambda: bench.robot.script.run(source, wait=20.0)),
+        bench.ended(lambda: time.sleep(0.01) or bench.robot.script.run("sec s():\n set_flag(5, True)\nend", wait=20.0)),
+        bench.ended(lambda: time.sleep(0.02) or bench.robot.script.send_line("set_digital_out(3, True)")),
+    ]
+    for thread, _ in outcomes:
+        bench.joined(thread, 30.0)
+    route.bandwidth = before
+    time.sleep(1.0)
+    for number, (_, outcome) in enumerate(outcomes):
+        is_refused = outcome and isinstance(outcome[0], LinkError)
+        done = (signals.digital_outputs >> 1 & 1, bench.controller.flags[5], signals.digital_outputs >> 3 & 1)[number]
+        bench.check(is_refused or bool(done), f"text {number} was sent and is not carried out: {outcome}")
+        bench.check(outcome and outcome[-1] > 0.0, f"text {number}: {outcome}")
+    bench.check(bench.controller.counters.refused_programs == 0, "the controller has refused a text")
+
+
+@trial
+def a_held_process(bench: Bench) -> None:
+    """A process that was held up does not command on states of the past: what came meanwhile counts first."""
+    robot, chance = bench.robot, bench.chance
+    robot.motion.move_joints(_READY, wait=True)
+    how = chance.choice(("stop that is over", "stop that holds", "nothing"))
+    at, seconds = bench.now + 0.3, 0.6 + chance.random()
+    led = chance.choice((None, "jog", "servo"))
+    bench.sim.at(at, bench.here.suspend)
+    if how != "nothing":
+        bench.sim.at(at + 0.1, bench.controller.faults.protective_stop)
+    if how == "stop that is over":
+        bench.sim.at(at + 0.3, bench.controller.faults.clear)
+    bench.sim.at(at + seconds, bench.here.resume)
+    outcome: LinkError | None = None
+    try:
+        if led == "jog":
+            with robot.motion.jog("joints", timeout=0.4) as jog:
+                while bench.now < at + seconds + 0.3:
+                    jog.move([0.1, 0, 0, 0, 0, 0])
+                    time.sleep(0.02)
+        elif led == "servo":
+            with robot.motion.servo(watchdog=0.2) as servo:
+                q = robot.realtime.wait(2.0).q_target
+                while bench.now < at + seconds + 0.3:
+                    servo.send(q)
+                    time.sleep(0.01)
+        else:
+            while bench.now < at + 1e-3:
+                time.sleep(0.0002)
+            robot.motion.move_joints(_READY + 0.1, wait=10.0)
+    except LinkError as error:
+        outcome = error
+    if how == "stop that holds":
+        bench.check(outcome is not None, f"{led}: a stop that holds is not told")
+        bench.check(not bench.controller.is_running_program or led is not None, "a program was begun in a stop")
+        bench.controller.faults.clear()
+    elif how == "nothing" and led is None:
+        bench.check(outcome is None, f"a motion after a pause failed: {outcome!r}")
+    robot.safety.wait_until_clear(10.0)
+    time.sleep(1.0)
+    bench.check(np.abs(robot.realtime.wait(2.0).qd_actual).max() < 0.02, "the arm moves")
+    robot.motion.move_joints(_READY, wait=True)

@@ -692,3 +692,114 @@ def a_lost_program(bench: Bench) -> None:
     robot.safety.wait_until_clear(5.0)
     bench.check(_rests(bench), "it moves after the block")
     robot.motion.move_joints(q, wait=10.0)
+
+
+@trial
+def watchdogs(bench: Bench) -> None:
+    """The robot brakes by itself when no message comes within the watchdog: while this process is held up, too."""
+    robot, chance = bench.robot, bench.chance
+    link = chance.choice(("reverse", "rtde")) if bench.controller.firmware.major >= 3 else "reverse"
+    watchdog = 0.15 + 0.2 * chance.random()
+    kind = chance.choice(("servo", "filter", "jog", "held", "follow"))
+    seconds = watchdog + 2.5
+    speeds: list[float] = []
+
+    def look() -> None:
+        speeds.append(max(map(abs, bench.controller.arm.setpoint.qd)))
+
+    def hold() -> None:
+        at = bench.now
+        bench.sim.at(at + 0.3, look)
+        bench.sim.at(at + 0.3, bench.here.suspend)
+        bench.sim.at(at + 0.3 + (0.5 if kind == "held" else watchdog) + 1.2, look)
+        bench.sim.at(at + 0.3 + seconds, bench.here.resume)
+
+    q = robot.realtime.wait(2.0).q_target
+    with contextlib.suppress(LinkError):
+        if kind == "held":
+            motion = robot.motion.speed_joints([0.1, 0, 0, 0, 0, 0], duration=8.0, link=link)
+            hold()
+            time.sleep(seconds + 0.5)
+            motion.cancel()
+        elif kind == "jog":
+            with robot.motion.jog("joints", timeout=9.0, watchdog=watchdog, link=link) as jog:
+                jog.move([0.1, 0, 0, 0, 0, 0])
+                hold()
+                time.sleep(seconds + 0.5)
+        elif kind == "follow":
+            path = _paths(q, 6.0, 0.5)
+            motion = robot.motion.follow(path, watchdog=watchdog, link=link)
+            hold()
+            time.sleep(seconds + 0.5)
+            motion.cancel()
+        else:
+            target = "jerk_limited" if kind == "filter" else None
+            with (
+                robot.motion.servo(target_filter=target, watchdog=watchdog, speed=0.1, link=link)
+                if target
+                else (robot.motion.servo(watchdog=watchdog, link=link)) as servo
+            ):
+                hold()
+                begun = bench.now
+                if target:
+                    servo.send(q + 1.0)
+                while bench.now < begun + seconds + 0.5:
+                    if target is None:
+                        servo.send(q + 0.1 * (bench.now - begun))
+                    robot.realtime.wait(2.0)
+    bench.check(len(speeds) == 2, f"{speeds}")
+    bench.check(
+        speeds[-1] < 0.02, f"{kind}: it moves at {speeds[-1]:.3f} rad/s long after its watchdog of {watchdog:.2f} s"
+    )
+    time.sleep(1.0)
+    robot.safety.wait_until_clear(10.0)
+    bench.check(_rests(bench), "it moves after the block")
+    robot.motion.move_joints(q, wait=True)
+
+
+@trial
+def changes_of_a_stream(bench: Bench) -> None:
+    """Whatever is appended, replaced, cleared or paused: the arm ends at the last point, the clock never goes back."""
+    robot, chance = bench.robot, bench.chance
+    link = chance.choice(("reverse", "rtde")) if bench.controller.firmware.major >= 3 else "reverse"
+    q = robot.realtime.wait(2.0).q_target
+    with robot.motion.stream(buffer=chance.uniform(0.2, 0.8), link=link) as stream:
+        last, clock = None, 0.0
+        for _ in range(6):
+            what = chance.choice(("append", "append", "replace", "clear", "pause", "slow", "rest"))
+            far = np.array([0.04 * chance.uniform(-1, 1) for _ in range(6)])
+            if what == "append" or last is None:
+                last = q + far
+                begin = max(stream.end, stream.time) + 0.3
+                points = [urlink.TrajectoryPoint(last, begin + 0.6, [0.0] * 6)]
+                if chance.random() < 0.5:
+                    points.insert(0, urlink.TrajectoryPoint(q + far / 2, begin + 0.2, [0.0] * 6))
+                stream.append(points, wait=chance.choice((False, 5.0)))
+            elif what == "replace":
+                since = stream.time + chance.uniform(0.2, 0.5)
+                with contextlib.suppress(BadValue):
+                    stream.replace(since, [urlink.TrajectoryPoint(q + far, since + 1.0, [0.0] * 6)])
+                    last = q + far
+                    bench.check(stream.end >= since, f"replaced from {since}, and it ends at {stream.end}")
+            elif what == "clear":
+                stream.clear()
+                stream.wait_until_dry(5.0)
+                last = robot.realtime.wait(2.0).q_target
+            elif what == "pause":
+                bench.call(bench.controller.pendant.pause)
+                time.sleep(0.4)
+                bench.call(bench.controller.pendant.play)
+            elif what == "slow":
+                robot.set_speed_slider(chance.choice((0.5, 1.0)))
+            time.sleep(chance.uniform(0.0, 0.6))
+            now = stream.time
+            bench.check(now >= clock - 1e-6, f"the clock of the stream goes back from {clock:.3f} to {now:.3f}")
+            clock = now
+        stream.wait_until_dry(15.0)
+        time.sleep(0.1)
+        state = robot.realtime.wait(2.0)
+        bench.check(
+            np.allclose(state.q_target, last, atol=0.005), f"it ends {state.q_target - last} from the last point"
+        )
+        bench.check(stream.is_dry and _rests(bench), "it is not dry")
+    robot.set_speed_slider(1.0)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 import urlink
+from linkcore import clock
 from linkcore.errors import BadValue, Closed, LinkError, LinkTimeout, RemoteError
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState, Traffic
 from urlink.packets import RobotState
@@ -327,8 +328,6 @@ def ports(bench: Bench) -> None:
 @trial
 def two_clocks(bench: Bench) -> None:
     """`Robot.clock` translates the controller's time into this computer's, within its bound."""
-    from linkcore import clock
-
     bench.robot.realtime.wait(2.0)
     time.sleep(1.5)
     relation = bench.robot.clock
@@ -465,3 +464,100 @@ def a_closed_robot(bench: Bench) -> None:
         with bench.raises(LinkError, within=0.5):
             use()
     other.close()
+
+
+@trial
+def closing_a_callback(bench: Bench) -> None:
+    """`Subscription.close` waits `timeout` seconds for a callback that is running; in the callback it does not."""
+    state: dict[str, Any] = {"running": False, "calls": 0}
+
+    def slow(_: Any) -> None:
+        state["running"], state["calls"] = True, state["calls"] + 1
+        time.sleep(0.3)
+        state["running"] = False
+
+    inline = bench.chance.random() < 0.5
+    subscription = bench.robot.realtime.subscribe(slow, inline=inline)
+    time.sleep(0.1)
+    begun = bench.now
+    if bench.chance.random() < 0.5:
+        subscription.close(1.0)
+        bench.check(not state["running"], "close returns while the callback is running")
+    else:
+        subscription.close(0.05)
+        bench.check(bench.now - begun < 0.05 + NEAR, f"close(0.05) took {bench.now - begun:.2f} s")
+    calls = state["calls"]
+    time.sleep(0.5)
+    bench.check(state["calls"] == calls, "the callback is called after close")
+    bench.robot.realtime.wait(5.0)
+    made: list[Any] = []
+
+    def once(_: Any) -> None:
+        made.append(bench.now)
+        kept[0].close()
+
+    kept = [bench.robot.realtime.subscribe(once, inline=inline)]
+    bench.robot.realtime.wait(5.0)
+    time.sleep(0.3)
+    bench.check(
+        len(made) == 1 or (inline and not made), f"a callback that closes its subscription was called {len(made)} times"
+    )
+
+    def wrong(_: Any) -> None:
+        raise SystemExit("planted")
+
+    bench.robot.realtime.wait(5.0)
+    with bench.quiet(), bench.robot.realtime.subscribe(wrong, inline=inline) as failing:
+        time.sleep(0.2)
+        # The controller drops a connection that an inline callback has not read for too long.
+        bench.check(failing.stats.raised > 10 or inline, f"{failing.stats}")
+        bench.check(failing.stats.delivered == 0, f"{failing.stats}")
+
+
+@trial
+def a_reboot(bench: Bench) -> None:
+    """After a reboot of the controller streams go on, its clock is another one, and it is asked again who it is."""
+    bench.robot.realtime.wait(2.0)
+    time.sleep(1.0)
+    relation = bench.robot.clock
+    before = relation.restarts
+    bench.controller.faults.reboot(downtime=0.5 + bench.chance.random())
+    time.sleep(4.0)
+    state = bench.robot.realtime.wait(5.0)
+    time.sleep(1.0)
+    state = bench.robot.realtime.wait(5.0)
+    late = clock.now() - relation.to_local(state.time)
+    bench.check(-2e-3 - bench.cycle <= late <= NEAR, f"a state that has just come is {late:.4f} s old")
+    bench.check(relation.restarts == before + 1, f"{relation.restarts - before} restarts are counted")
+    bench.check(bench.robot.firmware == bench.controller.firmware, f"{bench.robot.firmware}")
+    bench.check(bench.robot.realtime.stats.reconnects == 1, f"{bench.robot.realtime.stats.reconnects} reconnects")
+
+
+@trial
+def counters(bench: Bench) -> None:
+    """Counters only grow, over connections and lost boundaries, and what they say of a stream is so."""
+    stream, period = _stream(bench)
+    name = "realtime" if period < 0.05 else "primary"
+    stream.wait(2.0)
+    growing = ("received", "decoded", "failed", "bytes", "skipped", "resyncs", "reconnects", "gaps")
+    looks: list[Any] = []
+    for step in range(4):
+        if step == 1:
+            bench.controller.faults.garbage(40 + int(100 * bench.chance.random()), name)
+        if step == 2:
+            bench.reset()
+        time.sleep(1.6)
+        stream.wait(3.0)
+        looks.append(stream.stats)
+    for one, other in itertools.pairwise(looks):
+        less = [field for field in growing if getattr(other, field) < getattr(one, field)]
+        bench.check(not less, f"{less} became less: {one}, {other}")
+    first, last = looks[0], looks[-1]
+    bench.check(first.skipped == 0 and first.reconnects == 0, f"{first}")
+    bench.check(last.reconnects >= 1, f"{last}")
+    bench.check(
+        looks[1].skipped > 0 or looks[1].failed > 0 or looks[1].reconnects > 0, f"garbage is not counted: {looks[1]}"
+    )
+    for each in (first, last):
+        bench.check(abs(each.rate - 1.0 / period) < 0.5 / period, f"{1.0 / period} packets a second: {each}")
+    bench.check(last.received == last.decoded + last.failed, f"{last}")
