@@ -73,7 +73,7 @@ def a_slow_callback(bench: Bench) -> None:
     bench.check(len(kept) >= 1 and len(kept) <= limit, f"{len(kept)} states were kept by {policy}")
     left_out = round(first / bench.cycle) - 1
     bench.check(
-        abs(stats.dropped - left_out) <= NEAR / bench.cycle,
+        abs(stats.dropped - left_out) <= 2 * NEAR / bench.cycle,
         f"{left_out} states were left out, and {stats.dropped} are counted",
     )
     bench.check(stats.offered == stats.delivered + stats.dropped + stats.waiting, f"{stats}")
