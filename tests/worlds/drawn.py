@@ -63,8 +63,8 @@ def tried(seed: int) -> World:
     """A world with one or two trials, in each of which nobody else does anything."""
     chance = random.Random(f"tried {seed}")
     kind = chance.choice(("trials",) * 5 + ("trials in tasks",) * 2 + ("mobile trials",) * 2)
-    menu = {"trials": TRIALS, "trials in tasks": AWAITED, "mobile trials": MOBILE_TRIALS}[kind]
-    names = chance.sample(sorted(menu), chance.choice((1, 2)))
+    menus = {"trials": [*TRIALS], "trials in tasks": [*AWAITED], "mobile trials": [*MOBILE_TRIALS]}
+    names = chance.sample(sorted(menus[kind]), chance.choice((1, 2)))
     asks = tuple(Ask(name, "wait", 0.0, chance.random(), 0.0) for name in names)
     start = chance.choice(("register",) * 6 + ("flags",))
     client = Client(asks, chance.uniform(-1e-4, 1e-4), kind, "never", start)

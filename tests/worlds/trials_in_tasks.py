@@ -6,6 +6,7 @@ import asyncio
 import gc
 import inspect
 import threading
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -322,18 +323,18 @@ async def blocks(bench: Bench) -> None:
     robot, chance = bench.robot, bench.chance
     q = (await robot.realtime.wait(2.0)).q_target
     kind = chance.choice(("servo", "jog", "stream", "force", "freedrive"))
-    make = {
+    makes: dict[str, Callable[[], Any]] = {
         "servo": lambda: robot.motion.servo(watchdog=0.3),
         "jog": lambda: robot.motion.jog("base", timeout=1.0),
         "stream": lambda: robot.motion.stream(buffer=0.4),
         "force": lambda: robot.motion.force_mode("base", [0, 0, 1, 0, 0, 0], [0.0] * 6, [0.05] * 6),
         "freedrive": lambda: robot.freedrive(),
-    }[kind]
+    }
     how = chance.choice(("end", "raise", "cancel"))
     kept: list[Any] = []
 
     async def use() -> None:
-        async with make() as block:
+        async with makes[kind]() as block:
             kept.append(block)
             if kind == "servo":
                 for step in range(int(0.3 / bench.cycle)):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -64,9 +65,12 @@ def outputs(bench: Bench) -> None:
     volts = bench.chance.choice((0, 12, 24))
     io.set_tool_voltage(volts)
     bench.check(signals.tool_output_voltage == volts == io.tool_voltage, f"{volts} V: {io.tool_voltage}")
-    for wrong in (lambda: io.set_digital_out(8, True), lambda: io.set_analog_out(2, 0.5), lambda: io.digital_in(-1)):
-        with bench.raises(BadValue):
-            wrong()
+    with bench.raises(BadValue):
+        io.set_digital_out(8, True)
+    with bench.raises(BadValue):
+        io.set_analog_out(2, 0.5)
+    with bench.raises(BadValue):
+        io.digital_in(-1)
     if other is not None:
         other.close()
 
@@ -77,7 +81,7 @@ def unconfirmed(bench: Bench) -> None:
     io, robot = bench.robot.io, bench.robot
     io.set_digital_out(0, False)
     seconds = 0.2 + 0.3 * bench.chance.random()
-    calls = {
+    calls: dict[str, Callable[[float | None], object]] = {
         "digital": lambda confirm: io.set_digital_out(0, True, confirm=confirm),
         "analog": lambda confirm: io.set_analog_out(1, 0.7, confirm=confirm),
         "slider": lambda confirm: robot.set_speed_slider(0.6, confirm=confirm),
@@ -127,7 +131,7 @@ def settings(bench: Bench) -> None:
 @trial
 def policies(bench: Bench) -> None:
     """With "on_startup" motions are let through after `enable` once, with "always" again after every stop."""
-    policy = bench.chance.choice(("on_startup", "always"))
+    policy: Any = bench.chance.choice(("on_startup", "always"))
     with urlink.connect(bench.host, timeout=3.0, require_enable=policy) as robot:
         safety = robot.safety
         goal = _READY + 0.1
@@ -183,7 +187,12 @@ def stops(bench: Bench) -> None:
     motion = robot.motion.move_joints(_READY + 0.3, speed=0.1)
     time.sleep(0.2)
     thread, outcome = bench.ended(lambda: robot.safety.wait_for_stop(5.0))
-    clear, cleared = bench.ended(lambda: (time.sleep(0.5), robot.safety.wait_until_clear(5.0)))
+
+    def wait_until_clear() -> None:
+        time.sleep(0.5)
+        robot.safety.wait_until_clear(5.0)
+
+    clear, cleared = bench.ended(wait_until_clear)
     time.sleep(0.1)
     kind = bench.chance.choice(("protective_stop", "emergency_stop", "safeguard_stop"))
     at = bench.now
@@ -543,11 +552,15 @@ def a_slow_network(bench: Bench) -> None:
     source = "def p():\n" + size * filler + "  set_digital_out(1, True)\nend\n"
     bench.robot.safety.wait_until_clear(2.0)
     route.bandwidth = 1e5 + 1e6 * bench.chance.random()
-    outcomes = [
-        bench.ended(lambda: bench.robot.script.run(source, wait=20.0)),
-        bench.ended(lambda: time.sleep(0.01) or bench.robot.script.run("sec s():\n set_flag(5, True)\nend", wait=20.0)),
-        bench.ended(lambda: time.sleep(0.02) or bench.robot.script.send_line("set_digital_out(3, True)")),
-    ]
+    outcomes = []
+    script = bench.robot.script
+    for send in (
+        lambda: script.run(source, wait=20.0),
+        lambda: script.run("sec s():\n set_flag(5, True)\nend", wait=20.0),
+        lambda: script.send_line("set_digital_out(3, True)"),
+    ):
+        outcomes.append(bench.ended(send))
+        time.sleep(0.01)
     for thread, _ in outcomes:
         bench.joined(thread, 30.0)
     route.bandwidth = before

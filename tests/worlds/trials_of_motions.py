@@ -6,7 +6,7 @@ import contextlib
 import itertools
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,8 @@ _RESTS = 1.0
 
 
 def _goal(bench: Bench, far: float = 0.2) -> np.ndarray:
-    return bench.robot.realtime.wait(2.0).q_target + np.array([bench.chance.uniform(-far, far) for _ in range(6)])
+    goal: np.ndarray = bench.robot.realtime.wait(2.0).q_target + [bench.chance.uniform(-far, far) for _ in range(6)]
+    return goal
 
 
 def _rests(bench: Bench, robot: Any = None) -> bool:
@@ -64,17 +65,17 @@ def a_move(bench: Bench) -> None:
     to[1] += 0.06
     ways = [urlink.Joint(goal - 0.05), urlink.Joint(goal, blend=0.0)]
     name = chance.choice(("move_joints", "move_linear", "move_circular", "path", "timed", "taught"))
-    begin = {
+    begins: dict[str, Callable[[], Any]] = {
         "move_joints": lambda: robot.motion.move_joints(goal, speed=0.5),
         "timed": lambda: robot.motion.move_joints(goal, time=1.2),
         "move_linear": lambda: robot.motion.move_linear(pose, speed=0.1),
         "move_circular": lambda: robot.motion.move_circular(via, to, speed=0.1),
         "path": lambda: robot.motion.path(ways, joint_speed=0.5),
         "taught": lambda: Taught([TaughtPoint(q, state.tool_vector_actual) for q in (goal - 0.05, goal)]).play(robot),
-    }[name]
+    }
     done: list[Any] = []
     begun = bench.now
-    handle = begin()
+    handle = begins[name]()
     bench.check(handle.name and not handle.done and handle.error is None, f"{handle.name}, {handle.error}")
     bench.check(robot.motion.current is handle, f"the current motion is {robot.motion.current}")
     handle.add_done_callback(done.append)
@@ -565,9 +566,12 @@ def a_group(bench: Bench) -> None:
         goals = [robot.realtime.wait(2.0).q_target + chance.uniform(0.1, 0.2) for robot in both.robots]
         moves: list[list[float]] = [[], []]
         for robot, seen in zip(both.robots, moves, strict=True):
-            robot.realtime.subscribe(
-                lambda state, seen=seen: np.abs(state.qd_target).max() > 1e-3 and seen.append(bench.now), inline=True
-            )
+
+            def note(state: Any, seen: list[float] = seen) -> None:
+                if np.abs(state.qd_target).max() > 1e-3:
+                    seen.append(bench.now)
+
+            robot.realtime.subscribe(note, inline=True)
         begun = bench.now
         motion = both.move_joints(goals, time=1.0)
         motion.wait(8.0)
@@ -666,7 +670,7 @@ def a_lost_program(bench: Bench) -> None:
             block = stack.enter_context(robot.motion.jog("joints", timeout=5.0, link=link))
             block.move([0.1] * 6)
         elif kind == "stream":
-            block = stack.enter_context(robot.motion.stream(buffer=0.5, link=link))
+            block = stack.enter_context(robot.motion.stream(buffer=0.5, watchdog=0.3, link=link))
             block.append([urlink.TrajectoryPoint(q + 0.1, block.end + 3.0, [0.0] * 6)], wait=False)
         elif kind == "force":
             block = stack.enter_context(
@@ -764,7 +768,8 @@ def changes_of_a_stream(bench: Bench) -> None:
     link = chance.choice(("reverse", "rtde")) if bench.controller.firmware.major >= 3 else "reverse"
     q = robot.realtime.wait(2.0).q_target
     with robot.motion.stream(buffer=chance.uniform(0.2, 0.8), link=link) as stream:
-        last, clock = None, 0.0
+        last: Any = None
+        clock = 0.0
         for _ in range(6):
             what = chance.choice(("append", "append", "replace", "clear", "pause", "slow", "rest"))
             far = np.array([0.04 * chance.uniform(-1, 1) for _ in range(6)])
