@@ -21,6 +21,7 @@ from linkcore.errors import LinkError, LinkTimeout, RemoteError
 from linkcore.event_loop import within
 from linkcore.handle import Event as LifeEvent
 from linkcore.handle import Handle
+from linkcore.pending_call import current_call
 from linkcore.simulated import Computer, Deadlock, Simulation, TimeLimit, simulated_time
 from urlink.aio import awaited
 from urlink.compat.rtde_control import RTDEControlInterface
@@ -421,17 +422,19 @@ class Run:
             return contextlib.nullcontext()
         chance = random.Random(f"signal {ask.size}")
         name = chance.choice(("interrupt", "interrupt", "stop", "cancel", "close"))
-        # Before its first few lines a call has not been entered, so a stop by the handler does not overtake it.
         lines = int(math.exp(chance.uniform(math.log(12.0), math.log(4000.0))))
 
         def handler() -> None:
             self.watch.note(f"a signal comes, whose handler does: {name}")
             if name == "interrupt":
                 raise KeyboardInterrupt
+            # A stop overtakes no call that has not been entered: the robot may still be making its parts.
+            is_entered = current_call() is not None
             with contextlib.suppress(LinkError), self.watch.observed.calling(f"{name} in a handler") as entered:
                 if name == "stop":
                     robot.motion.stop()
-                    self.watch.observed.has_stopped(entered)
+                    if is_entered:
+                        self.watch.observed.has_stopped(entered)
                 elif name == "close":
                     robot.close()
                 else:
