@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import functools
+import gc
 import inspect
 import itertools
 import logging
@@ -879,4 +880,6 @@ def run(world: World) -> Outcome:
     finally:
         threading.excepthook = hook
         root.removeHandler(errors)
+    if any(event.what in ("kill_client", "power_client") for event in world.events):
+        gc.collect()  # what a killed client has left is not to be found in another world
     return outcome
