@@ -648,6 +648,7 @@ def _stream_of_both(bench: Bench, both: urlink.Group, starts: list[Any]) -> None
         else:
             stream.clear()
             stream.wait_until_dry(5.0)
+        time.sleep(0.1)
         bench.check(all(_rests(bench, robot) for robot in both.robots), "one moves when it is dry")
         stream.append(points(0.1, stream.end + 2.0), wait=False)
         time.sleep(0.5)
