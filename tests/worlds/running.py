@@ -880,6 +880,6 @@ def run(world: World) -> Outcome:
     finally:
         threading.excepthook = hook
         root.removeHandler(errors)
-    if any(event.what in ("kill_client", "power_client") for event in world.events):
-        gc.collect()  # what a killed client has left is not to be found in another world
+    if world.events:
+        gc.collect()  # what a client has left that was killed or held is not to be found in another world
     return outcome
