@@ -20,7 +20,7 @@ from types import FrameType, FunctionType
 from typing import Any
 
 from linkcore import clock
-from linkcore.attributes import StrictAttributes
+from linkcore.names import StrictAttributes
 from linkcore.simulated.scheduler import current
 
 from .guarded import is_held

@@ -428,7 +428,7 @@ async def commands(bench: Bench) -> None:
 @awaited
 async def statements(bench: Bench) -> None:
     """Statements are executed in order; one whose task was cancelled before it was sent is not."""
-    from urlink.firmware import Firmware
+    from urlink.protocol.firmware import Firmware
 
     if bench.controller.firmware < Firmware.parse("5.10"):
         return

@@ -305,7 +305,7 @@ def scripts(bench: Bench) -> None:
 @trial
 def interpreter(bench: Bench) -> None:
     """Statements are executed in order and numbered; what is skipped or aborted is not executed."""
-    from urlink.firmware import Firmware
+    from urlink.protocol.firmware import Firmware
 
     if bench.controller.firmware < Firmware.parse("5.10"):
         with bench.raises(LinkError), bench.robot.interpreter():

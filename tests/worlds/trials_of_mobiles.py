@@ -16,9 +16,9 @@ import numpy as np
 import rhdlink
 from linkcore.errors import BadValue, Cancelled, Closed, LinkError
 from linkcore.handle import Phase
-from rhdlink.plugins.turtle import SmrTurtle, Turtle
-from rhdlink.scene import Scene, Tape
-from rhdlink.world import World, save
+from rhdlink.host.plugins.turtle import SmrTurtle, Turtle
+from rhdlink.host.scene import Scene, Tape
+from rhdlink.host.world import World, save
 
 from .trials import NEAR, Bench, mobile
 

@@ -15,9 +15,9 @@ import numpy as np
 import urlink
 from linkcore.errors import BadValue, Cancelled, LinkError, LinkTimeout, LocalError
 from linkcore.handle import Phase
+from urlink.arm.poses import rotvec_to_matrix
 from urlink.errors import NoContact, ToleranceExceeded
 from urlink.motion.teaching import Taught, TaughtPoint
-from urlink.poses import rotvec_to_matrix
 from urlink.simulator import Controller
 
 from .trials import Bench, trial
