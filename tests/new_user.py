@@ -50,7 +50,7 @@ TASKS = (
     Task("set an output and the payload", "settings", "Outputs, payload, tool, slider, popup"),
     Task("run a URScript program", "settings", "Your own URScript"),
     Task("follow a trajectory", "trajectories", "Follow it"),
-    Task("close a loop", "servo", "Closed loops"),
+    Task("close a loop", "servo", "Servo loops (servoj)"),
     Task("append points while it moves", "streams", "Points"),
     Task("press with a force", "force", "Press"),
     Task("teach points by hand", "force", "Teach"),
