@@ -54,7 +54,7 @@ TASKS = (
     Task("append points while it moves", "streams", "Points"),
     Task("press with a force", "force", "Press"),
     Task("teach points by hand", "force", "Teach"),
-    Task("go on after a protective stop", "safety", "How to go on"),
+    Task("go on after a protective stop", "safety", "Recover step by step"),
     Task("read variables by RTDE", "rtde", "Read variables"),
     Task("exchange numbers with a program", "rtde", "Registers"),
     Task("record and replay", "recording", "Replay"),
