@@ -49,7 +49,7 @@ TASKS = (
     Task("await a motion in asyncio", "moving", "Await a motion with asyncio"),
     Task("set an output and the payload", "settings", "Set outputs, payload, TCP, speed slider and popups"),
     Task("run a URScript program", "settings", "Run your own URScript"),
-    Task("follow a trajectory", "trajectories", "Follow it"),
+    Task("follow a trajectory", "trajectories", "Trajectories"),
     Task("close a loop", "servo", "Servo loops (servoj)"),
     Task("append points while it moves", "streams", "Points"),
     Task("press with a force", "force", "Press"),
