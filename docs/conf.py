@@ -12,7 +12,7 @@ sys.path.insert(0, str(Path(__file__).parent / "_extensions"))
 project = "urlink"
 author = "The urlink maintainers"
 copyright = "The urlink maintainers"
-release = version = installed_version("urlink")
+release = version = installed_version("urlink-robot")
 
 extensions = [
     "myst_parser",

@@ -38,6 +38,8 @@ MIDDLEWARES = {
 PUBLIC = {
     # The one clock, so that ages and deadlines of an adapter agree with those of the library.
     "linkcore.clock",
+    # Imported before urlink, to warn of another distribution of that name.
+    "linkcore.distribution",
     "urlink.arm.kinematics",
     "urlink.arm.mjcf",
     "urlink.arm.models",

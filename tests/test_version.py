@@ -1,26 +1,32 @@
-"""The version of a checkout, of a clone without tags, and of what was packed."""
+"""The version of the distribution: from the newest tag, in a clone without tags, without git, and in an sdist."""
 
 from __future__ import annotations
 
-import importlib.util
+import shutil
 import subprocess
-from collections.abc import Callable
+import sys
 from pathlib import Path
 
 import pytest
 
-SCRIPT = Path(__file__).resolve().parents[1] / "version.py"
+pytest.importorskip("hatch_vcs", reason="hatch-vcs is not installed; the dependency group `tests` has it")
+
+pytestmark = [pytest.mark.slow, pytest.mark.real_time]
+
+PYPROJECT = Path(__file__).resolve().parents[1] / "pyproject.toml"
 
 
 @pytest.fixture
-def version() -> Callable[[Path], str]:
-    spec = importlib.util.spec_from_file_location("version", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    found: Callable[[Path], str] = module.version
-    return found
+def checkout(tmp_path: Path) -> Path:
+    """A folder with the project's settings, which git does not know yet."""
+    shutil.copy(PYPROJECT, tmp_path)
+    return tmp_path
+
+
+def version(folder: Path) -> str:
+    """The version that a build in a folder has."""
+    command = [sys.executable, "-m", "hatchling", "version"]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True).stdout.split()[-1]
 
 
 def git(folder: Path, *arguments: str) -> str:
@@ -29,19 +35,45 @@ def git(folder: Path, *arguments: str) -> str:
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True).stdout.strip()
 
 
-@pytest.mark.real_time
-def test_the_version_is_that_of_the_newest_tag(version: Callable[[Path], str], tmp_path: Path) -> None:
-    assert version(tmp_path) == "0.1.0.dev0"  # a folder that is no checkout
-    git(tmp_path, "init", "-q")
-    assert version(tmp_path) == "0.1.0.dev0"  # without a commit
-    git(tmp_path, "commit", "-q", "--allow-empty", "-m", "one")
-    assert version(tmp_path) == f"0.1.0.dev1+g{git(tmp_path, 'rev-parse', '--short', 'HEAD')}"
-    git(tmp_path, "tag", "v1.9.2")
-    git(tmp_path, "tag", "another")
-    assert version(tmp_path) == "1.9.2"
-    git(tmp_path, "commit", "-q", "--allow-empty", "-m", "two")
-    assert version(tmp_path) == f"1.9.3.dev1+g{git(tmp_path, 'rev-parse', '--short', 'HEAD')}"
-    (tmp_path / "folder").mkdir()
-    assert version(tmp_path / "folder") == "0.1.0.dev0"  # in a checkout, and none itself
-    (tmp_path / "PKG-INFO").write_text("Metadata-Version: 2.4\nName: urlink\nVersion: 7.8.9\n", encoding="utf-8")
-    assert version(tmp_path) == "7.8.9"
+def commit(folder: Path) -> str:
+    """Commit the whole folder; returns the commit as the version names it."""
+    git(folder, "add", "-A")
+    git(folder, "commit", "-q", "--allow-empty", "-m", "a change")
+    return "g" + git(folder, "rev-parse", "--short=9", "HEAD")
+
+
+def test_version_is_that_of_the_newest_tag(checkout: Path) -> None:
+    git(checkout, "init", "-q")
+    commit(checkout)
+    git(checkout, "tag", "v1.9.2")
+    git(checkout, "tag", "another")
+    assert version(checkout) == "1.9.2"
+    head = commit(checkout)
+    assert version(checkout) == f"1.9.3.dev1+{head}"
+
+
+def test_version_counts_commits_when_no_tag_exists(checkout: Path) -> None:
+    git(checkout, "init", "-q")
+    head = commit(checkout)
+    assert version(checkout) == f"0.1.dev1+{head}"
+
+
+def test_version_is_the_fallback_without_git(checkout: Path) -> None:
+    assert version(checkout) == "0.1.dev0"
+
+
+def test_version_is_the_fallback_in_a_folder_of_another_checkout(checkout: Path) -> None:
+    """The tags of a repository that this project was copied into are not its own."""
+    git(checkout, "init", "-q")
+    inner = checkout / "inner"
+    inner.mkdir()
+    shutil.copy(PYPROJECT, inner)
+    commit(checkout)
+    git(checkout, "tag", "v7.0.0")
+    assert version(inner) == "0.1.dev0"
+
+
+def test_version_is_that_of_the_sdist(checkout: Path) -> None:
+    metadata = "Metadata-Version: 2.4\nName: urlink-robot\nVersion: 7.8.9\n"
+    (checkout / "PKG-INFO").write_text(metadata, encoding="utf-8")
+    assert version(checkout) == "7.8.9"

@@ -15,6 +15,8 @@ from importlib import import_module
 from types import FunctionType
 from typing import TYPE_CHECKING, Any, NoReturn, cast
 
+from .distribution import NAME
+
 #: Package -> its module with the names of other libraries. It has `own_name(name)`, which returns None or the own name.
 _foreign_names: dict[str, str] = {}
 
@@ -104,7 +106,7 @@ def needs(extra: str, purpose: str) -> Iterator[None]:
         package = error.name or extra
         from .errors import LocalError  # a package is imported without it
 
-        raise LocalError(f"{purpose} needs {package}, which is not installed: pip install 'urlink[{extra}]'") from error
+        raise LocalError(f"{purpose} needs {package}, which is not installed: pip install '{NAME}[{extra}]'") from error
 
 
 #: argument here -> what other libraries call it

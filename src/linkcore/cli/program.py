@@ -17,6 +17,7 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib import import_module
 
+from .. import distribution
 from ..errors import LinkError
 from ..text import printable, similar
 from .options import Subcommand, argument, command, common_options, completed_words
@@ -24,8 +25,6 @@ from .terminal import Interrupted, raise_on_sigterm
 
 #: An option of every command.
 _COMMON = re.compile("-[qv]+|--quiet|--verbose")
-#: The distribution of all packages.
-_DISTRIBUTION = "urlink"
 
 
 def program(
@@ -115,7 +114,7 @@ class _Version(argparse.Action):
         import importlib.metadata
 
         try:
-            version = importlib.metadata.version(_DISTRIBUTION)
+            version = importlib.metadata.version(distribution.NAME)
         except importlib.metadata.PackageNotFoundError:
             version = "(not installed)"
         print(parser.prog, version)

@@ -119,7 +119,7 @@ def drawing(
         try:
             import rich  # noqa: F401
         except ImportError:
-            tell("plain lines, since rich is not installed; pip install 'urlink[cli]' adds it")
+            tell("plain lines, since rich is not installed; pip install 'urlink-robot[cli]' adds it")
             is_drawn = False
     if not is_drawn:
         yield lambda value: print(line(value), flush=True), 1.0

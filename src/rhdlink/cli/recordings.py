@@ -216,7 +216,7 @@ def _export(args: argparse.Namespace) -> int:
 
     A column for each variable, as 32-bit words, and a row or message for each batch that the robot sent. A file of
     that name is replaced once the new one is complete. .parquet, .mat, .h5 and .mcap need the extra of the same name:
-    pip install 'urlink[parquet]', or 'urlink[data]' for all.
+    pip install 'urlink-robot[parquet]', or 'urlink-robot[data]' for all.
 
     examples:
       rhdlink export drive.urlog drive.csv encl encr

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from linkcore import clock
+from linkcore import clock, distribution
 from linkcore.errors import BadValue, LinkError
 from linkcore.net.listener import local_address
 
@@ -138,7 +138,7 @@ def _run_stage(number: int, begin: Callable[[], None], refused: str, book: Logbo
 
 def _about(book: Logbook) -> None:
     try:
-        version = importlib.metadata.version("urlink")
+        version = importlib.metadata.version(distribution.NAME)
     except importlib.metadata.PackageNotFoundError:
         version = "not installed"
     book.note(

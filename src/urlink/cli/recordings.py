@@ -56,7 +56,7 @@ def _record(args: argparse.Namespace) -> int:
     Ctrl-C, SIGTERM, --duration and --count end the recording properly. After a crash the file can still be read
     up to the crash. Play it with `urlink replay`, look into it with `urlink dissect`, or use it as an address:
     replay:///path/to/file. A file that ends in .mcap gets messages of ROS 2 instead, for Foxglove and ros2 bag,
-    which cannot be replayed (pip install 'urlink[mcap]').
+    which cannot be replayed (pip install 'urlink-robot[mcap]').
 
     examples:
       urlink record 192.168.56.101 run.urlog
@@ -169,7 +169,7 @@ def _export(args: argparse.Namespace) -> int:
     Without fields everything is written; into .csv and .parquet, which hold one table, everything of the first
     stream that was recorded. Fields are named as `urlink echo` names them: q_actual, joint_data.T_motor,
     rtde.actual_q. A file of that name is replaced once the new one is complete. .parquet, .mat, .h5 and .mcap need the
-    extra of the same name: pip install 'urlink[mcap]', or 'urlink[data]' for all.
+    extra of the same name: pip install 'urlink-robot[mcap]', or 'urlink-robot[data]' for all.
 
     examples:
       urlink export run.urlog run.csv q_actual tcp_force
@@ -194,7 +194,7 @@ def _plot(args: argparse.Namespace) -> int:
     """Draw fields of a recording over time, a panel for each: in a window, or into a .png, .svg or .pdf.
 
     Fields are named as `urlink export` names them: q_actual, joint_data.T_motor, rtde.actual_q. It needs the extra
-    plot: pip install 'urlink[plot]'.
+    plot: pip install 'urlink-robot[plot]'.
 
     examples:
       urlink plot run.urlog q_actual tcp_force

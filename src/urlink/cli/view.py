@@ -48,7 +48,7 @@ def _foxglove(args: argparse.Namespace) -> int:
     of /realtime and a log panel.
 
     The topics are those of `urlink export run.mcap`; the arm is drawn from cylinders, and moves as the real one.
-    The robot is only read. It needs the extra foxglove: pip install 'urlink[foxglove]'.
+    The robot is only read. It needs the extra foxglove: pip install 'urlink-robot[foxglove]'.
 
     examples:
       urlink foxglove 192.168.56.101
@@ -110,7 +110,7 @@ def _view(args: argparse.Namespace) -> int:
     internet.
 
     The robot is only read. With --jog THE ARM MOVES while a button of the page is held: a box has to be ticked
-    before, which ends the program that runs. It needs the extra view: pip install 'urlink[view]'.
+    before, which ends the program that runs. It needs the extra view: pip install 'urlink-robot[view]'.
 
     examples:
       urlink view 192.168.56.101

@@ -441,7 +441,7 @@ def test_plain_lines_on_a_terminal(address: str) -> None:
 def test_without_rich_lines_and_a_hint(address: str) -> None:
     status, written = on_terminal("monitor", "-q", address, "--duration", "0.2", code="sys.modules['rich'] = None")
     assert status == 0
-    assert "pip install 'urlink[cli]'" in written
+    assert "pip install 'urlink-robot[cli]'" in written
     assert "CONNECTED | " in written
     assert "\x1b" not in written
 

@@ -455,5 +455,5 @@ def test_a_picture(monkeypatch: pytest.MonkeyPatch) -> None:
     assert [line.get_ydata()[1] for line in rows[0].lines[6:]] == [0.3] * 6  # type: ignore[index]
     assert [len(row.lines) for row in path.plot().axes] == [12, 6, 6]
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with pytest.raises(LocalError, match=r"pip install 'urlink\[plot\]'"):
+    with pytest.raises(LocalError, match=r"pip install 'urlink-robot\[plot\]'"):
         path.plot()

@@ -125,4 +125,4 @@ def test_the_command(capsys: pytest.CaptureFixture[str]) -> None:
 def test_without_the_extra(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "foxglove", None)
     assert urlink.cli.main(["foxglove", "sim://"]) == 1
-    assert "pip install 'urlink[foxglove]'" in capsys.readouterr().err
+    assert "pip install 'urlink-robot[foxglove]'" in capsys.readouterr().err

@@ -87,7 +87,7 @@ def test_without_the_extra_nothing_is_left(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setitem(sys.modules, "mcap.writer", None)
     with (
         urlink.connect(f"replay://{CAPTURE}?rate=max") as robot,
-        pytest.raises(urlink.LocalError, match=r"pip install 'urlink\[mcap\]'"),
+        pytest.raises(urlink.LocalError, match=r"pip install 'urlink-robot\[mcap\]'"),
     ):
         robot.record(tmp_path / "run.mcap")
     assert list(tmp_path.iterdir()) == []

@@ -247,7 +247,7 @@ def test_frames_of_pandas_and_the_error_without_it(monkeypatch: pytest.MonkeyPat
         with monkeypatch.context() as patched:
             patched.setitem(sys.modules, "pandas", None)
             patched.setitem(sys.modules, "polars", None)
-            with pytest.raises(urlink.LocalError, match=rf"needs {extra}.*pip install 'urlink\[{extra}\]'"):
+            with pytest.raises(urlink.LocalError, match=rf"needs {extra}.*pip install 'urlink-robot\[{extra}\]'"):
                 table.to_frame(library=library)
             with pytest.raises(urlink.LocalError, match="is not installed"):
                 table.to_frame()

@@ -106,7 +106,7 @@ def test_what_cannot_be_drawn(run: urlink.Recording, tmp_path: Path, monkeypatch
     with pytest.raises(urlink.BadValue, match="is no number"):
         Plot([Curves("text", "", np.zeros(1), np.array(["a"], object))])
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with pytest.raises(urlink.LocalError, match=r"pip install 'urlink\[plot\]'"):
+    with pytest.raises(urlink.LocalError, match=r"pip install 'urlink-robot\[plot\]'"):
         run.plot("q_actual").figure()
 
 

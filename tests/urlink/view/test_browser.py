@@ -22,7 +22,7 @@ SOON = 120.0
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    pytest.importorskip("viser", reason="needs viser: uv pip install 'urlink[view]'")
+    pytest.importorskip("viser", reason="needs viser: uv pip install 'urlink-robot[view]'")
     webdriver = pytest.importorskip("selenium.webdriver", reason="needs selenium: uv pip install selenium")
     if DRIVER is None:
         pytest.skip("needs chromedriver, of the system's package chromium-driver")

@@ -23,7 +23,7 @@ from urlink.view.bodies import Bodies
 from urlink.view.page import Page
 from urlink.view.windows import SPAN, LiveWindow, RecordedWindow, Window
 
-WHY = "needs viser: uv pip install 'urlink[view]'"
+WHY = "needs viser: uv pip install 'urlink-robot[view]'"
 NO_MESH = "<visual><geometry><mesh filename='no.stl'/></geometry></visual>"
 Q = np.array([0.3, -1.1, 1.4, -0.7, 0.9, 2.0])
 

@@ -16,6 +16,9 @@ topic                 what it is
 
 from __future__ import annotations
 
+# Before urlink, so that a warning about another distribution of that name comes before an import fails.
+import linkcore.distribution  # noqa: F401
+
 from .server import Broker, Server
 
 __all__ = ["Broker", "Server"]

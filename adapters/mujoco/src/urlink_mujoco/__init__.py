@@ -11,6 +11,9 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING
 
+# Before urlink, so that a warning about another distribution of that name comes before an import fails.
+import linkcore.distribution  # noqa: F401
+
 from .arms import MountedArm
 from .world import MujocoWorld
 

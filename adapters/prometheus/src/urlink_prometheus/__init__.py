@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+# Before urlink, so that a warning about another distribution of that name comes before an import fails.
+import linkcore.distribution  # noqa: F401
+
 from .metrics import RobotCollector
 from .server import serve_metrics
 

@@ -5,6 +5,9 @@
 
 from __future__ import annotations
 
+# Before urlink, so that a warning about another distribution of that name comes before an import fails.
+import linkcore.distribution  # noqa: F401
+
 from .node import JOINT_NAMES, RobotNode, serve
 
 __all__ = ["JOINT_NAMES", "RobotNode", "serve"]

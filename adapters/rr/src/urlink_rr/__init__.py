@@ -6,6 +6,9 @@ mobile robot that runs RHD as wires.
 
 from __future__ import annotations
 
+# Before urlink, so that a warning about another distribution of that name comes before an import fails.
+import linkcore.distribution  # noqa: F401
+
 from .node import open_node, register, serve
 from .rhd import RhdService, register_rhd
 from .service import RobotService

@@ -7,6 +7,9 @@ reconnecting, liveliness, the newest value for those who come late.
 
 from __future__ import annotations
 
+# Before urlink, so that a warning about another distribution of that name comes before an import fails.
+import linkcore.distribution  # noqa: F401
+
 from .client import RemoteRobot, Sample, Watch, robots
 from .collector import Collector
 from .server import Server

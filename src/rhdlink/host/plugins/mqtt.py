@@ -6,8 +6,8 @@ after 2 s without one the robot stops. What stands beyond that in `ROBOBOT`, the
 and the units of values, is a guess, and marked as one. That is why it is a table, which a user can edit
 (`read_topics`).
 
-It needs paho-mqtt (``pip install urlink[mqtt]``), which is imported when a plugin begins. paho has a thread of its own
-for each connection; what it calls here only puts payloads into a dictionary.
+It needs paho-mqtt (``pip install urlink-robot[mqtt]``), which is imported when a plugin begins. paho has a thread of
+its own for each connection; what it calls here only puts payloads into a dictionary.
 """
 
 from __future__ import annotations
@@ -184,7 +184,7 @@ class _Broker:
             from paho.mqtt.client import Client
             from paho.mqtt.enums import CallbackAPIVersion
         except ImportError as error:
-            raise LocalError("MQTT needs paho-mqtt (pip install urlink[mqtt])") from error
+            raise LocalError("MQTT needs paho-mqtt (pip install urlink-robot[mqtt])") from error
         client = Client(CallbackAPIVersion.VERSION2)
         client.connect_timeout = _CONNECT_TIMEOUT
         client.on_connect = self._on_connect

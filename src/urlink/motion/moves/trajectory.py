@@ -381,7 +381,7 @@ class Trajectory(StrictAttributes):
             model: its limits of speed and acceleration are drawn as well; None for none.
 
         Raises:
-            LocalError: matplotlib is not installed (``pip install 'urlink[plot]'``).
+            LocalError: matplotlib is not installed (``pip install 'urlink-robot[plot]'``).
         """
         return plot(self.time, self.q, self.at, model)
 

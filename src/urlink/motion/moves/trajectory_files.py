@@ -123,7 +123,7 @@ def plot(
     try:
         from matplotlib.figure import Figure
     except ImportError:
-        raise LocalError("a plot needs matplotlib: pip install 'urlink[plot]'") from None
+        raise LocalError("a plot needs matplotlib: pip install 'urlink-robot[plot]'") from None
     figure = Figure(figsize=(8.0, 6.0), layout="constrained")
     rows = figure.subplots(3, 1, sharex=True)
     duration = float(time[-1])

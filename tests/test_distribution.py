@@ -1,0 +1,166 @@
+"""The distribution is called urlink-robot; urlink, the name of its package, is another project on PyPI."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import textwrap
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+#: Folders that are not part of the repository.
+_SKIPPED = {"_build", "build", "dist", "node_modules", "__pycache__"}
+_SUFFIXES = {
+    "",
+    ".cff",
+    ".cfg",
+    ".ipynb",
+    ".json",
+    ".md",
+    ".py",
+    ".rst",
+    ".sh",
+    ".toml",
+    ".txt",
+    ".xml",
+    ".yaml",
+    ".yml",
+}
+
+#: What names urlink as a distribution, in any file.
+_WRONG = re.compile(
+    r"""
+    \binstall\s+(?:[^\s`&;|]+\s+)*['"]?urlink(?![\w./-])                  # pip install urlink
+    | (?<![\w.-])urlink\\?\[[a-z{]                                       # urlink[plot]
+    | \b(?:version|distribution|metadata|requires|files)\(["']urlink["']  # importlib.metadata
+    """,
+    re.VERBOSE,
+)
+
+
+def texts() -> Iterator[Path]:
+    """Every text file of the repository."""
+    for folder, folders, names in os.walk(ROOT):
+        folders[:] = [
+            each for each in folders if each not in _SKIPPED and (each[0] != "." or each in (".ci", ".github"))
+        ]
+        yield from (Path(folder, name) for name in names if Path(name).suffix in _SUFFIXES)
+
+
+def wrong_lines(text: str) -> list[int]:
+    """The numbers of the lines that use urlink as the name of a distribution."""
+    return [number for number, line in enumerate(text.splitlines(), 1) if _WRONG.search(line)]
+
+
+def test_no_file_calls_the_distribution_urlink() -> None:
+    found = [
+        f"{path.relative_to(ROOT)}:{number}"
+        for path in texts()
+        if path != Path(__file__).resolve()
+        for number in wrong_lines(path.read_text(encoding="utf-8", errors="replace"))
+    ]
+    assert not found, "'urlink' on PyPI is another project; write 'urlink-robot' in " + ", ".join(found)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "pip install urlink",
+        "pip install 'urlink[plot]'",
+        "`pip install -U urlink`, then",
+        "uv pip install rich urlink==1.0.2",
+        'match=r"urlink\\[mcap\\]"',
+        'f"{package}: urlink[{extra}]"',
+        'version("urlink")',
+    ],
+)
+def test_wrong_lines_finds_the_distribution_urlink(line: str) -> None:
+    assert wrong_lines(line) == [1]
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "pip install 'urlink-robot[plot]'",
+        "pip install urlink-mqtt && urlink serve mqtt",
+        "pip install -q '.[cli]' && .venv/bin/urlink monitor sim://",
+        "import urlink",
+        "pip install urlink_robot-0.1.0-py3-none-any.whl",
+    ],
+)
+def test_wrong_lines_ignores_the_package_urlink(line: str) -> None:
+    assert wrong_lines(line) == []
+
+
+def test_no_pyproject_requires_urlink() -> None:
+    tomllib = pytest.importorskip("tomllib", reason="Python 3.10 cannot read TOML")
+    found = []
+    for path in texts():
+        if path.name != "pyproject.toml":
+            continue
+        text = path.read_text(encoding="utf-8")
+        project = tomllib.loads(text)["project"]
+        extras = project.get("optional-dependencies", {}).values()
+        required = [*project.get("dependencies", ()), *(each for extra in extras for each in extra)]
+        for requirement in [project["name"], *required]:
+            if re.match(r"urlink(?![\w.-])", requirement):
+                line = next(n for n, each in enumerate(text.splitlines(), 1) if f'"{requirement}"' in each)
+                found.append(f"{path.relative_to(ROOT)}:{line}")
+    assert not found, "'urlink' on PyPI is another project; write 'urlink-robot' in " + ", ".join(found)
+
+
+@pytest.fixture
+def other(tmp_path: Path) -> Path:
+    """A folder in which the files of urlink 1.0.2 of PyPI are installed, as pip leaves them."""
+    site = tmp_path / "site"
+    metadata = site / "urlink-1.0.2.dist-info"
+    metadata.mkdir(parents=True)
+    (metadata / "METADATA").write_text("Metadata-Version: 2.4\nName: urlink\nVersion: 1.0.2\n", encoding="utf-8")
+    owned = ["tests/__init__.py", "urlink/__init__.py", "urlink/client.py", "urlink-1.0.2.dist-info/METADATA"]
+    (metadata / "RECORD").write_text("".join(f"{each},,\n" for each in owned), encoding="utf-8")
+    (site / "urlink").mkdir()
+    (site / "urlink" / "__init__.py").write_text('__version__ = "1.0.2"\n', encoding="utf-8")
+    return site
+
+
+def run(program: str, *first: Path) -> subprocess.CompletedProcess[str]:
+    path = os.pathsep.join(map(str, [*first, ROOT / "src", *ROOT.glob("*/mqtt/src")]))
+    return subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(program)],
+        env={**os.environ, "PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+    )
+
+
+@pytest.mark.real_time
+@pytest.mark.parametrize("module", ["rhdlink", "linkcore.clock", "urlink_mqtt"])
+def test_import_warns_when_another_urlink_shadows_it(other: Path, module: str) -> None:
+    done = run(f"import {module}", other)
+    assert "the distribution 'urlink' 1.0.2 is installed" in done.stderr
+    assert "'import urlink' finds another project's" in done.stderr
+    assert "pip uninstall -y urlink" in done.stderr
+    # The packages need urlink, so their import fails after the warning; rhdlink does not.
+    assert (done.returncode != 0) == (module == "urlink_mqtt"), done.stderr
+
+
+@pytest.mark.real_time
+def test_import_warns_when_another_urlink_is_shadowed(other: Path) -> None:
+    done = run(f"import sys; sys.path.append({str(other)!r}); import urlink; urlink.BadValue")
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.count("the distribution 'urlink' 1.0.2 is installed") == 1
+    assert "'import urlink' finds that of urlink-robot" in done.stderr
+
+
+@pytest.mark.real_time
+def test_import_is_silent_when_the_distribution_has_no_package(other: Path) -> None:
+    """As a checkout that was installed when the distribution of this project was called urlink."""
+    (other / "urlink-1.0.2.dist-info" / "RECORD").write_text("_editable_impl_urlink.pth,,\n", encoding="utf-8")
+    done = run(f"import sys; sys.path.append({str(other)!r}); import rhdlink, urlink")
+    assert (done.returncode, done.stderr) == (0, "")
