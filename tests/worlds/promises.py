@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from linkcore.simulated import Simulation
+from urlink.motion.links.register_link import RegisterLink
+from urlink.motion.links.reverse import ReverseLink
 from urlink.motion.servo.jog import Jog
 from urlink.motion.servo.linked_program import LinkedProgram
-from urlink.motion.servo.register_link import RegisterLink
-from urlink.motion.servo.reverse import ReverseLink
 from urlink.simulator import Controller
 
 from .acting import direction

@@ -25,6 +25,7 @@ from ..script import commands
 from ..script import force_control as yielding
 from ..script.wrapping import HAS_REGISTERS
 from .context import MotionContext
+from .links.register_link import RegisterPort
 from .moves.path import PathMotion, Rates, Waypoint, plan, shown_tcp
 from .moves.speed_limit import check_joint_speeds, largest_speeds
 from .moves.trajectory import Trajectory
@@ -36,7 +37,6 @@ from .servo.impedance_parameters import Softness
 from .servo.jerk_limited import joint_limits
 from .servo.jog import UNLED, FrameName, HeldSpeed, Jog
 from .servo.linked_program import Link, LinkedProgram
-from .servo.register_link import RegisterPort
 from .servo.servo import Servo
 from .servo.setpoints import Servoing
 from .servo.waypoints import WaypointServer

@@ -224,7 +224,7 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "how far the lines of the file are indented is for the eye: what is read from it is the same",
     ),
     Equivalent(
-        "urlink/motion/servo/register_link.py",
+        "urlink/motion/links/register_link.py",
         "_random_token",
         "1",
         "2",

@@ -24,7 +24,7 @@ from tests.worlds.guarded import is_held
 from urlink.aio.awaited import AwaitedRtde
 from urlink.command.interlock import Interlock
 from urlink.command.safety_monitor import _Listening
-from urlink.motion.servo.reverse import ReverseLink, ReversePort
+from urlink.motion.links.reverse import ReverseLink, ReversePort
 from urlink.protocol.rtde.packets import StartReply
 from urlink.protocol.rtde.protocol import Requests
 from urlink.protocol.rtde.recipes import Outputs
