@@ -496,7 +496,7 @@ class Programs:
 
     def _may_stop_kept(self) -> bool:
         """It is there, no stop holds, and no other was sent, which would be stopped instead of it."""
-        return self._kept is not None and self._newest() is None and self._monitor.refusal(is_stop=True) is None
+        return self._kept is not None and self._newest() is None and self._monitor.refusal_to_stop() is None
 
     def _check_time(self) -> None:
         now = self._clock()
@@ -569,7 +569,7 @@ class Programs:
             run.on_finish()
         elif (newest := self._newest()) is not None and newest is not run and not run.wrapped.is_secondary:
             run.life.cancel(f"preempted by {newest.life.name}")
-        elif (stop := self._monitor.refusal(is_stop=True)) is not None:
+        elif (stop := self._monitor.refusal_to_stop()) is not None:
             run.life.fail(stop)
         else:
             # The report of the stop may follow.
