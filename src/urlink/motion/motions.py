@@ -40,6 +40,7 @@ from .servo.register_link import RegisterPort
 from .servo.servo import Servo
 from .servo.setpoints import Servoing
 from .servo.waypoints import WaypointServer
+from .slider import SliderEffect, slider
 from .stream.point_stream import PointStream
 
 #: The smallest value of what must be positive; and an hour: a longer duration is a mistake.
@@ -57,6 +58,8 @@ TargetFilterName = Literal["jerk_limited"]
 LinkName = Literal["reverse", "rtde"]
 
 
+# A motion that is one short program has no class of its own.
+@slider(move_joints=SliderEffect.SCALED)
 class Motions(StrictAttributes):
     """Moves the arm. Each method begins a motion and returns its handle; it waits for the arm only if it is asked to.
 

@@ -21,6 +21,7 @@ from ...errors import ToleranceExceeded
 from ...protocol.realtime.packets import RealtimeState
 from ...script.links import Writer
 from ..moves.trajectory import Trajectory
+from ..slider import SliderEffect, slider
 from .setpoints import LinkDialogue
 
 #: Cycles from a state to the one in which its set-point takes effect: it is sent within the next cycle, and the program
@@ -118,6 +119,7 @@ class Rest:
         return is_standing
 
 
+@slider(follow=SliderEffect.SCALED)
 class Following(LinkDialogue):
     """A trajectory that is being followed: the base of the two dialogues that do it.
 

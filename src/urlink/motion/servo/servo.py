@@ -19,6 +19,7 @@ from ..context import MotionContext
 from ..moves.path import Joint, Linear, Waypoint, check_joint_positions, shown_tcp
 from ..moves.speed_limit import LONGEST_PERIOD, SpeedLimit
 from ..moves.trajectory import LEAP
+from ..slider import SliderEffect, slider_by_use
 from .block_motion import LinkedBlock
 from .following import AHEAD
 from .jerk_limited import JointLimit
@@ -100,6 +101,14 @@ class _Leading(LinkDialogue):
             self.here, self.begins_anew = state.q_target.tolist(), self.has_begun
 
 
+@slider_by_use(
+    {
+        "servo, a loop by the controller's clock": SliderEffect.KEPT_UNTIL_0,
+        "servo, a loop by servo.scaling": SliderEffect.SCALED,
+        "servo, target filter": SliderEffect.SCALED,
+        "servo, schedule": SliderEffect.KEPT_UNTIL_0,
+    }
+)
 class Servo(LinkedBlock):
     """Sends the set-points of a loop; made by `robot.motion.servo`, and open within a ``with`` block.
 
