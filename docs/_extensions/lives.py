@@ -1,4 +1,4 @@
-"""The directive `life`: the table of transitions of a connection or of a handle, as it stands in the code."""
+"""The directive `life`: a table of transitions as it is in the code: of a connection, for example."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from sphinx.util.docutils import SphinxDirective
 
 from linkcore import handle
 from linkcore.streaming import connection_life
+from urlink.command import given_up
 
 _NONE = "-"
 
@@ -26,7 +27,7 @@ class LifeDirective(SphinxDirective):
     required_arguments = 1
 
     def run(self) -> list[nodes.Node]:
-        """The life of a `connection` or of a `handle`."""
+        """The life of a `connection`, of a `handle`, or of the program that was `given_up`."""
         after: dict[tuple[Any, Any], str]
         before: dict[Any, str] = {}
         all_phases: type[Enum]
@@ -43,8 +44,12 @@ class LifeDirective(SphinxDirective):
             all_phases, events = handle.Phase, handle.Event
             after = {key: phase.value for key, phase in handle.TRANSITIONS.items()}
             before = {event: earlier.value for event, earlier in handle.AFTER.items()}
+        elif self.arguments[0] == "given_up":
+            module = given_up
+            all_phases, events = given_up.GivenUpPhase, given_up.GivenUpEvent
+            after = {key: phase.value for key, phase in given_up.TRANSITIONS.items()}
         else:
-            raise self.error(f"there is no life of {self.arguments[0]}; expected connection or handle")
+            raise self.error(f"there is no life of {self.arguments[0]}; expected connection, handle or given_up")
         self.env.note_dependency(str(Path(module.__file__)))
         phases = [phase for phase in all_phases if any(key[0] is phase for key in after)]
         needs = ("only after",) if before else ()
