@@ -14,8 +14,16 @@ from sphinx.util.docutils import SphinxDirective
 from linkcore import handle
 from linkcore.streaming import connection_life
 from urlink.command import given_up
+from urlink.motion.stream import feed_life
 
 _NONE = "-"
+#: name -> the module with its TRANSITIONS, its phases, and its events
+_LIVES: dict[str, tuple[Any, type[Enum], type[Enum]]] = {
+    "connection": (connection_life, connection_life.ConnectionPhase, connection_life.LifeEvent),
+    "handle": (handle, handle.Phase, handle.Event),
+    "given_up": (given_up, given_up.GivenUpPhase, given_up.GivenUpEvent),
+    "stream": (feed_life, feed_life.FeedPhase, feed_life.FeedEvent),
+}
 
 
 class LifeDirective(SphinxDirective):
@@ -27,29 +35,16 @@ class LifeDirective(SphinxDirective):
     required_arguments = 1
 
     def run(self) -> list[nodes.Node]:
-        """The life of a `connection`, of a `handle`, or of the program that was `given_up`."""
-        after: dict[tuple[Any, Any], str]
-        before: dict[Any, str] = {}
-        all_phases: type[Enum]
-        events: type[Enum]
-        if self.arguments[0] == "connection":
-            module: Any = connection_life
-            all_phases, events = connection_life.ConnectionPhase, connection_life.LifeEvent
-            after = {
-                key: phase.value + (f" ({told.name})" if told else "")
-                for key, (phase, told) in connection_life.TRANSITIONS.items()
-            }
-        elif self.arguments[0] == "handle":
-            module = handle
-            all_phases, events = handle.Phase, handle.Event
-            after = {key: phase.value for key, phase in handle.TRANSITIONS.items()}
-            before = {event: earlier.value for event, earlier in handle.AFTER.items()}
-        elif self.arguments[0] == "given_up":
-            module = given_up
-            all_phases, events = given_up.GivenUpPhase, given_up.GivenUpEvent
-            after = {key: phase.value for key, phase in given_up.TRANSITIONS.items()}
-        else:
-            raise self.error(f"there is no life of {self.arguments[0]}; expected connection, handle or given_up")
+        """The table of the life that is named."""
+        after: dict[tuple[Any, Any], str] = {}
+        name = self.arguments[0]
+        if name not in _LIVES:
+            raise self.error(f"there is no life of {name}; expected {', '.join(_LIVES)}")
+        module, all_phases, events = _LIVES[name]
+        for key, effect in module.TRANSITIONS.items():
+            phase, told = effect if isinstance(effect, tuple) else (effect, None)
+            after[key] = phase.value + (f" ({told.name})" if told else "")
+        before = {event: earlier.value for event, earlier in getattr(module, "AFTER", {}).items()}
         self.env.note_dependency(str(Path(module.__file__)))
         phases = [phase for phase in all_phases if any(key[0] is phase for key in after)]
         needs = ("only after",) if before else ()

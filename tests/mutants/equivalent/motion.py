@@ -331,10 +331,10 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "rounding of the times decides whether they are two cycles apart",
     ),
     Equivalent(
-        "urlink/motion/stream/stream_feed.py",
-        "_next",
-        "abs(self._paces[-1] - self._pace_sent) < _SAME_PACE",
-        "abs(self._paces[-1] - self._pace_sent) <= _SAME_PACE",
+        "urlink/motion/stream/program_pace.py",
+        "has_room_for_a_point",
+        "abs(self._wanted[-1] - self._sent) < _SAME",
+        "abs(self._wanted[-1] - self._sent) <= _SAME",
         LAST,
     ),
     Equivalent(
