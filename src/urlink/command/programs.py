@@ -278,6 +278,8 @@ class Programs:
 
     def _note(self, event: GivenUpEvent, name: str | None = None) -> None:
         """Something has happened to the program that was given up."""
+        if name is None and self._given_up.phase is GivenUpPhase.NONE:
+            return  # the usual case, for each state; it needs no lock
         with self._section.lock:
             self._given_up.fire(event, name)
 
