@@ -18,7 +18,7 @@ from linkcore.pending_call import starts_motion
 from ..arm.bounds import JOINT_ACCELERATION, JOINT_SPEED, TOOL_ACCELERATION, TOOL_SPEED, check_pose, check_speeds
 from ..arm.models import Model
 from ..arm.vectors import FloatArray, Numbers, numbers, six
-from ..command.controller_clock import ProgramClock, ScalingName, end_where_moved
+from ..command.program_time import ProgramTimer, ScalingName, end_where_moved
 from ..protocol.firmware import Firmware
 from ..protocol.realtime.packets import RealtimeState
 from ..script import commands
@@ -362,8 +362,8 @@ class Motions(StrictAttributes):
         if low_bandwidth:
             following: Following = WaypointServer(trajectory, tolerances, firmware, lookahead_time, gain)
         else:
-            clock = ProgramClock(1.0 / firmware.rate, scaling)
-            following = Follower(trajectory, tolerances, servoing, _delay(delay), clock)
+            timer = ProgramTimer(1.0 / firmware.rate, scaling)
+            following = Follower(trajectory, tolerances, servoing, _delay(delay), timer)
         life = context.programs.life("follow")
         motion = Motion(life, lambda: following.progress)
         if feedback is not None:

@@ -637,7 +637,7 @@ def test_where_it_goes_on_with_its_points_the_arm_was_not_led_away() -> None:
     stream = moves(Streamed(E_SERIES))
     before = paused(stream)
     stream.run()
-    assert stream.feed._clock.rate == 0.0
+    assert stream.feed._timer.rate == 0.0
     last = before
     while stream.feed._found is not None:
         last = stream.feed._report.messages

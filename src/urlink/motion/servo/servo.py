@@ -12,7 +12,7 @@ from linkcore.arguments import check_number
 from linkcore.errors import BadValue, LocalError
 
 from ...arm.vectors import JOINTS, Numbers
-from ...command.controller_clock import ProgramClock, reported_scaling
+from ...command.program_time import ProgramTimer, reported_scaling
 from ...protocol.realtime.packets import RealtimeState
 from ...script.text import integer
 from ..context import MotionContext
@@ -70,7 +70,7 @@ class _Leading(LinkDialogue):
         self.watchdog = servoing.watchdog
         #: set once, by any thread
         self.paced = paced
-        self._clock = ProgramClock(1.0 / servoing.firmware.rate)
+        self._timer = ProgramTimer(1.0 / servoing.firmware.rate)
         #: s by which the program is behind the controller's clock, and when that was measured, monotonic s
         self._behind = self._at = 0.0
         #: rad; target positions of the arm before the first message
@@ -80,7 +80,7 @@ class _Leading(LinkDialogue):
         self.begins_anew = False
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
-        passed, scaled = self._clock.passed(state, now)
+        passed, scaled = self._timer.passed(state, now)
         self._behind, self._at = self._behind + passed - scaled, now
         if self.paced is not None:
             return self.paced.answer(state, now)
@@ -91,10 +91,10 @@ class _Leading(LinkDialogue):
 
     def program_time(self, now: float) -> float:
         """Monotonic s of which those are left out in which the program stood still, or its part of them."""
-        return now - self._behind - (1.0 - self._clock.rate) * max(now - self._at, 0.0)
+        return now - self._behind - (1.0 - self._timer.rate) * max(now - self._at, 0.0)
 
     def resume(self, state: RealtimeState) -> None:
-        self._clock.restart()
+        self._timer.restart()
         if self.paced is not None:
             self.paced.resume(state)
         else:

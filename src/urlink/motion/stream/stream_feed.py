@@ -23,7 +23,7 @@ import numpy as np
 
 from linkcore.errors import BadValue, Cancelled
 
-from ...command.controller_clock import ProgramClock
+from ...command.program_time import ProgramTimer
 from ...errors import ToleranceExceeded
 from ...protocol.realtime.packets import RealtimeState
 from ...script.buffering import (
@@ -161,7 +161,7 @@ class StreamFeed(LinkDialogue):
         self.margin = _AHEAD * cycle + _WAY
         self.mark: Mark | None = None
         self.pace: MemberPace | None = None
-        self._clock = ProgramClock(cycle)
+        self._timer = ProgramTimer(cycle)
         self._life = FeedLife()
         self._program_pace = ProgramPace()
         self._begin = Rest("the stream")
@@ -316,7 +316,7 @@ class StreamFeed(LinkDialogue):
     def resume(self, state: RealtimeState) -> None:
         """Go on after a pause: with the points, or where the arm has braked to, if the program finds it elsewhere."""
         with self._section:
-            self._clock.restart()
+            self._timer.restart()
             self._found = self._messages, JointMoment.at_rest(state.q_target)
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
@@ -327,7 +327,7 @@ class StreamFeed(LinkDialogue):
             ToleranceExceeded: no path leads onto the points from where the arm has braked to.
         """
         with self._section:
-            seconds = self._clock.passed(state, now)[1]
+            seconds = self._timer.passed(state, now)[1]
             self._passed += self._program_pace.passed(self._report.phase, seconds)
             self._unseen = seconds if seconds > _GAP * self._cycle else 0.0
             self._messages += 1
@@ -342,7 +342,7 @@ class StreamFeed(LinkDialogue):
                 is_idle = not (self._steps or self._queue or self._life.is_cut)
                 is_answered = (self._messages - self._last_answered) * self._cycle < _UNANSWERED
                 is_led = self._report.phase == MOVING and is_answered
-                rate = self._clock.rate
+                rate = self._timer.rate
                 self._program_pace.want(
                     self.pace.look(state.time, now, self.time, rate, is_led=is_led, is_idle=is_idle)
                 )
