@@ -173,7 +173,7 @@ EQUIVALENT: tuple[Equivalent, ...] = (
     Equivalent(
         "urlink/motion/stream/stream_feed.py",
         "_next",
-        "self._has_sent_pace = False",
+        "self._program_pace.send_point()",
         "after if aim.handed is not None and (not any((each.handed is aim.handed for each in self._queue))):",
         "nothing in between reads it, under the section",
     ),
