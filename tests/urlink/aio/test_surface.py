@@ -15,6 +15,7 @@ import pytest
 
 import urlink
 from linkcore.aio.async_stream import AsyncFeed
+from tests.listed import assert_listed
 from urlink.aio import parts
 from urlink.aio.async_group import AsyncGroup, AsyncGroupStream
 from urlink.aio.awaited import AwaitedPart
@@ -96,7 +97,8 @@ ATTRIBUTES = {
 @pytest.mark.parametrize("path", PAIRS)
 def test_both_have_the_same_names(path: str) -> None:
     blocking, awaited = PAIRS[path]
-    assert surface(awaited) - MORE.get(path, set()) == surface(blocking, ATTRIBUTES.get(path, ()))
+    where = f"{awaited.__qualname__} in src/{awaited.__module__.replace('.', '/')}.py"
+    assert_listed(surface(blocking, ATTRIBUTES.get(path, ())), surface(awaited) - MORE.get(path, set()), where)
 
 
 def methods(path: str) -> list[str]:
