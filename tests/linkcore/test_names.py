@@ -67,9 +67,8 @@ def test_type_checkers_are_told_the_same(package: ModuleType) -> None:
         module = importlib.import_module("." * node.level + (node.module or ""), package.__name__)
         for alias in node.names:
             assert alias.asname == alias.name, "so it is exported"
-            is_module = (
-                importlib.util.find_spec(f"{module.__name__}.{alias.name}") if hasattr(module, "__path__") else None
-            )
+            whole = f"{module.__name__}.{alias.name}"
+            is_module = hasattr(module, "__path__") and importlib.util.find_spec(whole) is not None
             told[alias.name] = importlib.import_module(whole) if is_module else getattr(module, alias.name)
     assert sorted(told) == dir(package)
     for name, value in told.items():

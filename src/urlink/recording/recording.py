@@ -20,7 +20,7 @@ from linkcore.recording.index import RecordIndex
 from linkcore.recording.mcap_file import Topic, write_stretches
 from linkcore.recording.packets import Channel, read_channel
 from linkcore.recording.table import ClockColumn, Table
-from linkcore.recording.table_files import TABLE_WRITERS, chosen, export
+from linkcore.recording.table_files import ONE_TABLE, TABLE_WRITERS, chosen, export
 from linkcore.wire.framing import PacketProtocol
 from linkcore.wire.packet import State
 
@@ -229,8 +229,7 @@ class Recording(StrictAttributes):
             LocalError: the package that writes the format is not installed; the message says how to install it.
         """
         tables = self.tables
-        is_of_one = Path(path).suffix.lower() in (".csv", ".parquet")
-        if fields is None and is_of_one:
+        if fields is None and Path(path).suffix.lower() in ONE_TABLE:
             tables = dict(list(tables.items())[:1])
         writers = {**TABLE_WRITERS, ".mcap": self._write_mcap}
         return export(path, chosen(tables, fields, rate), writers, progress, self._about())
