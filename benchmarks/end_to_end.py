@@ -8,6 +8,7 @@ take turns, so that all meet the same machine. The figures are ratios to the bar
     python benchmarks/end_to_end.py            # 10 s a run
     python benchmarks/end_to_end.py --quick    # 2 s a run
     python benchmarks/end_to_end.py --instructions   # of the processor, a packet, by valgrind
+    python benchmarks/end_to_end.py --instructions --batch 10   # the same when 10 packets arrive at once
 
 Times of one way on a shared machine differ by a fifth from run to run. Of the instructions that the receiver executes
 for a packet, outside of the kernel, those of the bare loop differ by a hundredth and those of an inline callback by
@@ -56,25 +57,31 @@ SIZE = len(PACKET)
 _TIME = struct.Struct(">d")
 
 
-def send(ports: Connection, seconds: float, flood: int) -> None:
-    """Serve one connection: paced packets that carry the moment of sending, or a flood of them."""
+def send(ports: Connection, seconds: float, flood: int, batch: int) -> None:
+    """Serve one connection: paced packets that carry the moment of sending, or a flood of them.
+
+    Paced packets are sent `batch` at a time. Their times are one period apart, as those of a controller whose packets
+    were held up on the way.
+    """
     with socket.create_server(("127.0.0.1", 0)) as server:
         ports.send(server.getsockname()[1])
         connection, _ = server.accept()
         with connection:
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             if flood:
-                batch = PACKET * 64
+                many = PACKET * 64
                 for _ in range(flood // 64):
-                    connection.sendall(batch)
+                    connection.sendall(many)
             else:
                 head, tail = PACKET[:4], PACKET[12:]
                 start = time.monotonic() + 0.2
-                for number in range(int(seconds * RATE)):
+                for number in range(0, int(seconds * RATE), batch):
                     pause = start + number / RATE - time.monotonic()
                     if pause > 0:
                         time.sleep(pause)
-                    connection.sendall(head + _TIME.pack(time.monotonic()) + tail)
+                    now = time.monotonic() if batch == 1 else start + number / RATE
+                    times = (now + each / RATE for each in range(batch))
+                    connection.sendall(b"".join(head + _TIME.pack(each) + tail for each in times))
             connection.shutdown(socket.SHUT_WR)
             with contextlib.suppress(ConnectionResetError):
                 connection.recv(1)  # until the receiver is done
@@ -183,11 +190,11 @@ class Meter:
         return outcome
 
 
-def sending(seconds: float, flood: int) -> tuple[BaseProcess, int]:
+def sending(seconds: float, flood: int, batch: int = 1) -> tuple[BaseProcess, int]:
     """A process that sends, and its port."""
     context = multiprocessing.get_context("spawn")
     here, there = context.Pipe()
-    sender = context.Process(target=send, args=(there, seconds, flood))
+    sender = context.Process(target=send, args=(there, seconds, flood, batch))
     sender.start()
     return sender, here.recv()
 
@@ -237,14 +244,14 @@ def flood(packets: int, rounds: int) -> dict[str, float]:
     return {name: float(np.median(values)) for name, values in figures.items()}
 
 
-def instructions(way: str) -> float:
+def instructions(way: str, batch: int) -> float:
     """Instructions that a receiver executes for one packet: those of a longer run less those of a shorter one."""
-    counts = [_instructions(way, packets) for packets in (1000, 3000)]
+    counts = [_instructions(way, packets, batch) for packets in (1000, 3000)]
     return (counts[1] - counts[0]) / 2000
 
 
-def _instructions(way: str, packets: int) -> int:
-    sender, port = sending(packets / RATE, 0)
+def _instructions(way: str, packets: int, batch: int) -> int:
+    sender, port = sending(packets / RATE, 0, batch)
     # Threads of numpy's own that wait for work turn in a loop, which would count.
     env = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONHASHSEED": "0"}
     receiver = [sys.executable, __file__, "--receive", way, str(port)]
@@ -262,6 +269,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="2 s a run instead of 10 s, and fewer packets")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--instructions", action="store_true", help="count instructions, with valgrind")
+    parser.add_argument("--batch", type=int, default=1, help="packets that arrive at once, for --instructions")
     parser.add_argument("--receive", nargs=2, metavar=("WAY", "PORT"), help="only receive; for valgrind")
     options = parser.parse_args()
     if options.receive:
@@ -272,7 +280,7 @@ def main() -> None:
     if options.instructions:
         if shutil.which("valgrind") is None:
             parser.error("--instructions needs valgrind (apt install valgrind)")
-        found = {way: instructions(way) for way in WAYS}
+        found = {way: instructions(way, options.batch) for way in WAYS}
         for way, count in found.items():
             print(f"{way:12} {count:8.0f} instructions a packet, {count / found['bare']:.2f} of bare")
         return

@@ -16,14 +16,14 @@ from typing import Any
 import urlink
 from linkcore.recording.file import RecordingFile
 from linkcore.wire.packet import State
-from urlink.protocol.firmware import Firmware
+from urlink.protocol.firmware import LAST_CB2, LAST_CB3, NEWEST, Firmware
 from urlink.protocol.primary.protocol import PrimaryProtocol
 from urlink.protocol.realtime.protocol import RealtimeProtocol
 
 FOLDER = Path(__file__).parent
 
-#: One firmware of each generation of layouts.
-FIRMWARE = ("1.8", "3.4", "3.10", "3.15", "5.4", "5.9", "5.11", "5.25")
+#: One firmware of each generation of layouts. The recording of a release that was the newest once stays in the folder.
+FIRMWARE = (str(LAST_CB2), "3.4", "3.10", str(LAST_CB3), "5.4", "5.9", "5.11", str(NEWEST))
 
 
 def packets(path: Path, interface: str) -> list[State]:

@@ -1,4 +1,4 @@
-"""Draw the diagrams of docs/images: data-path.svg, way-out.svg and interlock.svg.
+"""Draw the diagrams of docs/images: data-path, way-out, interlock, start-permission and reverse-link.
 
 The same code gives the same bytes.
 """
@@ -28,6 +28,19 @@ STYLE = f"""
 .blocked {{ stroke: {RED}; stroke-width: 1.6; }}
 .head {{ fill: var(--faint); }}
 """
+
+#: Text hides the lines that it crosses.
+_HALO = "paint-order: stroke; stroke: var(--paper); stroke-width: 4px; stroke-linejoin: round;"
+#: What sequences have in addition.
+SEQUENCE = f"""{STYLE.strip()}
+.life {{ stroke: var(--faint); stroke-width: 1; stroke-dasharray: 1.5 4; }}
+.frame {{ fill: none; stroke: {BLUE}; stroke-width: 1; stroke-dasharray: 6 4; }}
+.said {{ font-size: 12px; {_HALO} }}
+.when {{ font-size: 12px; font-weight: 600; {_HALO} }}
+"""
+
+#: Where the four lifelines of a sequence are.
+YOU, OURS, CONTROLLER, PROGRAM = 80.0, 295.0, 515.0, 715.0
 
 
 def box(kind: str, x: float, y: float, width: float, height: float, name: str, *notes: str) -> list[str]:
@@ -62,6 +75,47 @@ def arrow(*points: tuple[float, float], kind: str = "way") -> list[str]:
 def label(x: float, y: float, text: str, anchor: str = "start") -> list[str]:
     """A few words beside a line."""
     return [f'<text class="label" x="{x:g}" y="{y:g}" text-anchor="{anchor}">{text}</text>']
+
+
+def lifelines(height: float) -> list[str]:
+    """The four that take part in a sequence, and their lines, down to `height`."""
+    heads = (
+        ("yours", YOU, "your program", "on your computer"),
+        ("ours", OURS, "urlink", "the library"),
+        ("robot", CONTROLLER, "controller", "of the robot"),
+        ("robot", PROGRAM, "robot program", "on the controller"),
+    )
+    drawn = []
+    for kind, x, name, note in heads:
+        drawn.append(f'<path class="life" d="M{x:g},56 L{x:g},{height:g}"/>')
+        drawn += box(kind, x - 68, 8, 136, 48, name, note)
+    return drawn
+
+
+def message(y: float, begin: float, end: float, text: str) -> list[str]:
+    """What one of them sends to another one, above its arrow."""
+    middle = (begin + end) / 2
+    return [*_said(middle, y - 6, text, "middle"), *arrow((begin, y), (end, y))]
+
+
+def step(y: float, x: float, *texts: str, is_left: bool = False) -> list[str]:
+    """What one of them does by itself, beside its line."""
+    drawn = [f'<circle class="head" cx="{x:g}" cy="{y - 4:g}" r="3.5"/>']
+    for number, text in enumerate(texts):
+        drawn += _said(x - 9 if is_left else x + 9, y + 15 * number, text, "end" if is_left else "start")
+    return drawn
+
+
+def frame(y: float, height: float, text: str) -> list[str]:
+    """A region across all lines, with its condition at the top left."""
+    return [
+        f'<rect class="frame" x="6" y="{y:g}" width="788" height="{height:g}" rx="6"/>',
+        f'<text class="when" x="14" y="{y + 17:g}">{text}</text>',
+    ]
+
+
+def _said(x: float, y: float, text: str, anchor: str) -> list[str]:
+    return [f'<text class="said" x="{x:g}" y="{y:g}" text-anchor="{anchor}">{text}</text>']
 
 
 def data_path() -> str:
@@ -181,7 +235,76 @@ def interlock() -> str:
     return drawing("interlock", 800, 266, title, STYLE, body)
 
 
-DIAGRAMS = {"data-path": data_path, "way-out": way_out, "interlock": interlock}
+def start_permission() -> str:
+    """How a motion that is one program asks before it moves the arm."""
+    body = [
+        *lifelines(540),
+        *message(88, YOU, OURS, "move_joints(q)"),
+        *step(112, OURS, "asks the interlock"),
+        *message(138, OURS, CONTROLLER, "program text, with its token"),
+        *message(164, OURS, YOU, "handle, in phase SENT"),
+        *message(188, CONTROLLER, PROGRAM, "starts it"),
+        *step(214, PROGRAM, "clears the register, and waits", is_left=True),
+        *message(242, PROGRAM, OURS, "textmsg: started"),
+        *step(268, OURS, "Is the motion still wanted?", "Is the interlock still open?"),
+        *frame(294, 166, "if both are true"),
+        *message(324, OURS, CONTROLLER, "sec that writes the token"),
+        *message(350, CONTROLLER, PROGRAM, "token in the register"),
+        *step(376, PROGRAM, "moves the arm", is_left=True),
+        *message(402, PROGRAM, OURS, "textmsg: finished"),
+        *message(426, CONTROLLER, OURS, "reports that it has ended"),
+        *message(450, OURS, YOU, "handle, in phase DONE"),
+        *frame(470, 64, "otherwise"),
+        *step(497, OURS, "writes no token; the handle ends with an error"),
+        *step(522, PROGRAM, "ends after start_timeout (5 s), and has not moved the arm", is_left=True),
+    ]
+    title = (
+        "The start permission: the program reports that it has started, and moves the arm only after urlink has "
+        "written its token"
+    )
+    return drawing("start-permission", 800, 546, title, SEQUENCE, body)
+
+
+def reverse_link() -> str:
+    """How a motion over the reverse link begins, goes on and ends."""
+    body = [
+        *lifelines(620),
+        *message(88, YOU, OURS, "follow(trajectory)"),
+        *step(112, OURS, "asks the interlock, opens a port"),
+        *message(138, OURS, CONTROLLER, "program with port and token"),
+        *message(164, OURS, YOU, "handle, in phase SENT"),
+        *message(188, CONTROLLER, PROGRAM, "starts it"),
+        *message(214, PROGRAM, OURS, "connects to the port, and sends the token"),
+        *step(240, OURS, "accepts no other connection"),
+        *frame(256, 134, "for each cycle of the controller"),
+        *message(290, CONTROLLER, OURS, "real-time state of cycle n"),
+        *step(314, OURS, "asks the interlock"),
+        *message(342, OURS, PROGRAM, "set-point for cycle n + 2, with the date n"),
+        *step(368, PROGRAM, "discards it if it is too old; otherwise calls servoj", is_left=True),
+        *frame(400, 136, "at the end of the trajectory"),
+        *message(428, OURS, PROGRAM, "STOP"),
+        *step(452, PROGRAM, "brakes, and ends", is_left=True),
+        *message(478, PROGRAM, OURS, "textmsg: finished"),
+        *message(502, CONTROLLER, OURS, "reports that it has ended"),
+        *message(526, OURS, YOU, "handle, in phase DONE"),
+        *frame(546, 68, "if no message comes for 0.1 s (watchdog)"),
+        *step(580, PROGRAM, "brakes and ends; textmsg: nothing to go to", is_left=True),
+        *message(604, OURS, YOU, "handle fails: ConnectionLost"),
+    ]
+    title = (
+        "A motion over the reverse link: the program connects back, obeys a set-point for each cycle, and brakes by "
+        "itself if none comes"
+    )
+    return drawing("reverse-link", 800, 626, title, SEQUENCE, body)
+
+
+DIAGRAMS = {
+    "data-path": data_path,
+    "way-out": way_out,
+    "interlock": interlock,
+    "start-permission": start_permission,
+    "reverse-link": reverse_link,
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

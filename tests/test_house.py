@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.listed import assert_listed
+
 SRC = Path(__file__).resolve().parents[1] / "src"
 
 #: The only modules that may import `socket`.
@@ -167,7 +169,8 @@ def test_sockets_are_where_it_is_declared() -> None:
 
 
 def test_asyncio_is_where_something_can_be_awaited() -> None:
-    assert {module for module in MODULES if "asyncio" in imports(module)} == AWAITED
+    found = {module for module in MODULES if "asyncio" in imports(module)}
+    assert_listed(found, AWAITED, "AWAITED in tests/test_house.py")
 
 
 _OF_THREADS = {"Thread", "Timer", "ThreadPoolExecutor", "start_new_thread"}
@@ -215,13 +218,14 @@ def test_whatever_way_a_thread_is_made_is_seen(text: str, starts: bool) -> None:
 
 def test_threads_are_started_where_it_is_declared() -> None:
     found = {module for module in MODULES if starts_threads(source(module))}
-    assert found == THREADS
+    assert_listed(found, THREADS, "THREADS in tests/test_house.py")
 
 
 def test_what_is_declared_is_there() -> None:
     """A rule about a module that is gone protects nothing."""
     assert MODULES.keys() >= SOCKETS | THREADS
-    assert {module for module in MODULES if "socket" in imports(module)} == SOCKETS
+    found = {module for module in MODULES if "socket" in imports(module)}
+    assert_listed(found, SOCKETS, "SOCKETS in tests/test_house.py")
 
 
 #: What to use instead of each function of the standard library that reads a monotonic clock, or sleeps.

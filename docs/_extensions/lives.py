@@ -1,4 +1,4 @@
-"""The directive `life`: the table of transitions of a connection or of a handle, as it stands in the code."""
+"""The directive `life`: a table of transitions as it is in the code: of a connection, for example."""
 
 from __future__ import annotations
 
@@ -13,8 +13,17 @@ from sphinx.util.docutils import SphinxDirective
 
 from linkcore import handle
 from linkcore.streaming import connection_life
+from urlink.command import given_up
+from urlink.motion.stream import feed_life
 
 _NONE = "-"
+#: name -> the module with its TRANSITIONS, its phases, and its events
+_LIVES: dict[str, tuple[Any, type[Enum], type[Enum]]] = {
+    "connection": (connection_life, connection_life.ConnectionPhase, connection_life.LifeEvent),
+    "handle": (handle, handle.Phase, handle.Event),
+    "given_up": (given_up, given_up.GivenUpPhase, given_up.GivenUpEvent),
+    "stream": (feed_life, feed_life.FeedPhase, feed_life.FeedEvent),
+}
 
 
 class LifeDirective(SphinxDirective):
@@ -26,25 +35,16 @@ class LifeDirective(SphinxDirective):
     required_arguments = 1
 
     def run(self) -> list[nodes.Node]:
-        """The life of a `connection` or of a `handle`."""
-        after: dict[tuple[Any, Any], str]
-        before: dict[Any, str] = {}
-        all_phases: type[Enum]
-        events: type[Enum]
-        if self.arguments[0] == "connection":
-            module: Any = connection_life
-            all_phases, events = connection_life.ConnectionPhase, connection_life.LifeEvent
-            after = {
-                key: phase.value + (f" ({told.name})" if told else "")
-                for key, (phase, told) in connection_life.TRANSITIONS.items()
-            }
-        elif self.arguments[0] == "handle":
-            module = handle
-            all_phases, events = handle.Phase, handle.Event
-            after = {key: phase.value for key, phase in handle.TRANSITIONS.items()}
-            before = {event: earlier.value for event, earlier in handle.AFTER.items()}
-        else:
-            raise self.error(f"there is no life of {self.arguments[0]}; expected connection or handle")
+        """The table of the life that is named."""
+        after: dict[tuple[Any, Any], str] = {}
+        name = self.arguments[0]
+        if name not in _LIVES:
+            raise self.error(f"there is no life of {name}; expected {', '.join(_LIVES)}")
+        module, all_phases, events = _LIVES[name]
+        for key, effect in module.TRANSITIONS.items():
+            phase, told = effect if isinstance(effect, tuple) else (effect, None)
+            after[key] = phase.value + (f" ({told.name})" if told else "")
+        before = {event: earlier.value for event, earlier in getattr(module, "AFTER", {}).items()}
         self.env.note_dependency(str(Path(module.__file__)))
         phases = [phase for phase in all_phases if any(key[0] is phase for key in after)]
         needs = ("only after",) if before else ()

@@ -96,7 +96,9 @@ else:
             ".loading": "load",
             ".smrcl.mission": "Mission",
             ".variables.declarations": "Read Write",
-            ".variables.value_types": "Bool Float32 Float64 Int32 Int64 Millionths Scaled Structure Text UInt32",
+            ".variables.value_types": """
+                Bool Float32 Float64 Int32 Int64 Millionths Scaled Structure Text UInt32
+            """,
             ".wire.schema": "schema",
         },
         modules="host robots smrcl variables",

@@ -117,20 +117,20 @@ class Group(StrictAttributes):
             motions = robot.motion
             trajectory.check(robot.identity.arm)
             trajectory.check(near=motions._context.state().q_target, within=tolerances.start)
-            clock = common.member(robot.clock.to_local, 1.0 / robot.firmware.rate)
+            timer = common.member(robot.clock.to_local, 1.0 / robot.firmware.rate)
             servoing = motions._servoing(watchdog, lookahead_time, gain)
-            parts.append((motions, Follower(trajectory, tolerances, servoing, clock=clock), clock))
+            parts.append((motions, Follower(trajectory, tolerances, servoing, timer=timer), timer))
         # Before the first arm moves: what ends the motion of one arm stops the others in this thread.
         self._stopping.start()
         begun: list[Motion] = []
         try:
-            for name, (motions, follower, clock) in zip(self._names, parts, strict=True):
+            for name, (motions, follower, timer) in zip(self._names, parts, strict=True):
                 life = motions._context.programs.life("follow")
                 program = LinkedProgram(
                     life, motions._context, follower, motions._opener(link), tolerance=tolerances.start
                 )
-                clock.is_paused = partial(getattr, program, "is_paused")
-                life.on_end(clock.leave)
+                timer.is_paused = partial(getattr, program, "is_paused")
+                life.on_end(timer.leave)
                 begun.append(Motion(life, partial(getattr, follower, "progress")))
                 with naming(name):
                     program.begin()

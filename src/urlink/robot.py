@@ -667,12 +667,14 @@ def _rtde_of(robot: Robot) -> Callable[[], Rtde]:
 def _recorder(path: str | os.PathLike[str]) -> Recorder:
     """The recorder for a file, by its suffix."""
     suffix = PurePath(path).suffix.lower()
-    if suffix in (".csv", ".parquet", ".mat", ".h5", ".hdf5"):
-        raise BadValue(f"{os.fspath(path)}: {suffix} is not written live; record a .urlog, and export it")
     if suffix == ".mcap":
         from .recording.live import McapRecorder
 
         return McapRecorder(path)
+    from linkcore.recording.table_files import TABLE_WRITERS
+
+    if suffix in TABLE_WRITERS:
+        raise BadValue(f"{os.fspath(path)}: {suffix} is not written live; record a .urlog, and export it")
     from linkcore.recording.recorder import Recorder
 
     return Recorder(path)

@@ -138,7 +138,7 @@ class ScriptedController:
         """A state in which all is well, and which the interlock has received on both interfaces."""
         self.state(**options)
         self.monitor.listen(closely=True)
-        until(lambda: self.monitor.refusal(is_stop=True) is None)
+        until(lambda: self.monitor.refusal_to_stop() is None)
 
     def safety_message(self, mode: SafetyMode) -> None:
         self.slow.put(bytes(SafetyModeMessage(self.firmware, safety_mode=mode)))

@@ -161,7 +161,7 @@ class Desk:
         self.monitor.listen(closely=True)
         self.primary.tell(slow())
         self.realtime.tell(fast())
-        assert self.monitor.refusal() is None
+        assert self.monitor.refusal_to_begin() is None
 
     def event(self, line: Line, state: ConnectionState, error: Exception | None = None) -> None:
         line.tell(ConnectionEvent(state, line.name, error, Stamp(self.clock.now, self.clock.now)))

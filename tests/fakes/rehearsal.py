@@ -18,15 +18,15 @@ from tests.waiting import until
 from urlink.arm.kinematics import Arm
 from urlink.arm.vectors import FloatArray
 from urlink.motion.context import MotionContext
-from urlink.motion.motions import LinkName, Motions
-from urlink.motion.servo.register_link import (
+from urlink.motion.links.register_link import (
     POINT_INPUTS,
     SETPOINT_INPUTS,
     PointRegisterLink,
     RegisterLink,
     RegisterPort,
 )
-from urlink.motion.servo.reverse import ReversePort
+from urlink.motion.links.reverse import ReversePort
+from urlink.motion.motions import LinkName, Motions
 from urlink.motion.servo.setpoints import MESSAGE_SIZE
 from urlink.protocol.enums import RobotMode, RobotModeCB2, SafetyMode
 from urlink.protocol.realtime.packets import RealtimeState

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+import importlib.util
 import json
 import subprocess
 import sys
@@ -66,7 +67,9 @@ def test_type_checkers_are_told_the_same(package: ModuleType) -> None:
         module = importlib.import_module("." * node.level + (node.module or ""), package.__name__)
         for alias in node.names:
             assert alias.asname == alias.name, "so it is exported"
-            told[alias.name] = getattr(module, alias.name)
+            whole = f"{module.__name__}.{alias.name}"
+            is_module = hasattr(module, "__path__") and importlib.util.find_spec(whole) is not None
+            told[alias.name] = importlib.import_module(whole) if is_module else getattr(module, alias.name)
     assert sorted(told) == dir(package)
     for name, value in told.items():
         assert getattr(package, name) is value

@@ -34,6 +34,8 @@ _HANGS = 25.0
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.mutants.by_worlds", description=__doc__)
     parser.add_argument("--drawn", metavar="FROM:TO", default=":", help="these of the defects of `drawn`")
+    parser.add_argument("--only", metavar="NUMBERS", help="of these, those with a number in this list: 3,7,12")
+    parser.add_argument("--seed", type=int, default=SEED, help="by which they are drawn (%(default)s)")
     parser.add_argument("--worlds", type=int, default=500, help="how many are tried for each")
     parser.add_argument("--first", type=int, default=0, help="seed of the first")
     parser.add_argument("--limit", type=float, default=120.0, help="s of processor time for each defect")
@@ -46,13 +48,15 @@ def main() -> int:
         importlib.import_module(".".join(path.relative_to(ROOT / "src").with_suffix("").parts))
     importlib.import_module("tests.worlds.running")
     first, _, last = options.drawn.partition(":")
-    drawn = list(enumerate(draw(files, SEED, COUNT)))[slice(int(first or 0), int(last) if last else None)]
+    drawn = list(enumerate(draw(files, options.seed, COUNT)))[slice(int(first or 0), int(last) if last else None)]
+    if options.only is not None:
+        drawn = [each for each in drawn if each[0] in set(map(int, options.only.split(",")))]
     functions = dict(_functions(set(map(str, files))))
     seeds = range(options.first, options.first + options.worlds)
     if options.calls is not None and options.calls.exists():
         calls, failing = json.loads(options.calls.read_text())
     else:
-        calls, failing = _measured(draw(files, SEED, COUNT), functions, seeds)
+        calls, failing = _measured(draw(files, options.seed, COUNT), functions, seeds)
         if options.calls is not None:
             options.calls.write_text(json.dumps([{seed: sorted(names) for seed, names in calls.items()}, failing]))
     print(f"{len(seeds)} worlds, of which {len(failing)} fail without a defect: {failing}", flush=True)

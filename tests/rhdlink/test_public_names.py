@@ -6,6 +6,7 @@ import inspect
 import json
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from rhdlink.host.plugins.logger import Logger
 from rhdlink.host.plugins.turtle import SmrTurtle, Turtle
 from rhdlink.host.plugins.velocity import VelocityBridge
 from rhdlink.host.world import World
+from tests.listed import assert_listed
 
 NAMES = [
     "AccessDenied",
@@ -70,20 +72,23 @@ NAMES = [
 ]
 
 
+#: The file that the messages name.
+HERE = "tests/rhdlink/test_public_names.py"
 #: Modules that users import names from.
 MODULES = ["host", "robots", "smrcl", "variables"]
 
 
 def test_public_names() -> None:
-    assert vars(rhdlink)["__all__"] == NAMES
-    assert dir(rhdlink) == sorted([*NAMES, *MODULES])
+    assert_listed(vars(rhdlink)["__all__"], NAMES, f"NAMES in {HERE}")
+    assert_listed(dir(rhdlink), [*NAMES, *MODULES], f"NAMES or MODULES in {HERE}")
     assert sorted(set(NAMES)) == NAMES
 
 
 def test_a_name_is_in_one_place() -> None:
     places = [rhdlink, *(getattr(rhdlink, module) for module in MODULES)]
-    names = [name for place in places for name in vars(place)["__all__"]]
-    assert sorted(names) == sorted(set(names))
+    names = Counter(name for place in places for name in vars(place)["__all__"])
+    twice = [name for name, count in names.items() if count > 1]
+    assert not twice, f"remove from all but one __all__ of src/rhdlink/: {', '.join(twice)}"
 
 
 def errors(*places: object) -> list[str]:
@@ -135,7 +140,8 @@ SURFACES: list[tuple[object, str]] = [
 
 @pytest.mark.parametrize(("held", "names"), SURFACES)
 def test_the_surface_of_what_users_hold(held: object, names: str) -> None:
-    assert {name for name in dir(held) if not name.startswith("_")} == set(names.split())
+    there = [name for name in dir(held) if not name.startswith("_")]
+    assert_listed(there, names.split(), f"the row of {held!r} of SURFACES in {HERE}")
 
 
 PROGRAM = """

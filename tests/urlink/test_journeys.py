@@ -15,7 +15,7 @@ from urlink.simulator import Controller
 
 #: Once the command has left, the states are subscribed to: an arm that is moved while it is paused is stopped.
 SUBSCRIBING = {
-    "urlink.command.controller_clock",
+    "urlink.command.program_time",
     "linkcore.threads",
     "linkcore.streaming.connection_life",
     "linkcore.streaming.fanout",

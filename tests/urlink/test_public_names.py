@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import inspect
+from collections import Counter
 
 import pytest
 
 import urlink
+from tests.listed import assert_listed
 
 NAMES = [
     "AsyncRobot",
@@ -94,6 +96,8 @@ NAMES = [
 ]
 
 
+#: The file that the messages name.
+HERE = "tests/urlink/test_public_names.py"
 #: Modules that users import names from.
 MODULES = ["dynamics", "kinematics", "models", "motion", "packets", "poses", "rtde", "urdf"]
 
@@ -103,16 +107,18 @@ FIRST = ("RealtimeState", "RobotModeData")
 
 
 def test_public_names() -> None:
-    assert vars(urlink)["__all__"] == NAMES
-    assert dir(urlink) == sorted([*NAMES, *MODULES])
+    assert_listed(vars(urlink)["__all__"], NAMES, f"NAMES in {HERE}")
+    assert_listed(dir(urlink), [*NAMES, *MODULES], f"NAMES or MODULES in {HERE}")
+    assert dir(urlink) == sorted(dir(urlink))
     assert sorted(NAMES) == NAMES
     assert len(set(NAMES)) == len(NAMES)
 
 
 def test_a_name_is_in_one_place() -> None:
     places = [urlink, urlink.packets, urlink.motion, urlink.rtde]
-    names = [name for place in places for name in vars(place)["__all__"]]
-    assert sorted(names) == sorted([*set(names), *FIRST])
+    names = Counter(name for place in places for name in vars(place)["__all__"])
+    twice = [name for name, count in names.items() if count > 1]
+    assert_listed(twice, FIRST, f"FIRST in {HERE}, which has the names in two __all__ of src/urlink/,")
     for name in FIRST:
         assert getattr(urlink, name) is getattr(urlink.packets, name)
 
@@ -122,6 +128,10 @@ def test_each_is_there_and_says_what_it_is() -> None:
         value = getattr(urlink, name)
         if inspect.isclass(value) or inspect.isfunction(value):
             assert inspect.getdoc(value), f"{name} has no docstring"
+
+
+def public(held: object) -> list[str]:
+    return [name for name in dir(held) if not name.startswith("_")]
 
 
 HANDLE = "add_done_callback cancel done error name phase wait"
@@ -200,25 +210,21 @@ ASYNC_SURFACES = {
 
 @pytest.mark.simulated_time
 def test_an_awaited_robot_shows_what_they_should_touch() -> None:
-    async def look() -> dict[str, list[str]]:
-        shown = {}
+    async def look() -> None:
         async with urlink.connect_async("sim://ur5e?firmware=5.11") as robot:
             for path in ASYNC_SURFACES:
                 held = eval(path, {"robot": robot, "urlink": urlink})
-                shown[path] = sorted(name for name in dir(held) if not name.startswith("_"))
-        return shown
+                assert_listed(public(held), ASYNC_SURFACES[path].split(), f"ASYNC_SURFACES[{path!r}] in {HERE}")
 
-    assert asyncio.run(look()) == {path: sorted(names.split()) for path, names in ASYNC_SURFACES.items()}
+    asyncio.run(look())
 
 
 @pytest.mark.simulated_time
 def test_what_users_hold_shows_what_they_should_touch() -> None:
-    shown = {}
     with urlink.connect("sim://ur5e?firmware=5.11") as robot:
         for path in SURFACES:
             held = eval(path, {"robot": robot, "urlink": urlink})
-            shown[path] = sorted(name for name in dir(held) if not name.startswith("_"))
-    assert shown == {path: sorted(names.split()) for path, names in SURFACES.items()}
+            assert_listed(public(held), SURFACES[path].split(), f"SURFACES[{path!r}] in {HERE}")
 
 
 #: What an argument is that is left out. A change is one for users: of how fast an arm moves, of how long is waited.
@@ -292,4 +298,6 @@ def test_what_is_left_out_is_what_it_was() -> None:
                 given = [f"{each.name}={each.default!r}" for each in parameters if each.default is not each.empty]
                 if given and not name.startswith("_"):
                     found[f"{path}.{name}"] = ", ".join(given)
-    assert found == DEFAULTS
+    assert_listed(found, DEFAULTS, f"DEFAULTS in {HERE}")
+    for path, defaults in found.items():
+        assert defaults == DEFAULTS[path], f"{path}: edit DEFAULTS in {HERE} if the change is intended"

@@ -392,7 +392,9 @@ def test_fault_garbage_on_the_primary_interface(controller: Controller, robot: u
 def test_fault_appended_bytes_are_kept_as_tails(controller: Controller, robot: urlink.Robot) -> None:
     controller.faults.append(b"\x01" * 16)
     state = robot.realtime.wait(5)
-    assert state.tail == b"\x01" * 16
+    # A later release may have fields in the place of the first of these bytes.
+    assert state.tail
+    assert bytes(state).endswith(b"\x01" * 16)
     assert state.payload_inertia is not None
     assert robot.realtime.stats.tails > 0
     whole = robot.primary.wait(5)

@@ -1,4 +1,4 @@
-"""The table of time-outs on the page about time is that of the code."""
+"""The tables of time-outs and of the speed slider on the page about time are those of the code."""
 
 from __future__ import annotations
 
@@ -10,7 +10,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import urlink
+from linkcore.handle import Motion
 from urlink.motion.motions import Motions
+from urlink.motion.servo.block_motion import LinkedBlock
+from urlink.motion.slider import EFFECTS
+from urlink.motion.stream.group_motion import GroupMotion, GroupStream
 from urlink.robot import Robot
 
 ROOT = Path(__file__).parents[2]
@@ -68,3 +72,31 @@ def test_every_time_out_is_on_the_page_with_its_value() -> None:
         if name not in wanted:  # others whose names say less
             module, _, constant = name.rpartition(".")
             assert getattr(importlib.import_module(module), constant) == seconds, name
+
+
+def in_order(name: str) -> int:
+    """Where a motion is in the table: in the order of the methods, `freedrive` of the robot last."""
+    method = name.partition(",")[0]
+    names = [each for each in vars(Motions) if each[0] != "_"]
+    return names.index(method) if method in names else len(names)
+
+
+def test_what_the_slider_does_to_each_motion_is_on_the_page() -> None:
+    rows = [
+        f"| `{name}` | {EFFECTS[name][1].half} | {EFFECTS[name][1].zero} |" for name in sorted(EFFECTS, key=in_order)
+    ]
+    table = "\n".join(["| Motion | slider at 50 % | at 0 |", "| --- | --- | --- |", *rows])
+    assert f"\n\n{table}\n\n" in PAGE.read_text(), f"put this table into {PAGE.relative_to(ROOT)}:\n{table}"
+
+
+def test_each_class_of_motions_states_what_the_slider_does_to_it() -> None:
+    waiting, silent = [Motion], set()
+    stated = {kind for kind, _ in EFFECTS.values()}
+    while waiting:
+        kind = waiting.pop()
+        waiting += kind.__subclasses__()
+        if kind.__module__.startswith("urlink.") and kind not in stated:
+            silent.add(kind)
+    # The first is the base class of blocks; the motions of groups are made of others.
+    silent -= {LinkedBlock, GroupMotion, GroupStream}
+    assert not silent, f"decorate with @slider of urlink.motion.slider: {[str(kind) for kind in silent]}"

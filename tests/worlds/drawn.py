@@ -11,6 +11,8 @@ from urlink.protocol.firmware import RELEASES
 from .mobile import MOBILE
 from .scenes import SCENES
 from .surface import ACTIONS
+from .trials import AWAITED, TRIALS
+from .trials import MOBILE as MOBILE_TRIALS
 from .world import (
     ASKED,
     BLOCKS,
@@ -50,8 +52,26 @@ _ENDING = ("motion.stop", "motion.stop", "close", "cancel_current", "cancel_curr
 
 
 def draw(seed: int) -> World:
-    """The world of a seed: every other one has actions of the whole surface, the others are as `written` has them."""
-    return public(seed) if seed % _SCENES in (2, 3) else written(seed)
+    """The world of a seed: every other one has trials, one in four is a scene, the others have actions."""
+    if seed % 2 == 0:
+        return tried(seed)
+    is_written = seed % _SCENES == 1 or seed // _SCENES % 3 == 0
+    return written(seed) if is_written else public(seed)
+
+
+def tried(seed: int) -> World:
+    """A world with one or two trials, in each of which nobody else does anything."""
+    chance = random.Random(f"tried {seed}")
+    kind = chance.choice(("trials",) * 5 + ("trials in tasks",) * 2 + ("mobile trials",) * 2)
+    menus = {"trials": [*TRIALS], "trials in tasks": [*AWAITED], "mobile trials": [*MOBILE_TRIALS]}
+    names = chance.sample(sorted(menus[kind]), chance.choice((1, 2)))
+    asks = tuple(Ask(name, "wait", 0.0, chance.random(), 0.0) for name in names)
+    start = chance.choice(("register",) * 6 + ("flags",))
+    client = Client(asks, chance.uniform(-1e-4, 1e-4), kind, "never", start)
+    latency, lines = chance.choice((5e-5, 5e-4)), chance.choice((0.0,) * 5 + (0.3, 0.3, 1.0))
+    # Fewer states a second make a world cheaper.
+    firmware = chance.choice(("3.15",) * 4 + ("3.10", "5.9", "5.11", "10.12"))
+    return World(seed, firmware, latency, 0.0, (client,), (), lines)
 
 
 def public(seed: int) -> World:

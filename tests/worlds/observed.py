@@ -24,9 +24,9 @@ from linkcore.streaming.connection import Connection
 from linkcore.streaming.fanout import FanOut
 from urlink.command.channel import CommandChannel
 from urlink.command.programs import Programs
+from urlink.motion.links.register_link import RegisterLink
+from urlink.motion.links.reverse import ReverseLink
 from urlink.motion.servo.linked_program import LinkedProgram
-from urlink.motion.servo.register_link import RegisterLink
-from urlink.motion.servo.reverse import ReverseLink
 from urlink.motion.servo.setpoints import MESSAGE_SIZE, STOP_MESSAGE, WAIT_MESSAGE
 from urlink.protocol.primary.robot_state import RobotState
 from urlink.protocol.realtime.packets import RealtimeState
@@ -197,8 +197,8 @@ class Observed:
         self._call_of: dict[int, float] = {}
         #: stops that a client has asked for and that have returned: when they were entered and when they returned, s
         self._stops: dict[Computer, list[tuple[float, float]]] = {}
-        #: when `Robot.close` returned, s
-        self._left: dict[Computer, float] = {}
+        #: those of the robots whose `close` has returned
+        self._left: weakref.WeakSet[CommandChannel] = weakref.WeakSet()
         #: when a person, or a client, let a paused program go on
         self.played: list[float] = []
         self.stop_holds = False
@@ -321,13 +321,15 @@ class Observed:
     def _leave(self, close: Callable[..., None]) -> Callable[..., None]:
         def wrapped(robot: Robot, *arguments: Any, **options: Any) -> None:
             close(robot, *arguments, **options)
-            self._left[here()] = self._sim.now
+            control = robot._control.made
+            if control is not None:
+                self._left.add(control.script._channel)
 
         return wrapped
 
-    def _overtaken(self, sent: Sent) -> str | None:
-        """Why a program must not be sent any more."""
-        for entered, returned in self._stops.get(sent.computer, ()):
+    def _overtaken(self, sent: Sent, stops: int) -> str | None:
+        """Why a program must not be sent any more, by the first `stops` stops."""
+        for entered, returned in self._stops.get(sent.computer, [])[:stops]:
             if sent.entered < entered and not sent.is_stop:
                 return f"was asked for at {sent.entered:.6f} s, before the stop that returned at {returned:.6f} s"
         return None
@@ -356,16 +358,19 @@ class Observed:
             is_given_up = call is not None and call.is_given_up
             permitted = [sent for sent in self._of(here()) if is_permission and sent.grant == whole]
             is_wanted = not permitted or any(not sent.life.is_over for sent in permitted)
+            # A signal handler that stops in the middle of this does not take the text back, which moves nothing
+            # without a permission (urlink.commanding.section).
+            stops = len(self._stops.get(here(), ()))
             send(channel, text, decide)
             if was_begun or not text.is_begun:
                 return
             for sent in self._of(here()):
                 if sent.wrapped.text == whole:
                     sent.asked = self._sim.now
-                    overtaken = self._overtaken(sent)
+                    overtaken = self._overtaken(sent, stops)
                     if overtaken is not None:
                         self._fault(f"{here().name} sent {sent.wrapped.name} ({sent.life.name}), which {overtaken}")
-            if here() in self._left:
+            if channel in self._left:
                 self._fault(f"{here().name} sent {whole.splitlines()[0]} after its robot was closed")
             if refusal is not None and (is_permission or whole.startswith("def ")):
                 self._fault(f"{here().name} sent {whole.splitlines()[0]} although {refusal}")

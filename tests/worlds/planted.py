@@ -1,31 +1,204 @@
-"""Defects of the past, put back one at a time, and the smallest world in which each shows.
+"""Known defects, injected into a copy of the code one at a time, and the smallest world that shows each.
 
-A defect is a patch in `defects/`, applied to a copy of `src` in a temporary folder. Worlds run on this copy by
-``PYTHONPATH``: ``python -m tests.worlds --planted NAME`` looks for the first seed that fails, and makes its world
-smaller.
+A defect is a list of changes to functions in `src`. Each is found by the name of its function and made in a copy of
+`src` in a temporary folder. Worlds run with this copy through ``PYTHONPATH``. ``python -m tests.worlds --planted NAME``
+searches for the first seed that fails, and makes its world smaller.
 """
 
 from __future__ import annotations
 
+import ast
 import contextlib
 import os
+import re
 import shutil
 import subprocess
 import sys
 import tempfile
+import textwrap
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from .scenes import SCENES
 from .world import World
 
-__all__ = ["NAMES", "SHOWN", "apply", "planted", "worlds"]
+__all__ = ["DEFECTS", "NAMES", "SHOWN", "Change", "apply", "planted", "worlds"]
 
 ROOT = Path(__file__).resolve().parents[2]
-_PATCHES = Path(__file__).parent / "defects"
-#: The names of the defects.
-NAMES = tuple(sorted(path.stem for path in _PATCHES.glob("*.patch")))
 
+
+@dataclass(frozen=True)
+class Change:
+    """What is different in one function.
+
+    Attributes:
+        module: Name of the module, as in an import.
+        function: Qualified name of the function, as in ``Handle.cancel``.
+        after: New text. The new body of the function if `before` is empty.
+        before: Text of the function that is replaced. It must occur exactly once. Line breaks and indentation do not
+            matter.
+    """
+
+    module: str
+    function: str
+    after: str
+    before: str = ""
+
+    @property
+    def path(self) -> str:
+        """The file of the module, relative to the repository."""
+        return f"src/{self.module.replace('.', '/')}.py"
+
+    def applied(self, source: str) -> str:
+        """The source of the module with this change.
+
+        Raises:
+            LookupError: If the function or the text no longer exists. The message names the entry to edit.
+        """
+        lines = source.splitlines(keepends=True)
+        body = self._function(source).body
+        # The docstring stays, so that the change shows the rest of the body only.
+        first = body[1] if len(body) > 1 and ast.get_docstring(self._function(source)) is not None else body[0]
+        begin, end = first.lineno - 1, body[-1].end_lineno
+        found = "".join(lines[begin:end])
+        indent = " " * first.col_offset
+        if not self.before:
+            changed = textwrap.indent(textwrap.dedent(self.after).strip("\n"), indent) + "\n"
+        else:
+            pattern = r"\s+".join(map(re.escape, self.before.split()))
+            changed, count = re.subn(pattern, lambda match: self.after, found)
+            if count != 1:
+                raise LookupError(
+                    f"{self.before!r} occurs {count} times in {self.function} of {self.path}; expected 1. "
+                    "Edit DEFECTS in tests/worlds/planted.py"
+                )
+        changed = "".join(lines[:begin]) + changed + "".join(lines[end:])
+        ast.parse(changed)
+        return changed
+
+    def _function(self, source: str) -> ast.FunctionDef | ast.AsyncFunctionDef:
+        found: ast.AST = ast.parse(source)
+        for name in self.function.split("."):
+            named = [
+                each
+                for each in ast.iter_child_nodes(found)
+                if isinstance(each, (ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)) and each.name == name
+            ]
+            if len(named) != 1:
+                raise LookupError(
+                    f"{self.path} has {len(named)} definitions of {self.function}; expected 1. "
+                    "Edit DEFECTS in tests/worlds/planted.py"
+                )
+            found = named[0]
+        assert isinstance(found, (ast.FunctionDef, ast.AsyncFunctionDef)), self.function
+        return found
+
+
+#: Each defect and the changes that inject it.
+DEFECTS: Mapping[str, Sequence[Change]] = {
+    "cancel-brakes-not": [
+        Change("linkcore.handle", "Handle.cancel", 'cancel("cancelled")', before='cancel("cancelled", brake=True)'),
+    ],
+    "cancelled-task-moves-the-arm": [
+        Change("linkcore.handle", "Lifecycle.is_wanted", "return not self.is_over"),
+        Change("linkcore.pending_call", "PendingCall.check", "return"),
+        Change("linkcore.pending_call", "PendingCall.give_up", "self.is_given_up = True"),
+    ],
+    "first-message-of-two-threads": [
+        Change(
+            "urlink.command.interlock",
+            "Interlock.has_reported_since",
+            "return all(known.reported_at > since for known in list(self._sources.values()))",
+        ),
+        Change(
+            "urlink.command.safety_monitor",
+            "SafetyMonitor.listen",
+            "elif False:",
+            before="elif self._section.may_wait and not self._is(is_expected):",
+        ),
+    ],
+    "interlock-forgets-the-stop": [
+        Change(
+            "urlink.command.safety_monitor",
+            "SafetyMonitor.refusal_to_begin",
+            """
+            with self._section.lock:
+                call = current_call()
+                order = None if call is None else call.order
+                return None if order is None else self.overtaken(order)
+            """,
+        ),
+        Change("urlink.command.safety_monitor", "SafetyMonitor.refusal_to_stop", "return None"),
+    ],
+    "message-after-the-last": [
+        Change(
+            "urlink.motion.servo.linked_program",
+            "LinkedProgram._transmit",
+            "if False:",
+            before="if (self.is_finishing or not self._life.is_wanted) and data != self._dialogue.farewell:",
+        ),
+    ],
+    "motion-left-to-a-refused-script": [
+        Change(
+            "urlink.command.programs",
+            "Programs.stop",
+            "if run is None or run is not self._newest():",
+            before="if run is None or run.wrapped.is_secondary:",
+        ),
+    ],
+    "next-stop-forgets-the-program": [
+        Change(
+            "urlink.command.programs",
+            "Programs._interlock_closed",
+            """is_sent = self._given_up.phase is GivenUpPhase.STOPPING
+            self._note(GivenUpEvent.MISS if is_sent else GivenUpEvent.END)""",
+            before="self._note(GivenUpEvent.MISS)",
+        ),
+    ],
+    "one-permission-for-all": [
+        Change(
+            "urlink.command.programs",
+            "Programs._permission",
+            "token = 1",
+            before="token = 1 + next(self._start_tokens) % place.tokens",
+        ),
+    ],
+    "refused-script-forgets-the-program": [
+        Change(
+            "urlink.command.programs",
+            "Programs.start",
+            """self._runs[run.name] = run
+            if not wrapped.is_secondary:
+                self._note(GivenUpEvent.END)""",
+            before="self._runs[run.name] = run",
+        ),
+    ],
+    "speed-outlives-its-program": [
+        Change("urlink.motion.motions", "Motions._speed", "if False:", before="if duration > UNLED:"),
+    ],
+    "stop-after-the-next": [
+        Change(
+            "urlink.command.programs",
+            "Programs._send_stop",
+            "if not is_wanted() and not wait:",
+            before="if not is_wanted():",
+        ),
+    ],
+    "two-connections-claim-the-same": [
+        Change(
+            "urlink.robot",
+            "Robot.rtde",
+            "self._rtde._made[None] = made",
+            before="self._rtde.keep(made)",
+        ),
+    ],
+    "up-before-its-ports": [
+        Change("urlink.simulator.controller", "Controller.is_up", "return self._state.is_up"),
+    ],
+}
+#: The names of the defects.
+NAMES = tuple(sorted(DEFECTS))
 
 #: With how many seeds a scene is tried, where not with three: which thread goes first is the seed's.
 _TRIES: Mapping[str, int] = {
@@ -43,7 +216,7 @@ def planted(name: str | None) -> Iterator[Path]:
     """A folder with `src` in which that defect is; without a name, `src` as it is.
 
     Raises:
-        CalledProcessError: the patch does not apply any more.
+        LookupError: If the code that the defect changes no longer exists.
     """
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
@@ -54,18 +227,15 @@ def planted(name: str | None) -> Iterator[Path]:
         yield root
 
 
-def apply(name: str, root: Path, *options: str) -> None:
-    """Apply a patch to the `src` in that folder, with options of ``git apply``.
+def apply(name: str, root: Path) -> None:
+    """Inject a defect into the `src` of a folder.
 
     Raises:
-        CalledProcessError: it does not apply any more.
+        LookupError: If the code that the defect changes no longer exists.
     """
-    subprocess.run(
-        ["git", "apply", "--whitespace=nowarn", *options, str(_PATCHES / f"{name}.patch")],
-        cwd=root,
-        check=True,
-        env={**os.environ, "GIT_CEILING_DIRECTORIES": str(root.parent)},
-    )
+    for change in DEFECTS[name]:
+        path = root / change.path
+        path.write_text(change.applied(path.read_text(encoding="utf-8")), encoding="utf-8")
 
 
 def worlds(root: Path, arguments: Sequence[str]) -> subprocess.CompletedProcess[str]:

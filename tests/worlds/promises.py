@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from linkcore.simulated import Simulation
+from urlink.motion.links.register_link import RegisterLink
+from urlink.motion.links.reverse import ReverseLink
 from urlink.motion.servo.jog import Jog
 from urlink.motion.servo.linked_program import LinkedProgram
-from urlink.motion.servo.register_link import RegisterLink
-from urlink.motion.servo.reverse import ReverseLink
 from urlink.simulator import Controller
 
 from .acting import direction
@@ -39,6 +39,8 @@ PROMISES: Mapping[str, tuple[str, str]] = {
     "a motion arrives": ("Motions.move_joints", "it is over when the arm is there"),
     "confirmed is done": ("IO.set_digital_out", "waits until the controller shows it"),
     "no burst": ("Variables.background", "a period that was missed is not made up for"),
+    "every wait has an end": ("linkcore.clock.wait", "False if time is up"),
+    "a lock guards": ("linkcore.threads", "no lock is held meanwhile and no robot is kept waiting"),
     "counters add up": ("docs/statistics.md", "what came is delivered, dropped or waiting"),
 }
 #: s on top of a watchdog or a timeout: the state that shows it, the way to the robot, and braking.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import functools
+import gc
 import inspect
 import itertools
 import logging
@@ -21,6 +22,7 @@ from linkcore.errors import LinkError, LinkTimeout, RemoteError
 from linkcore.event_loop import within
 from linkcore.handle import Event as LifeEvent
 from linkcore.handle import Handle
+from linkcore.pending_call import current_call
 from linkcore.simulated import Computer, Deadlock, Simulation, TimeLimit, simulated_time
 from urlink.aio import awaited
 from urlink.compat.rtde_control import RTDEControlInterface
@@ -35,6 +37,7 @@ from .happening import at_the_robot, elsewhere
 from .mobile import Base
 from .signals import signalled
 from .surface import ACTIONS
+from .trials import AWAITED, MOBILE, TRIALS, Bench
 from .watch import ADMITS, BRAKING, Outcome, Watch
 from .world import AT_THE_ROBOT, Ask, Client, Event, World
 
@@ -72,6 +75,7 @@ PREEMPTED = (
     "urlink.motion",
     "urlink.robot",
     "urlink.rtde",
+    "rhdlink",
 )
 #: Calls that neither move the arm nor keep others from moving it.
 _HARMLESS = ("output", "analog_output", "payload", "tcp", "registers", "outputs", "subscribe", "iterate", "wait_state")
@@ -303,6 +307,9 @@ class Run:
             "urx": self._urx,
             "foreign": self._foreign,
             "mobile": self._mobile,
+            "trials": self._trials,
+            "trials in tasks": lambda number, client: asyncio.run(self._trials_in_tasks(number, client)),
+            "mobile trials": self._mobile_trials,
         }
         try:
             kinds.get(client.kind, self._threads)(number, client)
@@ -416,17 +423,19 @@ class Run:
             return contextlib.nullcontext()
         chance = random.Random(f"signal {ask.size}")
         name = chance.choice(("interrupt", "interrupt", "stop", "cancel", "close"))
-        # Before its first few lines a call has not been entered, so a stop by the handler does not overtake it.
         lines = int(math.exp(chance.uniform(math.log(12.0), math.log(4000.0))))
 
         def handler() -> None:
             self.watch.note(f"a signal comes, whose handler does: {name}")
             if name == "interrupt":
                 raise KeyboardInterrupt
+            # A stop overtakes no call that has not been entered: the robot may still be making its parts.
+            is_entered = current_call() is not None
             with contextlib.suppress(LinkError), self.watch.observed.calling(f"{name} in a handler") as entered:
                 if name == "stop":
                     robot.motion.stop()
-                    self.watch.observed.has_stopped(entered)
+                    if is_entered:
+                        self.watch.observed.has_stopped(entered)
                 elif name == "close":
                     robot.close()
                 else:
@@ -726,6 +735,47 @@ class Run:
         finally:
             base.close()
 
+    # -- trials ------------------------------------------------------------------------------------------
+
+    def _bench(self, number: int, ask: Ask, robot: Any, there: Computer) -> Bench:
+        chance = random.Random(f"{ask.what} {ask.size}")
+        here = self.computers[number]
+        return Bench(self.sim, self.controller, HOST, robot, here, there, chance, self.watch.fault, ask.what)
+
+    @contextlib.contextmanager
+    def _trying(self, number: int, ask: Ask) -> Iterator[None]:
+        """What is tried may move the arm meanwhile; whatever it raises is a fault."""
+        self.watch.note(f"client {number}: {ask.what} ({ask.size:.4f})")
+        owner = self.begin(number)
+        error: BaseException | None = None
+        try:
+            yield
+        except Exception as raised:
+            error = raised
+            where = [each for each in traceback.extract_tb(raised.__traceback__) if "trials" in each.filename]
+            line = f"line {where[-1].lineno}: {where[-1].line}" if where else ""
+            self.watch.fault(f"{ask.what} raised {raised!r}, {line}")
+        self.end(number, owner, error)
+
+    def _trials(self, number: int, client: Client) -> None:
+        for ask in client.asks:
+            with self._trying(number, ask), urlink.connect(HOST, **self._options(client)) as robot:
+                TRIALS[ask.what](self._bench(number, ask, robot, self.robot))
+            time.sleep(BRAKING)
+
+    async def _trials_in_tasks(self, number: int, client: Client) -> None:
+        for ask in client.asks:
+            with self._trying(number, ask):
+                async with urlink.connect_async(HOST, **self._options(client)) as robot:
+                    await AWAITED[ask.what](self._bench(number, ask, robot, self.robot))
+            await asyncio.sleep(BRAKING)
+
+    def _mobile_trials(self, number: int, client: Client) -> None:
+        for ask in client.asks:
+            there = self.sim.computer(f"mobile{number}", "192.168.0.201")
+            with self._trying(number, ask):
+                MOBILE[ask.what](self._bench(number, ask, None, there))
+
     # -- events ------------------------------------------------------------------------------------------
 
     def _happen(self, client: int, ask: int | None) -> None:
@@ -830,4 +880,6 @@ def run(world: World) -> Outcome:
     finally:
         threading.excepthook = hook
         root.removeHandler(errors)
+    if world.events:
+        gc.collect()  # what a client has left that was killed or held is not to be found in another world
     return outcome

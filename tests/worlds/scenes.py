@@ -29,7 +29,7 @@ def _world(*clients: Client, events: tuple[Event, ...] = (), latency: float = 1e
     return World(0, "5.11", latency, 0.0, clients, events, lines)
 
 
-#: By the names of their defects; those of them that `planted` puts back have a patch.
+#: By the names of their defects; those of them that `planted` puts back have an entry in DEFECTS.
 SCENES: Mapping[str, World] = {
     # The program's text is lost on the way and sent again, when a stop has come and is over.
     "held-program-goes-on": _world(

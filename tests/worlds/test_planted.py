@@ -1,4 +1,4 @@
-"""The defects of `planted`: each applies to the code of today, and shows in its world; without it nothing does."""
+"""The defects of `planted`: each can be injected into the code, and shows in its world; without it the world passes."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from tests.worlds.planted import NAMES, ROOT, SHOWN, apply, planted, worlds
+from tests.worlds.planted import DEFECTS, NAMES, ROOT, SHOWN, Change, planted, worlds
 from tests.worlds.running import run
 
 # A client that is killed closes nothing.
@@ -14,9 +14,53 @@ pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pyte
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.real_time
-def test_a_defect_applies_to_the_code_of_today(name: str) -> None:
-    apply(name, ROOT, "--check")
+def test_defect_can_be_injected(name: str) -> None:
+    for change in DEFECTS[name]:
+        source = (ROOT / change.path).read_text(encoding="utf-8")
+        assert change.applied(source) != source
+
+
+SOURCE = '''
+class Door:
+    @property
+    def is_open(self) -> bool:
+        """Whether it is open."""
+        return bool(
+            self.angle
+        )
+
+    def close(self) -> None:
+        self.angle = 0
+        self.report()
+'''
+
+
+def test_change_replaces_the_body_and_keeps_the_docstring() -> None:
+    changed = Change("door", "Door.is_open", "return True").applied(SOURCE)
+    assert changed.count('"""Whether it is open."""\n        return True\n\n    def close') == 1
+
+
+def test_change_replaces_text_whatever_its_line_breaks() -> None:
+    changed = Change("door", "Door.is_open", "self.angle > 1", before="bool( self.angle )").applied(SOURCE)
+    assert "        return self.angle > 1\n" in changed
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (Change("door", "Door.open", "pass"), "src/door.py has 0 definitions of Door.open; expected 1. Edit DEFECTS"),
+        (
+            Change("door", "Door.close", "pass", before="self.angle = 1"),
+            "'self.angle = 1' occurs 0 times in Door.close",
+        ),
+        (Change("door", "Door.close", "pass", before="self."), "'self.' occurs 2 times in Door.close of src/door.py"),
+    ],
+)
+def test_change_names_the_entry_to_edit_when_the_code_differs(change: Change, message: str) -> None:
+    with pytest.raises(LookupError) as raised:
+        change.applied(SOURCE)
+    assert message in str(raised.value)
+    assert "tests/worlds/planted.py" in str(raised.value)
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from linkcore.simulated import Simulation
 from urlink.simulator import Controller
 
-from . import guarded
+from . import guarded, learned, waits
 from .counted import Counted
 from .observed import ADMITS, BRAKING, Observed, here
 from .promises import Promises
@@ -105,6 +105,8 @@ class Watch:
             self._counted.watching(),
             self._promises.watching(),
             guarded.watching(self._once),
+            learned.watching(self._once),
+            waits.watching(self._once),
         ):
             yield
         self._outcome.places = self.observed.places

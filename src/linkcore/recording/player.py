@@ -15,7 +15,7 @@ from ..threads import ReentrantEvent
 from .file import Kind, Record, RecordingFile
 
 
-class ReplayClock:
+class ReplayTimeline:
     """The time line that the channels of one replay share; it starts when the first one opens.
 
     Args:
@@ -52,11 +52,11 @@ class ReplayTransport:
     time, and the present monotonic time. Connections are lost and made again when the recorded ones were.
     """
 
-    def __init__(self, recording: RecordingFile, channel: str, clock: ReplayClock) -> None:
+    def __init__(self, recording: RecordingFile, channel: str, timeline: ReplayTimeline) -> None:
         number = recording.channel(channel)
         self.name = f"{recording.path.name} ({channel})"
         self.round_trip = math.inf
-        self._clock = clock
+        self._timeline = timeline
         self._records: Iterator[Record] = (record for record in recording if record.channel == number)
         self._next: Record | None = None  # read, but not yet due
         self._was_open = False
@@ -71,7 +71,7 @@ class ReplayTransport:
             LinkTimeout: the recorded connection was not made again within `timeout` seconds.
         """
         self._closed.clear()
-        self._clock.start()
+        self._timeline.start()
         # The first connection is made at once, also if the recording of this channel began later than that of others.
         again, self._was_open = self._was_open, True
         while (record := self._peek()) is not None and record.kind is not Kind.BYTES:
@@ -121,7 +121,7 @@ class ReplayTransport:
 
     def _wait(self, stamp: Stamp, most: float = float("inf")) -> bool:
         """Wait until bytes with this stamp are due, at most `most` seconds; False if they are not due by then."""
-        delay = self._clock.delay(stamp)
+        delay = self._timeline.delay(stamp)
         if delay > 0:
             clock.wait(self._closed.wait, min(delay, most))
         return delay <= most

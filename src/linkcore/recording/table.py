@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _LISTED = 5
 
 
-class PeerClock(NamedTuple):
+class ClockColumn(NamedTuple):
     """The column that is the clock of the peer, and how often it sends.
 
     Attributes:
@@ -64,7 +64,7 @@ class Table(StrictAttributes):
         wall: NDArray[np.datetime64],
         begins: Sequence[int] = (),
         missing: Sequence[str] = (),
-        clock: PeerClock | None = None,
+        clock: ClockColumn | None = None,
     ) -> None:
         self.name = name
         self._missing = tuple(missing)

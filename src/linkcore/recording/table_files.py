@@ -200,7 +200,9 @@ def write_h5(path: Path, tables: Mapping[str, Table], about: Mapping[str, str], 
             progress((done + 1) / len(tables))
 
 
-#: suffix -> function that writes such a file
+#: The formats that hold one table.
+ONE_TABLE = frozenset({".csv", ".parquet"})
+#: Suffix and function that writes such a file. The messages and the help of the command lines list these formats.
 TABLE_WRITERS: Mapping[str, FileWriter] = {
     ".csv": write_csv,
     ".parquet": write_parquet,

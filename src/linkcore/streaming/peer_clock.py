@@ -3,7 +3,7 @@
 A packet has the time of the peer at which it was made, and arrives later. How long it was under way is unknown, but
 two things are: it was no less than nothing; and the quickest of many took no longer than the handshake of their TCP
 connection, which went there and back. So the packets that came quickest show the relation of both clocks, but for that
-round trip: `ClockEstimator` keeps the quickest packet of each second of the last minute, and puts under these the
+round trip: `OffsetEstimator` keeps the quickest packet of each second of the last minute, and puts under these the
 highest line that lies above none. The slope of the line is the drift.
 """
 
@@ -33,7 +33,7 @@ _RARE = 7.0
 _Point = tuple[float, float]
 
 
-class ClockRelation(NamedTuple):
+class OffsetEstimate(NamedTuple):
     """How two clocks go beside each other.
 
     Attributes:
@@ -99,8 +99,10 @@ class _Second(NamedTuple):
 _EMPTY = _Second(math.nan, math.inf, 0, 0.0)
 
 
-class ClockEstimator:
-    """The clock of a peer, over all connections to it. One thread, the one that reads, writes it.
+class OffsetEstimator:
+    """Estimates the offset between the clock of a peer and this computer's, over all connections to the peer.
+
+    One thread, the one that reads, writes it.
 
     Attributes:
         due: when the next packet is to be looked at, by `linkcore.clock.now`.
@@ -120,7 +122,7 @@ class ClockEstimator:
         self._suspect: tuple[float, float] | None = None
         #: of the present connection no packet has shown yet that its clock is that of the last one
         self._is_new = False
-        self._known: tuple[object, object, ClockRelation | None] = (None, None, None)
+        self._known: tuple[object, object, OffsetEstimate | None] = (None, None, None)
 
     def connected(self, round_trip: float) -> None:
         """A connection was made, by a handshake of so many seconds; `inf` where there was none."""
@@ -192,7 +194,7 @@ class ClockEstimator:
     # -- from any thread -----------------------------------------------------------------------------
 
     @property
-    def relation(self) -> ClockRelation | None:
+    def relation(self) -> OffsetEstimate | None:
         """How both clocks go; None before the first packet with a time."""
         seconds, present = self._seconds, self._present
         is_counted = present.packets >= _LEAST and not self._is_new
@@ -201,7 +203,7 @@ class ClockEstimator:
                 return None
             # The packets of the first second show no drift.
             error = present.lucky if present.packets >= _LEAST else math.inf
-            return ClockRelation(present.moment, present.way, 0.0, error, _MOST_DRIFT, self._round_trip)
+            return OffsetEstimate(present.moment, present.way, 0.0, error, _MOST_DRIFT, self._round_trip)
         newest = present if is_counted else _EMPTY
         known = self._known
         if known[2] is None or known[0] is not seconds or known[1] is not newest:
@@ -210,7 +212,7 @@ class ClockEstimator:
         return known[2]
 
 
-def _line(seconds: Sequence[_Second], round_trip: float) -> ClockRelation:
+def _line(seconds: Sequence[_Second], round_trip: float) -> OffsetEstimate:
     """The highest line below the quickest packets: highest in the middle of their time."""
     middle = 0.5 * (seconds[0].moment + seconds[-1].moment)
     points = [(each.moment - middle, each.way) for each in seconds]
@@ -223,7 +225,7 @@ def _line(seconds: Sequence[_Second], round_trip: float) -> ClockRelation:
     error = 2.0 * _median(height - way for height in heights) + _median(each.lucky for each in seconds)
     span = seconds[-1].moment - seconds[0].moment
     unsure = min(2.0 * error / span + _WANDER, _MOST_DRIFT) if span > 0.0 else _MOST_DRIFT
-    return ClockRelation(middle, way, slope, error, unsure, round_trip)
+    return OffsetEstimate(middle, way, slope, error, unsure, round_trip)
 
 
 def lowest_edge(points: Iterable[_Point], at: float) -> tuple[_Point, _Point]:

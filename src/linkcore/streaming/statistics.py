@@ -19,7 +19,7 @@ from typing import Protocol, TypeVar
 from .. import clock
 from ..wire.cycles import MissedCycles, Missing
 from ..wire.framing import PacketProtocol
-from .peer_clock import ClockEstimator
+from .peer_clock import OffsetEstimator
 
 #: Seconds that a call in the reader thread may last; longer ones count as `slow_inline`. A quarter of the 2 ms between
 #: two packets of an e-Series controller.
@@ -133,7 +133,7 @@ class StreamCounters:
     Attributes:
         received, decoded, failed, slow_inline, bytes, connections: see `StreamStatistics`.
         arrived: when the last packet was read, by `linkcore.clock.now`; None before the first.
-        clock: of the peer, by the times of its packets.
+        clock_offset: between the peer's clock and this computer's, by the times of its packets.
         window_ends: when `next_window` is due: the rate is that of the last whole window of about a second.
         due: when `look` is due, by `linkcore.clock.now`.
     """
@@ -157,7 +157,7 @@ class StreamCounters:
         self._protocol: PacketProtocol | None = None
         self.arrived: float | None = None
         self._rate = 0.0
-        self.clock = ClockEstimator()
+        self.clock_offset = OffsetEstimator()
         self.due = 0.0
         self._begin_window(clock.now())
 
@@ -167,7 +167,7 @@ class StreamCounters:
         self.connections += 1
         self._begin_window(clock.now())
         self._rate = 0.0
-        self.clock.connected(round_trip)
+        self.clock_offset.connected(round_trip)
         self.due = 0.0
 
     def disconnected(self) -> None:
@@ -195,12 +195,12 @@ class StreamCounters:
 
     def look(self, now: float, cycles: MissedCycles | None) -> None:
         """Do what is not done for each packet, beside the newest one."""
-        clock = self.clock
-        if cycles is not None and now >= clock.due:
-            clock.take(cycles.last, now)
+        offset = self.clock_offset
+        if cycles is not None and now >= offset.due:
+            offset.take(cycles.last, now)
         if now >= self.window_ends:
             self.next_window(now)
-        self.due = self.window_ends if cycles is None else min(self.window_ends, clock.due)
+        self.due = self.window_ends if cycles is None else min(self.window_ends, offset.due)
 
     def next_window(self, now: float) -> None:
         """The window of the rate is over; the next one begins."""

@@ -45,7 +45,11 @@ class FrameBoundary(Protocol):
     last: bytes | bytearray
 
     def whole(self, buffer: bytes | bytearray) -> list[bytes]:
-        """The packets with which the buffer begins, as far as that can be found quickly and for certain."""
+        """The packets with which the buffer begins, as far as that can be found quickly and for certain.
+
+        Returns:
+            the packets, all of the same size.
+        """
 
     def check(self, buffer: bytes | bytearray, at: int) -> tuple[int, int]:
         """In step: whether the packet that has to begin at `at` is one.
@@ -127,7 +131,7 @@ class Framer:
             if kept:
                 kept.clear()
             return frames
-        at = self._cut(buffer, sum(map(len, frames)), frames)
+        at = self._cut(buffer, len(frames) * len(frames[0]) if frames else 0, frames)
         if buffer is kept:
             del kept[:at]
         else:

@@ -14,7 +14,7 @@ from linkcore.cli.progress import ProgressBar
 from linkcore.cli.terminal import Interruption
 from linkcore.errors import BadRecording
 from linkcore.recording.file import RecordingFile
-from linkcore.recording.player import ReplayClock
+from linkcore.recording.player import ReplayTimeline
 from linkcore.text import printable, strict_json
 
 from ..loading import load
@@ -52,7 +52,7 @@ class _Summary:
 
 
 def _rate(text: str) -> float:
-    """The rate of a `ReplayClock`: 0 is as fast as possible."""
+    """The rate of a `ReplayTimeline`: 0 is as fast as possible."""
     try:
         value = 0.0 if text == "max" else float(text)
     except ValueError:
@@ -168,8 +168,8 @@ def _summary(args: argparse.Namespace) -> _Summary:
 def _updates(
     recording: RecordingFile, args: argparse.Namespace, interruption: Interruption, progress: ProgressBar
 ) -> Iterator[Update]:
-    clock = ReplayClock(recording, args.rate)
-    clock.start()
+    timeline = ReplayTimeline(recording, args.rate)
+    timeline.start()
     names = frozenset(args.names) or None
     for moment in play(recording, progress):
         if moment.is_handshake and names is not None:
@@ -177,7 +177,7 @@ def _updates(
             missing = [name for name in args.names if name not in there]
             if missing:
                 raise BadRecording(f"{recording.path} holds no variable {', '.join(map(repr, missing))}")
-        if interruption.number is not None or interruption.wait(max(clock.delay(moment.received), 0.0)):
+        if interruption.number is not None or interruption.wait(max(timeline.delay(moment.received), 0.0)):
             return
         update = moment.update(names)
         if update.changes:

@@ -155,7 +155,7 @@ class CommandChannel:
             Exception: whatever `send` raises.
         """
         with self._section.lock:
-            refusal = self._monitor.refusal(is_stop)
+            refusal = self._monitor.refusal_to_stop() if is_stop else self._monitor.refusal_to_begin()
             if refusal is None:
                 send()
                 return

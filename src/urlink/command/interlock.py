@@ -140,12 +140,12 @@ class Interlock:
         return self._look()
 
     def _look(self) -> LinkError | None:
-        blocked = self._stop() or self._absence()
-        was_clear, self._was_clear = self._was_clear, blocked is None
-        if blocked is not None:
+        refusal = self.refusal_to_continue()
+        was_clear, self._was_clear = self._was_clear, refusal is None
+        if refusal is not None:
             self._is_enabled = False
             if was_clear:
-                return blocked
+                return refusal
         return None
 
     # -- what follows from it ----------------------------------------------------------------------
@@ -180,12 +180,22 @@ class Interlock:
         """Why even what moves nothing cannot be sent, or None."""
         return self._absence() or self._staleness(now)
 
+    def refusal_to_continue(self) -> SafetyStop | NotRunning | None:
+        """Why a running motion may not continue: what has closed the interlock; None if the motion may continue.
+
+        Neither an old state nor a missing `enable` ends a running motion.
+        """
+        return self._stop() or self._absence()
+
     def blocked(self, now: float) -> SafetyStop | NotRunning | None:
         """What keeps the arm from being moved, whether enabled or not; None if all is clear."""
-        return self._stop() or self.absence(now)
+        return self.refusal_to_continue() or self._staleness(now)
 
-    def refusal(self, now: float) -> SafetyStop | NotRunning | None:
-        """Why the arm may not be moved; None if it may."""
+    def refusal_to_begin(self, now: float) -> SafetyStop | NotRunning | None:
+        """Why no new motion may begin; None if one may.
+
+        Each set-point and each statement is asked about like a new motion, because each of them moves the arm.
+        """
         blocked = self.blocked(now)
         if blocked is None and not self.is_enabled:
             when = "once" if self.policy == "on_startup" else "at first and after every stop"

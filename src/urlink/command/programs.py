@@ -38,6 +38,7 @@ from ..script import commands, wrapping
 from ..script.wrapping import Permission, StartPlace, Wrapped
 from ..session.identity import KnownIdentity
 from .channel import CommandChannel
+from .given_up import GivenUpEvent, GivenUpPhase, GivenUpProgram
 from .interlock import raise_if
 from .safety_monitor import SafetyMonitor
 from .section import Section
@@ -150,13 +151,7 @@ class Programs:
         self._subscriptions: MadeOnce[list[Subscription]] = MadeOnce()
         self._mode: RobotModeData | None = None
         self._has_keys = False  # this controller sends key messages
-        #: name of the program that was sent a stop, until the controller reports that it has
-        self._stopping: str | None = None
-        self._stop_sent = -math.inf  # when it was
-        #: name of the program that was given up and goes on where nothing replaces it: paused by a stop of the robot,
-        #: or running until the one begins that was sent after it
-        self._kept: str | None = None
-        self._was_clear = False  # by the state before, nothing kept that program from being stopped
+        self._given_up = GivenUpProgram()
         #: when the last one ended; what a robot's states showed until then may be from before it
         self.ended = -math.inf
         self._is_closed = False
@@ -270,15 +265,23 @@ class Programs:
         run = next((run for run in self._pending() if run.life is life), None)
         if run is None or run.wrapped.is_secondary:
             return
-        self._stopping, self._stop_sent = run.name, self._clock()
+        self._given_up.stop_sent = self._clock()
+        self._note(GivenUpEvent.GIVE_UP, run.name)
         try:
             self._send_stop(lambda: self._newest() in (None, run))
-            self._kept = None  # whichever ran is stopped
+            self._note(GivenUpEvent.DELIVER)  # whichever ran is stopped
         except Cancelled:
-            self._kept = run.name
+            self._note(GivenUpEvent.KEEP, run.name)
         except SafetyStop:
-            self._kept = run.name
+            self._note(GivenUpEvent.KEEP, run.name)
             raise
+
+    def _note(self, event: GivenUpEvent, name: str | None = None) -> None:
+        """Something has happened to the program that was given up."""
+        if name is None and self._given_up.phase is GivenUpPhase.NONE:
+            return  # the usual case, for each state; it needs no lock
+        with self._section.lock:
+            self._given_up.fire(event, name)
 
     def _send_stop(self, is_wanted: Callable[[], bool], *, wait: bool = True) -> None:
         def claim() -> None:
@@ -317,9 +320,10 @@ class Programs:
         self._cancel_all("the robot was closed")
         forget(self)
         if self._section.may_wait:
-            self._monitor.wait_for(lambda interlock: self._kept is None, min(timeout, _CLOSING))
-        if self._kept is not None and self._mode is not None and self._mode.is_program_paused:
-            _log.warning("closed during a stop: the controller has %s paused, and may go on with it later", self._kept)
+            self._monitor.wait_for(lambda interlock: not self._given_up.is_kept, min(timeout, _CLOSING))
+        if self._given_up.is_kept and self._mode is not None and self._mode.is_program_paused:
+            name = self._given_up.name
+            _log.warning("closed during a stop: the controller has %s paused, and may go on with it later", name)
         _close(self._subscriptions.take() or [])
         for run in self._pending():
             run.life.fail(ConnectionLost(f"the robot was closed here while {run.life.name} ran; {self._what_if(run)}"))
@@ -366,7 +370,7 @@ class Programs:
         """Something has happened to the connection."""
         if event.state in (ConnectionState.CONNECTING, ConnectionState.CONNECTED):
             return
-        self._forget_given_up()  # which program the controller has by the next connection is not known
+        self._note(GivenUpEvent.END)  # which program the controller has by the next connection is not known
         why = f": {event.error}" if event.error is not None else ""
         for run in self._pending():
             if run.sent < event.received.monotonic:
@@ -393,8 +397,8 @@ class Programs:
     def _on_key(self, title: str, name: str) -> None:
         run = self._runs.get(name)
         self._has_keys |= title in (_STARTED, _STOPPED)
-        if title == _STOPPED and name == self._given_up:
-            self._forget_given_up()
+        if title == _STOPPED and name == self._given_up.name:
+            self._note(GivenUpEvent.END)
         if title == _STARTED and run is not None:
             self._begin(run)
         elif title == _STARTED:
@@ -472,17 +476,17 @@ class Programs:
 
         Once more also the one that was sent a stop and goes on: an e-Series in local control ignores what it is sent.
         """
-        if self._kept is None and self._has_keys and self._clock() - self._stop_sent > _IGNORED:
-            self._kept = self._stopping
-        is_clear = self._may_stop_kept()
-        was_clear, self._was_clear = self._was_clear, is_clear
+        if self._has_keys and self._clock() - self._given_up.stop_sent > _IGNORED:
+            self._note(GivenUpEvent.MISS)
+        was_clear = self._given_up.phase is GivenUpPhase.CLEAR
+        self._note(GivenUpEvent.FREE if self._may_stop_kept() else GivenUpEvent.HINDER)
         # By the second state without a stop: which program runs by the first one is reported behind it.
-        if not (is_clear and was_clear):
+        if not (was_clear and self._given_up.phase is GivenUpPhase.CLEAR):
             return
         if mode.is_program_running or mode.is_program_paused:
             self._stop_kept()
         else:
-            self._forget_given_up()
+            self._note(GivenUpEvent.END)
 
     def _stop_kept(self) -> None:
         """Where it cannot be sent now, the next state asks again."""
@@ -490,13 +494,15 @@ class Programs:
             return
         try:
             self._send_stop(self._may_stop_kept, wait=False)  # this may be the reader thread
-            self._stopping, self._kept, self._stop_sent = self._kept if self._has_keys else None, None, self._clock()
+            self._given_up.stop_sent = self._clock()
+            # Without key messages its end is not reported.
+            self._note(GivenUpEvent.DELIVER if self._has_keys else GivenUpEvent.END)
         except LinkError as error:
-            _log.info("%s, which was given up, was not stopped yet: %s", self._kept, error)
+            _log.info("%s, which was given up, was not stopped yet: %s", self._given_up.name, error)
 
     def _may_stop_kept(self) -> bool:
         """It is there, no stop holds, and no other was sent, which would be stopped instead of it."""
-        return self._kept is not None and self._newest() is None and self._monitor.refusal(is_stop=True) is None
+        return self._given_up.is_kept and self._newest() is None and self._monitor.refusal_to_stop() is None
 
     def _check_time(self) -> None:
         now = self._clock()
@@ -538,8 +544,8 @@ class Programs:
 
     def _replace(self, name: str, successor: _Run | None) -> None:
         """A program has begun: those sent before it are over, whether that was reported or not."""
-        if name != self._given_up:
-            self._forget_given_up()
+        if name != self._given_up.name:
+            self._note(GivenUpEvent.END)
         for run in self._pending():
             if run is successor:
                 return
@@ -569,22 +575,15 @@ class Programs:
             run.on_finish()
         elif (newest := self._newest()) is not None and newest is not run and not run.wrapped.is_secondary:
             run.life.cancel(f"preempted by {newest.life.name}")
-        elif (stop := self._monitor.refusal(is_stop=True)) is not None:
+        elif (stop := self._monitor.refusal_to_stop()) is not None:
             run.life.fail(stop)
         else:
             # The report of the stop may follow.
             run.life.fire(Event.STOP, at=self._clock())
 
-    @property
-    def _given_up(self) -> str | None:
-        return self._stopping or self._kept
-
-    def _forget_given_up(self) -> None:
-        self._stopping = self._kept = None
-
     def _interlock_closed(self, error: LinkError) -> None:
         if isinstance(error, SafetyStop):
-            self._kept = self._given_up  # it may have stopped before the stop was sent
+            self._note(GivenUpEvent.MISS)  # the robot may have stopped before the stop was sent
         for run in self._pending():
             # After a stop begins only what was asked for anew.
             is_held = not run.has_begun and run.wrapped.permission is not None and isinstance(error, SafetyStop)
@@ -592,7 +591,7 @@ class Programs:
                 run.life.fail(error)
             elif run.is_motion:
                 if isinstance(error, SafetyStop) and not run.wrapped.is_secondary:
-                    self._kept = run.name
+                    self._note(GivenUpEvent.KEEP, run.name)
                 run.life.fail(NotRunning(f"{error}; {self._what_if(run)}") if isinstance(error, NotRunning) else error)
 
     def _what_if(self, run: _Run) -> str:

@@ -44,7 +44,7 @@ class Safety(StrictAttributes):
     def refusal(self) -> LinkError | None:
         """What a motion would be refused with at this moment, or None."""
         self._monitor.listen()
-        return self._monitor.refusal()
+        return self._monitor.refusal_to_begin()
 
     @property
     def is_enabled(self) -> bool:
@@ -102,7 +102,7 @@ class Safety(StrictAttributes):
             BadValue, LocalError: as `wait_until_clear`.
             LinkTimeout: they still were not after `timeout` seconds; the message names what prevents it.
         """
-        self._wait(lambda interlock: interlock.refusal(self._monitor.clock()), timeout)
+        self._wait(lambda interlock: interlock.refusal_to_begin(self._monitor.clock()), timeout)
 
     def wait_for_stop(self, timeout: float) -> LinkError | None:
         """The stop that holds, or the first to be reported within `timeout` seconds; else None.
@@ -168,4 +168,4 @@ class Safety(StrictAttributes):
         return html_table("Safety", (), rows)
 
     def __repr__(self) -> str:
-        return f"<Safety policy={self.policy!r}: {self._monitor.refusal() or 'enabled'}>"
+        return f"<Safety policy={self.policy!r}: {self._monitor.refusal_to_begin() or 'enabled'}>"

@@ -102,22 +102,25 @@ class SafetyMonitor:
             yield self._interlock
         self._wake()
 
-    def refusal(self, is_stop: bool = False) -> LinkError | None:
-        """Why the call of this thread may not send anything that moves the arm now, or None.
+    def refusal_to_begin(self) -> LinkError | None:
+        """Why the call of this thread may not send anything that moves the arm now, or None."""
+        with self._section.lock:
+            call = current_call()
+            order = None if call is None else call.order
+            refusal = self._interlock.refusal_to_begin(self.clock())
+            return refusal or (None if order is None else self.overtaken(order))
+
+    def refusal_to_stop(self) -> LinkError | None:
+        """Why the arm cannot be stopped by a program now, or None.
 
         A stop needs nobody to enable the arm, and no later stop overtakes it.
         """
         with self._section.lock:
-            now = self.clock()
-            if is_stop:
-                return self._interlock.blocked(now)
-            call = current_call()
-            order = None if call is None else call.order
-            return self._interlock.refusal(now) or (None if order is None else self.overtaken(order))
+            return self._interlock.blocked(self.clock())
 
     def require(self, is_stop: bool = False) -> None:
-        """Raise what `refusal` says."""
-        raise_if(self.refusal(is_stop))
+        """Raise what `refusal_to_stop` returns if it is a stop, otherwise what `refusal_to_begin` returns."""
+        raise_if(self.refusal_to_stop() if is_stop else self.refusal_to_begin())
 
     def require_running(self) -> None:
         """As `require`, for what moves nothing: a stop does not matter as long as the robot runs.

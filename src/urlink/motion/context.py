@@ -13,8 +13,8 @@ from ..command.programs import Programs
 from ..command.section import Section
 from ..protocol.realtime.packets import RealtimeState
 from ..session.identity import KnownIdentity
-from .servo.register_link import PointRegisterLink, RegisterLink, RegisterPort
-from .servo.reverse import ReversePort
+from .links.register_link import PointRegisterLink, RegisterLink, RegisterPort
+from .links.reverse import ReversePort
 
 
 @dataclass(frozen=True)

@@ -33,9 +33,9 @@ from ..session.address import RobotAddress
 from ..session.connect_options import ConnectOptions
 from ..session.identity import KnownIdentity
 from .context import MotionContext
+from .links.register_link import POINT_INPUTS, SETPOINT_INPUTS, PointLinks, RegisterLink, RegisterPort
+from .links.reverse import ReversePort
 from .motions import Motions
-from .servo.register_link import POINT_INPUTS, SETPOINT_INPUTS, PointLinks, RegisterLink, RegisterPort
-from .servo.reverse import ReversePort
 
 if TYPE_CHECKING:
     from ..rtde import Rtde

@@ -18,13 +18,14 @@ from linkcore.pending_call import starts_motion
 from ..arm.bounds import JOINT_ACCELERATION, JOINT_SPEED, TOOL_ACCELERATION, TOOL_SPEED, check_pose, check_speeds
 from ..arm.models import Model
 from ..arm.vectors import FloatArray, Numbers, numbers, six
-from ..command.controller_clock import ProgramClock, ScalingName, end_where_moved
+from ..command.program_time import ProgramTimer, ScalingName, end_where_moved
 from ..protocol.firmware import Firmware
 from ..protocol.realtime.packets import RealtimeState
 from ..script import commands
 from ..script import force_control as yielding
 from ..script.wrapping import HAS_REGISTERS
 from .context import MotionContext
+from .links.register_link import RegisterPort
 from .moves.path import PathMotion, Rates, Waypoint, plan, shown_tcp
 from .moves.speed_limit import check_joint_speeds, largest_speeds
 from .moves.trajectory import Trajectory
@@ -36,10 +37,10 @@ from .servo.impedance_parameters import Softness
 from .servo.jerk_limited import joint_limits
 from .servo.jog import UNLED, FrameName, HeldSpeed, Jog
 from .servo.linked_program import Link, LinkedProgram
-from .servo.register_link import RegisterPort
 from .servo.servo import Servo
 from .servo.setpoints import Servoing
 from .servo.waypoints import WaypointServer
+from .slider import SliderEffect, slider
 from .stream.point_stream import PointStream
 
 #: The smallest value of what must be positive; and an hour: a longer duration is a mistake.
@@ -57,6 +58,8 @@ TargetFilterName = Literal["jerk_limited"]
 LinkName = Literal["reverse", "rtde"]
 
 
+# A motion that is one short program has no class of its own.
+@slider(move_joints=SliderEffect.SCALED)
 class Motions(StrictAttributes):
     """Moves the arm. Each method begins a motion and returns its handle; it waits for the arm only if it is asked to.
 
@@ -359,8 +362,8 @@ class Motions(StrictAttributes):
         if low_bandwidth:
             following: Following = WaypointServer(trajectory, tolerances, firmware, lookahead_time, gain)
         else:
-            clock = ProgramClock(1.0 / firmware.rate, scaling)
-            following = Follower(trajectory, tolerances, servoing, _delay(delay), clock)
+            timer = ProgramTimer(1.0 / firmware.rate, scaling)
+            following = Follower(trajectory, tolerances, servoing, _delay(delay), timer)
         life = context.programs.life("follow")
         motion = Motion(life, lambda: following.progress)
         if feedback is not None:

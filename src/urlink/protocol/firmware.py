@@ -127,6 +127,7 @@ def _e_series(masterboard: int, additional: int, **more: int) -> dict[int, int]:
 
 #: Oldest first. A row holds from its version to the next row of the same major version.
 RELEASES: tuple[Release, ...] = (
+    # -- CB2
     Release(
         Firmware(1, 5),
         756,
@@ -146,6 +147,7 @@ RELEASES: tuple[Release, ...] = (
         _cb2(64, kinematics=225, calibration=53, configuration=469, force=61, additional=7),
         "real bytes: real-time 812 B, state 1254 B",
     ),
+    # -- CB3
     Release(Firmware(3, 0), 1044, _cb3(38, 72, 53, 7), "public decoders (4 real-time, 2+ state)"),
     Release(Firmware(3, 2), 1060, _cb3(46, 74, 101, 7), "public decoders and user reports"),
     Release(Firmware(3, 3), 1060, _cb3(46, 74, 101, 8), "real bytes: head of a 1306 B state, version message"),
@@ -157,6 +159,7 @@ RELEASES: tuple[Release, ...] = (
         "real bytes: connection head of 3.10 (state 1352 B by a user report); real-time: user reports",
     ),
     Release(Firmware(3, 14), 1140, _cb3(47, 75, 101, 9, safety=43), "public decoders; vendor page of its 5.x twin"),
+    # -- e-Series
     Release(Firmware(5, 0), 1108, _e_series(74, 8), "public decoders; state size by a user report (5.0.5)"),
     Release(Firmware(5, 2), 1108, _e_series(74, 8, tool_mode=8), "public decoders"),
     Release(
@@ -179,6 +182,7 @@ RELEASES: tuple[Release, ...] = (
         _e_series(75, 9, tool_mode=8, configuration=449),
         "vendor page; configuration by one report (5.25.1)",
     ),
+    # -- PolyScope X
     Release(
         Firmware(10, 7),
         1220,
@@ -197,6 +201,7 @@ RELEASES: tuple[Release, ...] = (
         _e_series(75, 9, tool_mode=8, configuration=449),
         "inferred: as 10.12; the vendor's client library is tested with 10.13",
     ),
+    # -- a later generation
 )
 
 #: The newest firmware of the e-Series that the table knows: the default of a simulated arm.

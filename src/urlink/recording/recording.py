@@ -19,8 +19,8 @@ from linkcore.recording.file import Kind, Progress, described, unseen
 from linkcore.recording.index import RecordIndex
 from linkcore.recording.mcap_file import Topic, write_stretches
 from linkcore.recording.packets import Channel, read_channel
-from linkcore.recording.table import PeerClock, Table
-from linkcore.recording.table_files import TABLE_WRITERS, chosen, export
+from linkcore.recording.table import ClockColumn, Table
+from linkcore.recording.table_files import ONE_TABLE, TABLE_WRITERS, chosen, export
 from linkcore.wire.framing import PacketProtocol
 from linkcore.wire.packet import State
 
@@ -160,7 +160,7 @@ class Recording(StrictAttributes):
             periods: tuple[float, ...] = (1.0 / rate,)
         else:
             periods = periods_of(channel.parts[0].layout.size if channel.parts else 0)
-        return self._table("realtime", channel, PeerClock("time", 1.0, periods))
+        return self._table("realtime", channel, ClockColumn("time", 1.0, periods))
 
     @cached_property
     def primary(self) -> RobotStates:
@@ -191,7 +191,7 @@ class Recording(StrictAttributes):
         channel = self._channel("rtde", lambda: RtdeProtocol(plan), Outputs)
         number = None if plan.recorded is None else plan.recorded.number
         periods = package_periods(plan.frequency, self.firmware, number)
-        return self._table("rtde", channel, PeerClock(CLOCK, 1.0, periods))
+        return self._table("rtde", channel, ClockColumn(CLOCK, 1.0, periods))
 
     @property
     def tables(self) -> dict[str, Table]:
@@ -229,8 +229,7 @@ class Recording(StrictAttributes):
             LocalError: the package that writes the format is not installed; the message says how to install it.
         """
         tables = self.tables
-        is_of_one = Path(path).suffix.lower() in (".csv", ".parquet")
-        if fields is None and is_of_one:
+        if fields is None and Path(path).suffix.lower() in ONE_TABLE:
             tables = dict(list(tables.items())[:1])
         writers = {**TABLE_WRITERS, ".mcap": self._write_mcap}
         return export(path, chosen(tables, fields, rate), writers, progress, self._about())
@@ -315,10 +314,10 @@ class Recording(StrictAttributes):
     def _robot_states(self, name: str) -> RobotStates:
         channel = self._channel(name, PrimaryProtocol, RobotState, is_uniform=False)
         is_known = self.firmware is not None and not self.firmware.is_cb2
-        clock = PeerClock("robot_mode_data.timestamp", 1e-6, STATE_PERIODS) if is_known else None
+        clock = ClockColumn("robot_mode_data.timestamp", 1e-6, STATE_PERIODS) if is_known else None
         return RobotStates(name, channel.others, self._timed, channel.begins, self._missing(name, channel), clock)
 
-    def _table(self, name: str, channel: Channel, clock: PeerClock) -> Table:
+    def _table(self, name: str, channel: Channel, clock: ClockColumn) -> Table:
         records = np.concatenate([part.record for part in channel.parts]) if channel.parts else np.empty(0, np.int64)
         time, wall = self._timed(records)
         begins = np.searchsorted(records, channel.begins).tolist()

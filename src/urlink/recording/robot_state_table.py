@@ -11,7 +11,7 @@ from linkcore.errors import BadValue
 from linkcore.names import unknown_attribute
 from linkcore.recording.columns import ArrayColumns, Columns, JoinedColumns, PacketColumns, columns_of
 from linkcore.recording.packets import states_of
-from linkcore.recording.table import PeerClock, Table
+from linkcore.recording.table import ClockColumn, Table
 from linkcore.wire.packet import State
 
 from ..protocol.primary.robot_message import OtherPackage, RobotMessage
@@ -48,7 +48,7 @@ class RobotStates(Table):
         timed: Timed,
         begins: list[int],
         missing: Sequence[str],
-        clock: PeerClock | None = None,
+        clock: ClockColumn | None = None,
     ) -> None:
         self._decoded = decoded
         self._timed = timed

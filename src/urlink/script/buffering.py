@@ -74,7 +74,7 @@ BRAKING_FACTOR = 1.5 * 2.0**0.5
 #: the joint brakes with more jerk.
 STRAY = 0.05
 #: 1/s, of the program, with which the pace changes at most. Chosen: four times as fast as it is sent
-#: (`urlink.command.controller_clock.RAMP`) while nothing is scaled, because at a slider of 50 % it has to be.
+#: (`urlink.command.program_time.RAMP`) while nothing is scaled, because at a slider of 50 % it has to be.
 PACING = 25.0
 #: Seconds between two reports.
 _REPORTING = 0.02

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from linkcore import clock
 from linkcore.names import StrictAttributes
-from linkcore.streaming.peer_clock import ClockEstimator, ClockRelation
+from linkcore.streaming.peer_clock import OffsetEstimate, OffsetEstimator
 from linkcore.streaming.stream import Stream
 
 from ..arm.parameters import number
@@ -70,14 +70,14 @@ class RobotClock(StrictAttributes):
         return self._peer.restarts
 
     @property
-    def _peer(self) -> ClockEstimator:
-        return self._stream._connection.counters.clock
+    def _peer(self) -> OffsetEstimator:
+        return self._stream._connection.counters.clock_offset
 
     @property
     def _latency(self) -> float:
         return number("state_latency") / self._who.last.firmware.rate
 
-    def _relation(self) -> ClockRelation:
+    def _relation(self) -> OffsetEstimate:
         relation = self._peer.relation
         while relation is None:
             self._stream.wait()

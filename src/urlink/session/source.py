@@ -149,10 +149,10 @@ def recorded(place: RecordingAddress) -> Source:
     """
     # Imported here: a connection to a controller costs less without them.
     from linkcore.recording.file import RecordingFile
-    from linkcore.recording.player import ReplayClock, ReplayTransport
+    from linkcore.recording.player import ReplayTimeline, ReplayTransport
 
     recording = RecordingFile(place.path)
-    clock = ReplayClock(recording, place.rate)
+    timeline = ReplayTimeline(recording, place.rate)
 
     def ask() -> Identity:
         for info in recording.channels.values():
@@ -161,7 +161,7 @@ def recorded(place: RecordingAddress) -> Source:
         raise BadRecording(f"{recording.path} does not say what firmware it was recorded from")
 
     def transport(interface: str) -> Transport:
-        return ReplayTransport(recording, interface, clock)
+        return ReplayTransport(recording, interface, timeline)
 
     def channel(interface: str) -> Mapping[str, Any]:
         return recording.channels[recording.channel(interface)]

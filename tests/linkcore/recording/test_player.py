@@ -19,7 +19,7 @@ from linkcore.clock import Stamp
 from linkcore.errors import BadRecording, BadValue, ConnectFailed, ConnectionLost, LinkTimeout
 from linkcore.net.transport import Finished
 from linkcore.recording.file import Kind, RecordingFile, RecordingWriter
-from linkcore.recording.player import ReplayClock, ReplayTransport
+from linkcore.recording.player import ReplayTimeline, ReplayTransport
 from linkcore.recording.recorder import Recorder
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from linkcore.streaming.stream import Stream
@@ -62,7 +62,7 @@ def about(seconds: Any) -> Any:
 
 
 def opened(recording: RecordingFile, rate: float = 1.0, channel: str = "0") -> ReplayTransport:
-    transport = ReplayTransport(recording, channel, ReplayClock(recording, rate))
+    transport = ReplayTransport(recording, channel, ReplayTimeline(recording, rate))
     transport.open(5)
     return transport
 
@@ -124,7 +124,7 @@ def test_as_fast_as_possible_never_waits(tmp_path: Path) -> None:
 @pytest.mark.simulated_time
 def test_channels_share_one_time_line(tmp_path: Path) -> None:
     recording = write(tmp_path / "run", [(0, b"a"), (4, b"b")], [(1, b"c"), (3, b"d")])
-    shared = ReplayClock(recording)
+    shared = ReplayTimeline(recording)
     left, right = (ReplayTransport(recording, name, shared) for name in "01")
     came: dict[bytes, float] = {}
     elapsed = Elapsed()
@@ -141,7 +141,7 @@ def test_channels_share_one_time_line(tmp_path: Path) -> None:
 @pytest.mark.parametrize("rate", [-1, float("inf"), float("nan")])
 def test_a_rate_that_is_none(tmp_path: Path, rate: float) -> None:
     with pytest.raises(BadValue, match="rate"):
-        ReplayClock(write(tmp_path / "run", []), rate)
+        ReplayTimeline(write(tmp_path / "run", []), rate)
 
 
 # -- lost and back ------------------------------------------------------------------------------------
@@ -207,7 +207,7 @@ def test_a_channel_that_was_recorded_late_opens_at_once(tmp_path: Path) -> None:
 
 def test_a_connection_that_was_never_made_is_replayed_so(tmp_path: Path) -> None:
     recording = write(tmp_path / "run", [(0, "connecting"), (1, "lost")])
-    transport = ReplayTransport(recording, "0", ReplayClock(recording))
+    transport = ReplayTransport(recording, "0", ReplayTimeline(recording))
     with pytest.raises(ConnectFailed, match="as recorded: at 1"):
         transport.open(5)
 
@@ -215,7 +215,7 @@ def test_a_connection_that_was_never_made_is_replayed_so(tmp_path: Path) -> None
 @pytest.mark.simulated_time
 def test_close_wakes_who_waits_for_a_chunk_and_none_is_lost(tmp_path: Path) -> None:
     recording = write(tmp_path / "run", [(0, b"a"), (3600, b"b")])
-    clock = ReplayClock(recording)
+    clock = ReplayTimeline(recording)
     transport = ReplayTransport(recording, "0", clock)
     transport.open(5)
     assert transport.receive()[0] == b"a"
@@ -240,18 +240,18 @@ def test_close_wakes_who_waits_for_a_chunk_and_none_is_lost(tmp_path: Path) -> N
 def test_nothing_can_be_sent_to_a_recording(tmp_path: Path) -> None:
     recording = write(tmp_path / "run", [(0, b"a")])
     with pytest.raises(BadValue, match="is a recording"):
-        ReplayTransport(recording, "0", ReplayClock(recording)).send(b"stopj(1)\n", 1)
+        ReplayTransport(recording, "0", ReplayTimeline(recording)).send(b"stopj(1)\n", 1)
 
 
 def test_a_channel_that_is_not_there_is_told_at_once(tmp_path: Path) -> None:
     recording = write(tmp_path / "run", [(0, b"a")])
     with pytest.raises(BadRecording, match="holds no realtime; it holds 0"):
-        ReplayTransport(recording, "realtime", ReplayClock(recording))
+        ReplayTransport(recording, "realtime", ReplayTimeline(recording))
 
 
 def test_an_empty_channel_is_over_at_once(tmp_path: Path) -> None:
     recording = write(tmp_path / "run", [])
-    transport = ReplayTransport(recording, "0", ReplayClock(recording))
+    transport = ReplayTransport(recording, "0", ReplayTimeline(recording))
     transport.open(5)
     with pytest.raises(Finished):
         transport.receive()
@@ -262,7 +262,7 @@ def test_an_empty_channel_is_over_at_once(tmp_path: Path) -> None:
 
 def replaying(path: Path, rate: float = 0) -> Stream[Count]:
     recording = RecordingFile(path)
-    transport = ReplayTransport(recording, "0", ReplayClock(recording, rate))
+    transport = ReplayTransport(recording, "0", ReplayTimeline(recording, rate))
     lossless = rate == 0
     return scripted(transport, name="replay", lossless=lossless)
 

@@ -9,7 +9,7 @@ from functools import partial
 
 import pytest
 
-from linkcore.streaming.peer_clock import ClockEstimator
+from linkcore.streaming.peer_clock import OffsetEstimator
 
 #: s from a packet to the next one
 PERIOD = 0.002
@@ -33,7 +33,7 @@ class Wire:
         self.there, self.back = chance.uniform(5e-5, 5e-4), chance.uniform(5e-5, 5e-4)
         #: monotonic s here at time 0 there
         self.zero = chance.uniform(-1e5, 1e5)
-        self.clock = ClockEstimator()
+        self.clock = OffsetEstimator()
         self.time = chance.uniform(0.0, 1e6)
 
     def local(self, time: float) -> float:
@@ -93,7 +93,7 @@ def test_the_bound_is_little_more_than_half_of_the_way(kind: str) -> None:
 
 
 def test_before_there_are_enough_packets_it_promises_nothing() -> None:
-    clock = ClockEstimator()
+    clock = OffsetEstimator()
     assert [clock.relation] == [None]
     clock.connected(1e-4)
     clock.take(5.0, 105.0)

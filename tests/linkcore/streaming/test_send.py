@@ -8,7 +8,7 @@ import pytest
 
 from linkcore.errors import Closed, ConnectFailed, ConnectionLost, LinkTimeout, LocalError
 from linkcore.recording.file import RecordingFile
-from linkcore.recording.player import ReplayClock, ReplayTransport
+from linkcore.recording.player import ReplayTimeline, ReplayTransport
 from linkcore.recording.recorder import Recorder
 from linkcore.streaming.connection_life import Backoff, ConnectionState
 from linkcore.streaming.stream import Stream
@@ -69,7 +69,7 @@ def test_a_recording_takes_nothing(stream: Stream[Count], transport: ScriptedTra
         transport.put(counts(1, 2))
         until(lambda: stream.stats.received == 2)
     recording = RecordingFile(tmp_path / "run.log")
-    played = scripted(ReplayTransport(recording, "script", ReplayClock(recording, 0)), name="played", lossless=True)
+    played = scripted(ReplayTransport(recording, "script", ReplayTimeline(recording, 0)), name="played", lossless=True)
     with pytest.raises(LocalError, match=r"recording|is over"):
         played._connection.send(b"text\n", 1.0)
     played.close()

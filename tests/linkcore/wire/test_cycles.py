@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import struct
 from collections.abc import Sequence
 from typing import cast
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from linkcore.clock import Stamp
@@ -68,6 +69,46 @@ def counters(times: Sequence[float | None], *periods: float, cuts: int = 1) -> M
 
 def counted(times: Sequence[float | None], *periods: float, cuts: int = 1) -> Missing:
     return counters(times, *periods, cuts=cuts).missing
+
+
+def plainly(times: Sequence[float | None], period: float) -> tuple[int, int, float, int]:
+    """Missing cycles, gaps, the longest gap and duplicates, by each step from one packet to the next."""
+    known = [time for time in times if time is not None]
+    steps = [later - earlier for earlier, later in itertools.pairwise(known)]
+    gaps = [step for step in steps if 1.5 * period < step <= 3600.0]
+    missing = sum(max(round(step / period) - 1, 1) for step in gaps)
+    return missing, len(gaps), max(gaps, default=0.0), steps.count(0.0)
+
+
+#: Steps of a clock that goes on, in periods: some are short, and some are too long, so that cycles are missing.
+_ONWARD = st.one_of(st.just(1.0), st.sampled_from([0.01, 0.5, 1.49, 1.51, 1.99, 3.0]), st.floats(0.01, 5.0))
+#: The same packet again, packets in the wrong order, a clock that was started again or set, a packet without a time.
+_OTHER = st.sampled_from([0.0, -1.0, -2.5, -1e5, 1e9, None])
+
+
+@pytest.mark.property
+@given(
+    st.one_of(st.lists(_ONWARD, max_size=40), st.lists(st.one_of(_ONWARD, _OTHER), max_size=40)),
+    st.sampled_from([0.002, 0.008]),
+    st.integers(1, 12),
+)
+@example([1.0, 0.01, 1.99, 1.0], 0.002, 4)  # of so many packets the time is right, but one step is too long
+@example([1.99, 0.01, 1.0, 1.0], 0.002, 4)
+@example([1.0, 0.0, 2.0, 1.0], 0.002, 4)
+@example([2.0, -1.0, 2.0, 1.0], 0.002, 4)
+@example([1.0, -1e5, 1.0, 1.0], 0.002, 4)
+@example([1.0, None, 2.0, 1.0], 0.002, 4)
+def test_packets_that_arrive_at_once_are_counted_as_one_by_one(
+    steps: list[float | None], period: float, cuts: int
+) -> None:
+    # All the packets of the first batch follow on each other, so the following batches begin with the first step.
+    times: list[float | None] = [10.0 + number * period for number in range(cuts)]
+    now = 10.0 + (cuts - 1) * period
+    for step in steps:
+        now += (step or 0.0) * period
+        times.append(None if step is None else now)
+    found = counters(times, period, cuts=cuts)
+    assert (*found.missing, found.duplicates) == plainly(times, period)
 
 
 def test_a_packet_that_follows_on_the_last_costs_no_call(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -53,14 +53,15 @@ class HashBoundary:
 
 
 class WholeBoundary(HashBoundary):
-    """Cuts whole packets in one go, as those of the robot's interfaces do."""
+    """Cuts whole packets of one size in one go, as those of the robot's interfaces do."""
 
     def whole(self, buffer: bytes | bytearray) -> list[bytes]:
         found: list[bytes] = []
         at = 0
-        while (size := self.declared(buffer, at)) and buffer[at + size - 1 : at + size] == b".":
-            found.append(bytes(buffer[at : at + size]))
-            at += size
+        first = self.declared(buffer, 0)
+        while first and self.declared(buffer, at) == first and buffer[at + first - 1 : at + first] == b".":
+            found.append(bytes(buffer[at : at + first]))
+            at += first
         return found
 
 

@@ -17,8 +17,8 @@ EQUIVALENT: tuple[Equivalent, ...] = (
     Equivalent(
         PROGRAMS,
         "_after_stop",
-        "self._clock() - self._stop_sent > _IGNORED",
-        "self._clock() - self._stop_sent >= _IGNORED",
+        "self._clock() - self._given_up.stop_sent > _IGNORED",
+        "self._clock() - self._given_up.stop_sent >= _IGNORED",
         "a state that comes exactly then, or the next",
     ),
 )

@@ -1,4 +1,6 @@
-"""Drawn defects after which nobody could see a difference, and why; they count neither as found nor as missed."""
+"""Drawn defects after which nobody could see a difference, and why; they count neither as found nor as missed.
+
+The last seven are of the second draw."""
 
 # ruff: noqa: E501  # what a defect changes is compared as it is printed
 
@@ -171,7 +173,7 @@ EQUIVALENT: tuple[Equivalent, ...] = (
     Equivalent(
         "urlink/motion/stream/stream_feed.py",
         "_next",
-        "self._has_sent_pace = False",
+        "self._program_pace.send_point()",
         "after if aim.handed is not None and (not any((each.handed is aim.handed for each in self._queue))):",
         "nothing in between reads it, under the section",
     ),
@@ -265,5 +267,54 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "self._timeout = timeout",
         "after self._open(clock.now() + timeout)",
         "opening takes its deadline as an argument, and no other thread has the object before it is made",
+    ),
+    Equivalent(
+        "rhdlink/loading.py",
+        "load",
+        "time.append(moment.received.monotonic); wall.append(moment.received.wall)",
+        "swapped",
+        "two lists of one function, to which one value each is appended",
+    ),
+    Equivalent(
+        "urlink/motion/waypoints.py",
+        "resume",
+        "self._skipped = self._t - before",
+        "after self._resumed = (self._t, [a - b for a, b in zip(state.q_target.tolist(), q, strict=True)])",
+        "neither reads the other, and one thread does both",
+    ),
+    Equivalent(
+        "urlink/commanding/channel.py",
+        "_send_some",
+        "text.number = number; check_wanted()",
+        "swapped",
+        "a text that is not wanted is dropped, and its number with it",
+    ),
+    Equivalent(
+        "linkcore/aio/loop_connection.py",
+        "_on_closing",
+        "happened(self._closing); happened(self._settled)",
+        "swapped",
+        "what waits for either comes in a later turn of the loop",
+    ),
+    Equivalent(
+        "urlink/motion/waypoints.py",
+        "_answer",
+        "self.survives_its_program = True",
+        "after zeros = [0.0] * (waypoints.numbers_of_point(self._trajectory.is_quintic) - 1)",
+        "the next line makes a list of its own",
+    ),
+    Equivalent(
+        "rhdlink/replica.py",
+        "apply",
+        "self._is_new_round = False; self.database.read.begin_round()",
+        "swapped",
+        "both under the lock, and neither reads the other",
+    ),
+    Equivalent(
+        "linkcore/streaming/silence.py",
+        "end",
+        "self.last = now",
+        "after self.wait = self._next_wait()",
+        "the next wait is not computed from the time of the last packet",
     ),
 )

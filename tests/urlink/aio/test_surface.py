@@ -3,111 +3,106 @@
 from __future__ import annotations
 
 import inspect
+import itertools
 import os
 import re
 import shutil
 import subprocess
 import sys
+import typing
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import urlink
-from linkcore.aio.async_stream import AsyncFeed
-from urlink.aio import parts
-from urlink.aio.async_group import AsyncGroup, AsyncGroupStream
-from urlink.aio.awaited import AwaitedPart
-from urlink.motion.stream.group_motion import GroupStream
-from urlink.protocol.gripper.client import Gripper
-from urlink.protocol.tool_serial import ToolSerial
+from linkcore.aio.async_stream import AsyncFeed, AsyncStream
+from urlink.aio import async_group, async_robot, parts
+from urlink.aio.awaited import AwaitedPart, Block
 
 ROOT = Path(__file__).parents[3]
 
-#: An expression for what users hold -> its class there, and with asyncio.
-PAIRS: dict[str, tuple[type, type]] = {
-    "robot": (urlink.Robot, urlink.AsyncRobot),
-    "robot.realtime": (urlink.Stream, urlink.aio.parts.AsyncStream),
-    "robot.realtime.of(urlink.packets.RealtimeState)": (urlink.Feed, AsyncFeed),
-    "robot.motion": (urlink.motion.Motions, parts.AsyncMotions),
-    "robot.io": (urlink.IO, parts.AsyncIO),
-    "robot.safety": (urlink.Safety, parts.AsyncSafety),
-    "robot.script": (urlink.Scripts, parts.AsyncScripts),
-    "robot.dashboard": (urlink.Dashboard, parts.AsyncDashboard),
-    "robot.gripper": (Gripper, parts.AsyncGripper),
-    "robot.tool_serial": (ToolSerial, parts.AsyncToolSerial),
-    "robot.rtde": (urlink.rtde.Rtde, parts.AsyncRtde),
-    "robot.registers": (urlink.rtde.Registers, parts.AsyncRegisters),
-    "interpreter": (urlink.Interpreter, parts.AsyncInterpreter),
-    "points": (urlink.motion.PointStream, parts.AsyncPointStream),
-    "group": (urlink.Group, AsyncGroup),
-    "points_of_all": (GroupStream, AsyncGroupStream),
-    "teaching": (urlink.motion.Teaching, parts.AsyncTeaching),
-    "inputs": (urlink.rtde.Inputs, parts.AsyncInputs),
-    "outputs": (urlink.rtde.OutputStream, parts.AsyncOutputStream),
-}
+
+def _pairs() -> dict[type, type]:
+    """Each class of what users hold -> its class with asyncio, which names it: ``class AsyncIO(AwaitedPart[IO])``."""
+    pairs: dict[type, type] = {
+        urlink.Stream: AsyncStream,
+        urlink.Feed: AsyncFeed,
+        urlink.rtde.OutputStream: parts.AsyncOutputStream,
+    }
+    for module in (async_robot, parts, async_group):
+        for kind in vars(module).values():
+            if inspect.isclass(kind) and issubclass(kind, AwaitedPart) and kind.__module__ == module.__name__:
+                ((blocking,),) = (typing.get_args(base) for base in kind.__orig_bases__)  # type: ignore[attr-defined]
+                pairs[blocking] = kind
+    return pairs
+
+
+PAIRS = _pairs()
+each_pair = pytest.mark.parametrize(("blocking", "awaited"), PAIRS.items(), ids=[kind.__name__ for kind in PAIRS])
 
 #: What there is with asyncio alone.
-MORE = {
-    "robot": {"identify", "call"},  # what a property of the other asks, and calls that block
-    "robot.realtime": {"stream"},  # the same for threads
-    "outputs": {"stream"},
+MORE: dict[type, set[str]] = {
+    urlink.AsyncRobot: {"identify", "call"},  # what a property of the other asks, and calls that block
+    AsyncStream: {"stream"},  # the same for threads
+    parts.AsyncOutputStream: {"stream"},
 }
-
 #: Arguments that are missing with asyncio: the loop calls back, so nothing is queued, and closing waits for the task.
 LESS = {
     "subscribe": {"policy", "lifespan", "inline"},
     "close": {"timeout"},
 }
 #: Where they are missing.
-STREAMS = {"robot.realtime", "robot.realtime.of(urlink.packets.RealtimeState)", "outputs"}
+STREAMS = (AsyncStream, AsyncFeed)
 
 #: What is read there and asked for here.
-ASKED = {"interpreter.state"}
-#: What is entered with ``async with``.
-BLOCKS = {
-    *("robot.motion.servo", "robot.motion.jog", "robot.motion.force_mode", "robot.motion.torque"),
-    "robot.motion.stream",
-    "group.stream",
-    "robot.motion.impedance",
-    *("robot.freedrive", "robot.teach", "robot.interpreter", "robot.record", "robot.rtde.inputs", "robot.rtde.outputs"),
-    "robot.view",
-}
+ASKED = {(parts.AsyncInterpreter, "state")}
 #: What returns at once in both.
 AT_ONCE = {"of", "iterate", "states", "position_of", "cancel", "add_done_callback"}
 
 
-def surface(kind: type, attributes: tuple[str, ...] = ()) -> set[str]:
-    return {name for name in (*dir(kind), *attributes) if not name.startswith("_")}
+def surface(kind: type) -> set[str]:
+    """The public names of a class, with the attributes that are set in __init__ and documented."""
+    _, _, attributes = (inspect.getdoc(kind) or "").partition("\nAttributes:\n")
+    lines = itertools.takewhile(lambda line: line.startswith(" ") or not line, attributes.splitlines())
+    documented = [re.match(r" {4}([a-z_, ]+):", line) for line in lines]
+    names = {name for found in documented if found for name in found[1].split(", ")}
+    return names | {name for name in dir(kind) if not name.startswith("_")}
 
 
-#: Attributes that are set in __init__ and documented.
-ATTRIBUTES = {
-    "robot": ("address",),
-    "teaching": ("taught",),
-    "points": ("buffer",),
-    "group": ("robots",),
-    "points_of_all": ("motions",),
-    "inputs": ("names",),
-    "outputs": ("names", "frequency"),
-}
+def is_method(kind: type, name: str) -> bool:
+    return name in AT_ONCE or callable(inspect.getattr_static(kind, name, None))
 
 
-@pytest.mark.parametrize("path", PAIRS)
-def test_both_have_the_same_names(path: str) -> None:
-    blocking, awaited = PAIRS[path]
-    assert surface(awaited) - MORE.get(path, set()) == surface(blocking, ATTRIBUTES.get(path, ()))
+def methods(kind: type) -> list[str]:
+    return sorted(name for name in surface(kind) if is_method(kind, name))
 
 
-def methods(path: str) -> list[str]:
-    kind = PAIRS[path][0]
-    return sorted(name for name in surface(kind) if callable(inspect.getattr_static(kind, name)) or name in AT_ONCE)
+def line_for(blocking: type, name: str) -> str:
+    """The line that gives the asyncio face this name."""
+    owner = blocking.__name__
+    if not is_method(blocking, name):
+        return f"    {name} = attribute({owner}, lambda part: part.{name})"
+    return f"    {name} = awaited({owner}.{name})"
 
 
-@pytest.mark.parametrize("path", PAIRS)
-def test_the_same_names_take_the_same_arguments(path: str) -> None:
-    blocking, awaited = PAIRS[path]
-    for name in methods(path):
+@each_pair
+def test_both_have_the_same_names(blocking: type, awaited: type) -> None:
+    here, there = surface(awaited) - MORE.get(awaited, set()), surface(blocking)
+    file = inspect.getsourcefile(awaited)
+    assert file is not None
+    place = f"class {awaited.__name__} in {Path(file).relative_to(ROOT)}"
+    missing = "".join(f"\n{line_for(blocking, name)}" for name in sorted(there - here))
+    kinds = "`stopping`, `motion` or `block` instead of `awaited` if the docstring of that function fits better"
+    assert not missing, f"add to {place} ({kinds}):{missing}"
+    assert not here - there, (
+        f"remove from {place}, since {blocking.__name__} does not have them: {sorted(here - there)}"
+    )
+
+
+@each_pair
+def test_the_same_names_take_the_same_arguments(blocking: type, awaited: type) -> None:
+    for name in methods(blocking):
         wanted, found = (
             {
                 each.name: (each.kind, each.default)
@@ -116,17 +111,23 @@ def test_the_same_names_take_the_same_arguments(path: str) -> None:
             }
             for kind in (blocking, awaited)
         )
-        less = LESS.get(name, set()) if path in STREAMS else set()
+        less = LESS.get(name, set()) if issubclass(awaited, STREAMS) else set()
         assert found == {key: value for key, value in wanted.items() if key not in less}, name
 
 
-@pytest.mark.parametrize("path", [path for path, (_, kind) in PAIRS.items() if issubclass(kind, AwaitedPart)])
-def test_every_method_is_awaited_and_what_is_unknown_is_an_error(path: str) -> None:
-    kind = PAIRS[path][1]
-    for name in methods(path):
-        is_other = name in AT_ONCE or f"{path}.{name}" in BLOCKS
-        assert inspect.iscoroutinefunction(getattr(kind, name)) != is_other, name
+@pytest.mark.parametrize("kind", [kind for kind in PAIRS.values() if issubclass(kind, AwaitedPart)])
+def test_every_method_is_awaited_or_a_block_and_what_is_unknown_is_an_error(kind: type[AwaitedPart[Any]]) -> None:
     part: Any = object.__new__(kind)
+    part._part = part._workers = None
+    for name in methods(kind):
+        function = getattr(kind, name)
+        if name in AT_ONCE:
+            assert not inspect.iscoroutinefunction(function), name
+        elif not inspect.iscoroutinefunction(function):
+            # A block calls nothing before it is entered, so that any arguments will do.
+            required = [each for each in inspect.signature(function).parameters.values() if each.default is each.empty]
+            positional = [each for each in required[1:] if each.kind is each.POSITIONAL_OR_KEYWORD]
+            assert isinstance(function(part, *[None for _ in positional]), Block), name
     with pytest.raises(AttributeError, match=r"has no attribute 'curent'"):
         part.curent = 3
     with pytest.raises(AttributeError, match=r"has no attribute 'curent'"):
@@ -135,18 +136,24 @@ def test_every_method_is_awaited_and_what_is_unknown_is_an_error(path: str) -> N
 
 # -- types ---------------------------------------------------------------------------------------
 
+
+def full_name(kind: type) -> str:
+    return f"{kind.__module__}.{kind.__name__}"
+
+
 #: Types of results there -> here.
 GIVEN = {
-    "urlink.command.interpreter.Interpreter": "urlink.aio.parts.AsyncInterpreter",
-    "urlink.motion.stream.point_stream.PointStream": "urlink.aio.parts.AsyncPointStream",
-    "urlink.motion.stream.group_motion.GroupStream": "urlink.aio.async_group.AsyncGroupStream",
-    "urlink.robot.Robot": "urlink.aio.async_robot.AsyncRobot",
+    **{full_name(blocking): full_name(awaited) for blocking, awaited in PAIRS.items()},
     "typing.Iterator[tuple": "typing.AsyncIterator[tuple",
-    "urlink.motion.teaching.Teaching": "urlink.aio.parts.AsyncTeaching",
-    "urlink.rtde.inputs.Inputs": "urlink.aio.parts.AsyncInputs",
-    "urlink.rtde.registers.Registers": "urlink.aio.parts.AsyncRegisters",
-    "linkcore.streaming.feed.Feed": "linkcore.aio.async_stream.AsyncFeed",
     "typing.Iterator": "linkcore.aio.packets.Packets",
+}
+#: What has the same type in both: handles of single arms, which are awaited as any handle.
+SAME = {"GroupStream.motions"}
+#: What the generic classes are asked about with.
+ARGUMENTS: dict[type, str] = {
+    urlink.Stream: "urlink.packets.RealtimeState",
+    urlink.Feed: "urlink.packets.RealtimeState",
+    urlink.rtde.OutputStream: "Cell",
 }
 
 HEAD = """
@@ -154,10 +161,9 @@ from collections.abc import Awaitable, Callable
 from typing import Any, TypeVar
 
 import urlink
-from urlink.aio import parts
-from urlink.aio.async_group import AsyncGroup, AsyncGroupStream
-from urlink.motion.stream.group_motion import GroupStream
+"""
 
+FUNCTIONS = """
 T = TypeVar("T")
 
 
@@ -226,43 +232,36 @@ def revealed(lines: list[str]) -> list[str]:
 @pytest.mark.timeout(300)
 @pytest.mark.real_time
 def test_the_types_of_all_results_are_those_of_the_blocking_face(tmp_path: Path) -> None:
-    names = ["robot", "interpreter", "points", "group", "points_of_all", "teaching", "inputs", "outputs"]
-    blocking_types = (
-        "urlink.Robot, urlink.Interpreter, urlink.motion.PointStream, urlink.Group, GroupStream, "
-        "urlink.motion.Teaching, urlink.rtde.Inputs, urlink.rtde.OutputStream[Cell]"
-    )
-    awaited_types = (
-        "urlink.AsyncRobot, parts.AsyncInterpreter, parts.AsyncPointStream, AsyncGroup, AsyncGroupStream, "
-        "parts.AsyncTeaching, parts.AsyncInputs, parts.AsyncOutputStream[Cell]"
-    )
-    lines = {True: [], False: []}  # type: dict[bool, list[str]]
+    modules = sorted({kind.__module__ for pair in PAIRS.items() for kind in pair})
+    source = HEAD + "".join(f"import {module}\n" for module in modules) + FUNCTIONS
+    looks: dict[bool, list[str]] = {False: [], True: []}
     whats = []
-    for path in PAIRS:
-        for name in sorted(surface(PAIRS[path][0])):
-            if f"{path}.{name}" in PAIRS or f"{path}.{name}" == "robot.rtde.outputs":
-                continue
-            attribute = f"{path}.{name}"
-            whats.append(attribute)
-            is_method = name in methods(path)
-            lines[False].append(f"at_once({attribute})" if is_method else attribute)
+    for number, (blocking, awaited) in enumerate(PAIRS.items()):
+        for name in sorted(surface(blocking)):
+            if (blocking, name) == (urlink.rtde.Rtde, "outputs"):
+                continue  # overloaded: below
+            whats.append(f"{blocking.__name__}.{name}")
+            value = f"part{number}.{name}"
+            is_called = is_method(blocking, name)
             how = "at_once" if name in AT_ONCE else "awaited"
-            lines[True].append(f"{how}({attribute})" if is_method or attribute in ASKED else attribute)
-    for outputs in ('robot.rtde.outputs("actual_q")', "robot.rtde.outputs(Cell, frequency=125)"):
-        whats.append(outputs)
-        lines[False].append(outputs)
-        lines[True].append(f"await {outputs}")
-    source = HEAD
-    for is_awaited, types in ((False, blocking_types), (True, awaited_types)):
-        arguments = ", ".join(f"{name}: {type}" for name, type in zip(names, types.split(", "), strict=True))
-        source += f"async def look_{is_awaited}({arguments}) -> None:\n"
-        source += "".join(f"    reveal_type({each})\n" for each in lines[is_awaited])
+            looks[False].append(f"at_once({value})" if is_called else value)
+            looks[True].append(f"{how}({value})" if is_called or (awaited, name) in ASKED else value)
+    rtde = f"part{list(PAIRS).index(urlink.rtde.Rtde)}"
+    for outputs in ('outputs("actual_q")', "outputs(Cell, frequency=125)"):
+        whats.append(f"Rtde.{outputs}")
+        looks[False].append(f"{rtde}.{outputs}")
+        looks[True].append(f"await {rtde}.{outputs}")
+    for is_awaited, kinds in ((False, PAIRS.keys()), (True, PAIRS.values())):
+        source += f"async def look_{is_awaited}(\n"
+        for number, (blocking, kind) in enumerate(zip(PAIRS, kinds, strict=True)):
+            of = f"[{ARGUMENTS[blocking]}]" if blocking in ARGUMENTS else ""
+            source += f"    part{number}: {full_name(kind)}{of},\n"
+        source += ") -> None:\n" + "".join(f"    reveal_type({each})\n" for each in looks[is_awaited])
     found = revealed(typed(tmp_path, source))
     assert len(found) == 2 * len(whats) > 300
     for what, wanted, got in zip(whats, found[: len(whats)], found[len(whats) :], strict=True):
-        for there, here in GIVEN.items():
+        for there, here in () if what in SAME else GIVEN.items():
             wanted = re.sub(rf"\b{re.escape(there)}\b", here, wanted)
-        wanted = re.sub(r"\blinkcore\.streaming\.stream\.Stream\b", "linkcore.aio.async_stream.AsyncStream", wanted)
-        wanted = re.sub(r"\burlink\.rtde\.outputs\.OutputStream\b", "urlink.aio.parts.AsyncOutputStream", wanted)
         assert got == wanted, what
         assert "Never" not in got, what
         assert got != "Any" or what.endswith("send_line"), what

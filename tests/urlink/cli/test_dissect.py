@@ -18,7 +18,7 @@ from tests import real_captures
 from tests.harm import HOSTILE, assert_harmless, strict
 from urlink.cli.dissect import PacketPiece, cut, dissect, guess_interface
 from urlink.packets import JointData, RealtimeState, RobotModeData, RobotState, TextMessage, VersionMessage
-from urlink.protocol.firmware import RELEASES
+from urlink.protocol.firmware import NEWEST, RELEASES, release_of
 from urlink.simulator import Controller
 
 from .conftest import Run
@@ -109,10 +109,10 @@ def test_every_firmware_whole(run: Run, tmp_path: Path, release: Any) -> None:
 
 
 def test_unknown_tail_is_shown(run: Run, tmp_path: Path) -> None:
-    body = bytes(RealtimeState("5.11"))[4:] + b"newfield"
+    body = bytes(RealtimeState(NEWEST))[4:] + b"newfield"
     (piece,) = dissected(run, (len(body) + 4).to_bytes(4, "big") + body, tmp_path)
     assert piece["fields"][-1] == {
-        "offset": 1220,
+        "offset": release_of(NEWEST).realtime,
         "hex": b"newfield".hex(),
         "name": "tail",
         "value": None,

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from linkcore.cli.options import Subcommand
+from tests.listed import assert_listed
 from urlink.cli import info
 
 from .conftest import Run, write
@@ -40,7 +41,9 @@ def test_help_names_every_command_and_the_exit_status(run: Run) -> None:
     status, out, err = run("--help")
     assert (status, err) == (0, "")
     listed = out.partition("commands:\n")[2].partition("\n\n")[0].splitlines()[1:]
-    assert tuple(line.split()[0] for line in listed if line[4] != " ") == COMMANDS
+    names = tuple(line.split()[0] for line in listed if line[4] != " ")
+    assert_listed(names, COMMANDS, "COMMANDS in tests/urlink/cli/test_main.py")
+    assert names == COMMANDS
     assert "130" in out
     assert "replay://" in out
 

@@ -47,7 +47,7 @@ class Driver:
 
     @property
     def verdict(self) -> str:
-        refusal = self.interlock.refusal(self.now)
+        refusal = self.interlock.refusal_to_begin(self.now)
         return "open" if refusal is None else type(refusal).__name__
 
 
@@ -140,31 +140,31 @@ def test_every_source_has_to_be_clear() -> None:
     interlock.expect("primary")
     interlock.expect("realtime")
     interlock.report("primary", CLEAR, 1.0)
-    assert isinstance(interlock.refusal(1.0), NotRunning)
+    assert isinstance(interlock.refusal_to_begin(1.0), NotRunning)
     interlock.report("realtime", CLEAR, 1.0)
-    assert interlock.refusal(1.0) is None
+    assert interlock.refusal_to_begin(1.0) is None
     assert isinstance(interlock.report("realtime", STOP, 1.1), SafetyStop)
     interlock.report("realtime", CLEAR, 1.2)
-    assert interlock.refusal(1.2) is None
+    assert interlock.refusal_to_begin(1.2) is None
     assert isinstance(interlock.lose("realtime", "pulled"), NotRunning)
     interlock.report("primary", CLEAR, 1.4)
-    assert "realtime" in str(interlock.refusal(1.4))
+    assert "realtime" in str(interlock.refusal_to_begin(1.4))
     interlock.forget("realtime")
-    assert interlock.refusal(1.4) is None
+    assert interlock.refusal_to_begin(1.4) is None
     # Since it is open again, what closes it ends what has been begun meanwhile.
     assert isinstance(interlock.report("primary", STOP, 1.5), SafetyStop)
 
 
 def test_what_has_said_nothing_is_no_running_robot() -> None:
     interlock = Interlock()
-    assert "nothing has been received from the robot yet" in str(interlock.refusal(0.0))
+    assert "nothing has been received from the robot yet" in str(interlock.refusal_to_begin(0.0))
     interlock.report("primary", Status(safety_mode=SafetyMode.NORMAL), 1.0)
     interlock.expect("realtime")
-    assert "nothing has been received on the realtime interface yet" in str(interlock.refusal(1.0))
+    assert "nothing has been received on the realtime interface yet" in str(interlock.refusal_to_begin(1.0))
     interlock.report("realtime", Status(safety_mode=SafetyMode.NORMAL), 1.0)
-    assert "has not said its mode" in str(interlock.refusal(1.0))
+    assert "has not said its mode" in str(interlock.refusal_to_begin(1.0))
     interlock.report("realtime", Status(RobotMode.RUNNING), 1.0)
-    assert interlock.refusal(1.0) is None
+    assert interlock.refusal_to_begin(1.0) is None
 
 
 def test_which_sources_have_spoken() -> None:
@@ -181,14 +181,14 @@ def test_what_is_old_is_not_believed_but_ends_nothing() -> None:
     interlock = Interlock("always")
     interlock.report("primary", CLEAR, 1.0)
     interlock.enable(1.0)
-    assert interlock.refusal(2.0) is None
+    assert interlock.refusal_to_begin(2.0) is None
     late = 2.1
-    assert "either it is silent, or this program is held up" in str(interlock.refusal(late))
+    assert "either it is silent, or this program is held up" in str(interlock.refusal_to_begin(late))
     with pytest.raises(NotRunning):
         interlock.enable(late)
     # What has come meanwhile is read, and nobody has to enable it anew.
     assert interlock.report("primary", CLEAR, late) is None
-    assert interlock.refusal(late) is None
+    assert interlock.refusal_to_begin(late) is None
 
 
 def test_silence_that_the_reader_tells_of_ends_motions() -> None:
@@ -200,9 +200,9 @@ def test_silence_that_the_reader_tells_of_ends_motions() -> None:
     assert isinstance(ended, NotRunning)
     assert "said nothing on the primary interface for 0.5 s" in str(ended)
     assert interlock.fall_silent("primary", 1.5) is None  # once
-    assert "for 0.5 s" in str(interlock.refusal(1.2))
+    assert "for 0.5 s" in str(interlock.refusal_to_begin(1.2))
     interlock.report("primary", CLEAR, 2.6)
-    assert isinstance(interlock.refusal(2.6), NotEnabled)
+    assert isinstance(interlock.refusal_to_begin(2.6), NotEnabled)
 
 
 def test_what_is_left_out_is_as_it_was() -> None:
@@ -212,7 +212,7 @@ def test_what_is_left_out_is_as_it_was() -> None:
     interlock.report("primary", Status(RobotMode.RUNNING), 1.1)
     assert interlock.cause == "protective stop"
     interlock.report("primary", Status(safety_mode=SafetyMode.NORMAL), 1.2)
-    assert interlock.refusal(1.2) is None
+    assert interlock.refusal_to_begin(1.2) is None
     interlock.report("primary", Status(is_protective_stopped=True), 1.3)
     interlock.report("primary", CLEAR, 1.4)
     assert interlock.cause == "protective stop"
@@ -226,7 +226,7 @@ def test_a_part_alone_opens_nothing() -> None:
     interlock.report("primary", CLEAR, 1.0)
     interlock.lose("primary", "pulled")
     assert interlock.amend("primary", Status(safety_mode=SafetyMode.NORMAL), 1.1) is None
-    assert "pulled" in str(interlock.refusal(1.1))
+    assert "pulled" in str(interlock.refusal_to_begin(1.1))
     interlock.report("primary", CLEAR, 1.2)
     assert isinstance(interlock.amend("primary", Status(safety_mode=SafetyMode.FAULT), 1.3), SafetyStop)
     assert interlock.amend("secondary", CLEAR, 1.3) is None
@@ -244,7 +244,7 @@ def test_but_not_over_a_lost_connection() -> None:
 def test_safety_modes(mode: SafetyMode) -> None:
     interlock = Interlock()
     interlock.report("primary", Status(RobotMode.RUNNING, mode), 1.0)
-    refusal = interlock.refusal(1.0)
+    refusal = interlock.refusal_to_begin(1.0)
     if mode in (SafetyMode.NORMAL, SafetyMode.REDUCED):
         assert refusal is None
     else:
@@ -264,10 +264,10 @@ def test_robot_modes(mode: RobotMode) -> None:
     interlock = Interlock()
     interlock.report("primary", Status(mode, SafetyMode.NORMAL), 1.0)
     if mode is RobotMode.RUNNING:
-        assert interlock.refusal(1.0) is None
+        assert interlock.refusal_to_begin(1.0) is None
     else:
-        assert mode.name in str(interlock.refusal(1.0))
-        assert isinstance(interlock.refusal(1.0), NotRunning)
+        assert mode.name in str(interlock.refusal_to_begin(1.0))
+        assert isinstance(interlock.refusal_to_begin(1.0), NotRunning)
 
 
 _CB2 = {
@@ -286,9 +286,9 @@ def test_robot_modes_of_cb2(mode: RobotModeCB2) -> None:
     interlock.report("primary", Status(mode), 1.0)
     assert interlock.cause == _CB2.get(mode)
     if mode in _CB2:
-        assert (interlock.refusal(1.0) is None) == (_CB2[mode] is None)
+        assert (interlock.refusal_to_begin(1.0) is None) == (_CB2[mode] is None)
     else:
-        assert isinstance(interlock.refusal(1.0), NotRunning)
+        assert isinstance(interlock.refusal_to_begin(1.0), NotRunning)
 
 
 @pytest.mark.parametrize(
@@ -324,15 +324,28 @@ def test_a_change_of_policy_asks_anew(before: Policy, after: Policy) -> None:
     interlock.report("primary", CLEAR, 1.0)
     interlock.enable(1.0)
     interlock.policy = before  # no change
-    assert interlock.refusal(1.0) is None
+    assert interlock.refusal_to_begin(1.0) is None
     interlock.policy = after
-    refusal = interlock.refusal(1.0)
+    refusal = interlock.refusal_to_begin(1.0)
     assert isinstance(refusal, NotEnabled) == (after != before and after != "never")
     if refusal is not None:
         when = {"on_startup": "once", "always": "at first and after every stop"}[after]
         assert str(refusal).endswith(f"call robot.safety.enable() {when}")
     interlock.enable(1.0)
-    assert interlock.refusal(1.0) is None
+    assert interlock.refusal_to_begin(1.0) is None
+
+
+def test_a_running_motion_continues_when_no_new_one_may_begin() -> None:
+    interlock = Interlock("always")
+    interlock.report("primary", CLEAR, 1.0)
+    assert isinstance(interlock.refusal_to_begin(1.0), NotEnabled)
+    assert interlock.refusal_to_continue() is None
+    interlock.enable(1.0)
+    late = 1.0 + 2.0 * STALE_AFTER
+    assert isinstance(interlock.refusal_to_begin(late), NotRunning)  # this process was held up
+    assert interlock.refusal_to_continue() is None
+    assert interlock.fall_silent("primary", STALE_AFTER) is not None  # the robot itself is silent
+    assert isinstance(interlock.refusal_to_continue(), NotRunning)
 
 
 def test_no_such_policy() -> None:

@@ -285,16 +285,16 @@ def test_one_that_is_replaced_while_it_is_to_be_stopped_is_not_stopped() -> None
     """Another thread sends the next motion between the state and the stop."""
     desk = Programming()
     stopped(desk)
-    refusal = desk.monitor.refusal
+    refusal = desk.monitor.refusal_to_stop
     sent: list[Run] = []
 
-    def refuses(is_stop: bool = False) -> Any:
-        found = refusal(is_stop)
-        desk.monitor.refusal = refusal  # type: ignore[method-assign]
+    def refuses() -> Any:
+        found = refusal()
+        desk.monitor.refusal_to_stop = refusal  # type: ignore[method-assign]
         sent.append(desk.motion())
         return found
 
-    desk.monitor.refusal = refuses  # type: ignore[method-assign]
+    desk.monitor.refusal_to_stop = refuses  # type: ignore[method-assign]
     desk.state(0.1, paused=True)
     assert len(sent) == 1
     assert desk.stops == 0

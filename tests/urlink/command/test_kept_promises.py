@@ -24,7 +24,7 @@ from tests.worlds.guarded import is_held
 from urlink.aio.awaited import AwaitedRtde
 from urlink.command.interlock import Interlock
 from urlink.command.safety_monitor import _Listening
-from urlink.motion.servo.reverse import ReverseLink, ReversePort
+from urlink.motion.links.reverse import ReverseLink, ReversePort
 from urlink.protocol.rtde.packets import StartReply
 from urlink.protocol.rtde.protocol import Requests
 from urlink.protocol.rtde.recipes import Outputs
@@ -243,13 +243,13 @@ def test_reason_of_a_timeout_is_read_under_the_lock(monkeypatch: pytest.MonkeyPa
         robot.controller.faults.protective_stop()
         until(lambda: robot.safety.refusal)
         seen: list[bool] = []
-        refusal = Interlock.refusal
+        refusal = Interlock.refusal_to_begin
 
         def noting(interlock: Interlock, *arguments: Any) -> Any:
             seen.append(is_held(robot.safety._monitor._section.lock))
             return refusal(interlock, *arguments)
 
-        monkeypatch.setattr(Interlock, "refusal", noting)
+        monkeypatch.setattr(Interlock, "refusal_to_begin", noting)
         with pytest.raises(LinkTimeout):
             robot.safety.wait_enabled(0.1)
     assert seen

@@ -75,9 +75,9 @@ def test_each_interface_is_listened_to_once(desk: Monitored) -> None:
 def test_an_interface_that_says_nothing_lets_nothing_through(desk: Monitored) -> None:
     desk.monitor.listen()
     desk.primary.tell(slow())
-    assert desk.monitor.refusal() is None
+    assert desk.monitor.refusal_to_begin() is None
     desk.listen()
-    assert "nothing has been received on the realtime interface yet" in str(desk.monitor.refusal())
+    assert "nothing has been received on the realtime interface yet" in str(desk.monitor.refusal_to_begin())
     assert desk.closings == []  # until it has been waited for, what runs goes on
 
 
@@ -85,7 +85,10 @@ def test_a_stop_of_the_arm_needs_nobody_to_enable_it(desk: Monitored) -> None:
     desk.clear()
     with desk.monitor.decision() as interlock:
         interlock.policy = "always"
-    assert (str(desk.monitor.refusal()).partition(":")[0], desk.monitor.refusal(is_stop=True)) == ("not enabled", None)
+    assert (str(desk.monitor.refusal_to_begin()).partition(":")[0], desk.monitor.refusal_to_stop()) == (
+        "not enabled",
+        None,
+    )
     desk.monitor.require(is_stop=True)
     with pytest.raises(SafetyStop, match="not enabled"):
         desk.monitor.require()
@@ -99,7 +102,7 @@ def test_silence_is_told_of_before_the_connection_counts_as_lost(
     desk.clear()
     desk.primary.be_silent()
     assert desk.silences == [seconds]
-    assert f"has said nothing on the primary interface for {seconds} s" in str(desk.monitor.refusal())
+    assert f"has said nothing on the primary interface for {seconds} s" in str(desk.monitor.refusal_to_begin())
     assert len(desk.closings) == 1
 
 
@@ -108,7 +111,7 @@ def test_what_was_said_before_one_listens_counts(desk: Monitored) -> None:
     for line in (desk.primary, desk.realtime):
         line.fan_out.newest = newest.__getitem__
     desk.listen()
-    assert "safeguard stop" in str(desk.monitor.refusal())
+    assert "safeguard stop" in str(desk.monitor.refusal_to_begin())
 
 
 def test_a_connection_that_is_down_already_is_a_lost_one(desk: Monitored) -> None:
@@ -118,10 +121,10 @@ def test_a_connection_that_is_down_already_is_a_lost_one(desk: Monitored) -> Non
     was_connected = desk.monitor.is_connected
     desk.listen()
     assert (was_connected, desk.monitor.is_connected) == (True, False)
-    assert "not connected at present" in str(desk.monitor.refusal())
+    assert "not connected at present" in str(desk.monitor.refusal_to_begin())
     desk.realtime.state = ConnectionState.CONNECTED
     desk.realtime.tell(fast())
-    assert desk.monitor.refusal() is None
+    assert desk.monitor.refusal_to_begin() is None
 
 
 @pytest.mark.parametrize("fails_at", [1, 2])
@@ -140,7 +143,7 @@ def test_what_cannot_be_listened_to_leaves_nothing_behind(desk: Monitored, fails
     with pytest.raises(ConnectFailed):
         desk.listen()
     assert desk.listeners == [2, 1, 0, 0]
-    assert desk.monitor.refusal() is None  # of the primary interface enough is known
+    assert desk.monitor.refusal_to_begin() is None  # of the primary interface enough is known
     desk.realtime.subscribe_inline = subscribe  # type: ignore[method-assign]
     desk.clear()
 
@@ -163,13 +166,13 @@ def test_what_a_connection_tells(desk: Monitored) -> None:
     desk.clear()
     for state in (ConnectionState.CONNECTING, ConnectionState.CONNECTED):
         desk.event(desk.primary, state)
-        assert desk.monitor.refusal() is None
+        assert desk.monitor.refusal_to_begin() is None
     desk.event(desk.primary, ConnectionState.LOST, ConnectionLost("pulled"))
-    assert "nothing is known of the robot: pulled" in str(desk.monitor.refusal())
+    assert "nothing is known of the robot: pulled" in str(desk.monitor.refusal_to_begin())
     assert desk.listeners == [2, 1, 2, 1]  # it is made again
     desk.clear()
     desk.event(desk.primary, ConnectionState.LOST)
-    assert "nothing is known of the robot: closed" in str(desk.monitor.refusal())
+    assert "nothing is known of the robot: closed" in str(desk.monitor.refusal_to_begin())
 
 
 @pytest.mark.parametrize("state", [ConnectionState.IDLE, ConnectionState.CLOSED])
@@ -182,20 +185,20 @@ def test_a_connection_that_was_given_up_is_listened_to_anew(desk: Monitored, sta
     desk.clear()
     assert desk.listeners == [2, 1, 2, 1]
     told(ConnectionEvent(ConnectionState.LOST, "line", None, Stamp(desk.clock.now, desk.clock.now)))
-    assert desk.monitor.refusal() is None  # an event of the connection before
+    assert desk.monitor.refusal_to_begin() is None  # an event of the connection before
 
 
 def test_what_the_primary_interface_says_in_parts(desk: Monitored) -> None:
     desk.clear()
     desk.primary.tell(SafetyModeMessage(FIRMWARE, safety_mode=SafetyMode.VIOLATION))
-    assert "violation" in str(desk.monitor.refusal())
+    assert "violation" in str(desk.monitor.refusal_to_begin())
     desk.primary.tell(RobotState(MasterboardData(FIRMWARE, safety_mode=SafetyMode.NORMAL)))
-    assert "violation" in str(desk.monitor.refusal())  # without its mode it reports nothing of the robot
+    assert "violation" in str(desk.monitor.refusal_to_begin())  # without its mode it reports nothing of the robot
     desk.primary.tell(slow())
-    assert desk.monitor.refusal() is None
+    assert desk.monitor.refusal_to_begin() is None
     for fields in ({"is_emergency_stopped": True}, {"is_protective_stopped": True}):
         desk.primary.tell(RobotState(RobotModeData(FIRMWARE, robot_mode=RobotMode.RUNNING, **fields)))
-        assert isinstance(desk.monitor.refusal(), SafetyStop)
+        assert isinstance(desk.monitor.refusal_to_begin(), SafetyStop)
 
 
 def test_a_report_is_as_old_as_its_bytes(desk: Monitored) -> None:
@@ -209,7 +212,7 @@ def test_a_report_is_as_old_as_its_bytes(desk: Monitored) -> None:
         desk.clock.now += 10.0
         desk.primary.tell(slow())
         desk.realtime.tell(stamped(fast(), desk.clock.now - age))
-        refusal = desk.monitor.refusal()
+        refusal = desk.monitor.refusal_to_begin()
         assert (refusal is not None) == (age > STALE_AFTER)
     assert "nothing has been read from the realtime interface for 1.1 s" in str(refusal)
 
@@ -218,7 +221,7 @@ def test_closing_lets_go_of_everything(desk: Monitored) -> None:
     desk.clear()
     desk.monitor.close()
     assert desk.listeners == [0, 0, 0, 0]
-    assert "closed here" in str(desk.monitor.refusal())
+    assert "closed here" in str(desk.monitor.refusal_to_begin())
     assert len(desk.closings) == 1
     assert desk.stops == []  # it is no stop of the robot
 

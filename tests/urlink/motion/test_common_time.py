@@ -8,8 +8,8 @@ import threading
 import pytest
 
 from tests.contended import Contended
-from tests.urlink.motion.test_controller_clock import state
-from urlink.motion.stream.common_time import CommonPace, CommonTime, MemberClock, MemberPace
+from tests.urlink.motion.test_program_time import state
+from urlink.motion.stream.common_time import CommonPace, CommonTime, MemberPace, MemberTimer
 
 CYCLE = 0.008
 #: s by which the controllers' clocks are ahead of this computer's
@@ -29,7 +29,7 @@ class Clocks:
         self.common = CommonTime()
         self.members = [self._member(offset) for offset in OFFSETS]
 
-    def _member(self, offset: float) -> MemberClock:
+    def _member(self, offset: float) -> MemberTimer:
         return self.common.member(lambda time: time - offset, CYCLE)
 
     def step(self, *scalings: float | None) -> None:

@@ -16,7 +16,7 @@ from linkcore.errors import BadValue, LinkError, LinkTimeout
 from tests.fakes.rehearsal import FOLLOW, WAIT, turned
 from tests.urlink.motion.bench import PLAYING, Bench
 from urlink.arm.models import Model, model
-from urlink.command.controller_clock import ControllerClock, ProgramClock
+from urlink.command.program_time import ControllerTimer, ProgramTimer
 from urlink.errors import ToleranceExceeded
 from urlink.motion.moves.speed_limit import EARLY, largest_speeds
 from urlink.motion.moves.trajectory import Trajectory
@@ -93,7 +93,7 @@ class Feeding:
         return data
 
 
-class LateClock(ProgramClock):
+class LateTimer(ProgramTimer):
     """Of a trajectory that began 0.02 s before its first state was answered."""
 
     def beginning(self) -> float:
@@ -102,7 +102,7 @@ class LateClock(ProgramClock):
 
 def test_one_that_begins_late_is_where_one_is_that_missed_as_much() -> None:
     """Of two arms that are to move as one, this computer may stand between the first set-points of both."""
-    late = Feeding(Follower(WAVE, LOOSE, servoing(NEWEST), clock=LateClock(0.002)))
+    late = Feeding(Follower(WAVE, LOOSE, servoing(NEWEST), timer=LateTimer(0.002)))
     missed = Feeding(follower())
     for feeding, cycles in ((late, 1), (missed, 10)):
         feeding.state(0)
@@ -111,7 +111,7 @@ def test_one_that_begins_late_is_where_one_is_that_missed_as_much() -> None:
             feeding.state()
     assert late.q == pytest.approx(missed.q, abs=5e-4)
     # Nine cycles of coasting, at 98 % and less of the speed, are 8.1; one before them, and one and a tenth after them.
-    begins = Feeding(Follower(WAVE, LOOSE, servoing(NEWEST), clock=LateClock(0.002)))
+    begins = Feeding(Follower(WAVE, LOOSE, servoing(NEWEST), timer=LateTimer(0.002)))
     begins.state(0)
     assert begins.follower._s == pytest.approx((1.0 + 8.1 + 1.0 + 1.1) * 0.002)
 
@@ -139,7 +139,7 @@ def test_one_that_begins_late_is_where_one_is_that_missed_as_much() -> None:
     ],
 )
 def test_the_controllers_clock_as_far_as_it_can_be_believed(told: float, own: float, passed: float) -> None:
-    clock = ControllerClock(0.002)
+    clock = ControllerTimer(0.002)
     assert clock.passed(100.0, 7.0) == 0.0
     assert clock.passed(100.0 + told, 7.0 + own) == pytest.approx(passed, abs=1e-12)
     # It goes on from there, whatever that was.
@@ -148,14 +148,14 @@ def test_the_controllers_clock_as_far_as_it_can_be_believed(told: float, own: fl
 
 
 def test_a_clock_that_was_wrong_for_one_state_is_right_again() -> None:
-    clock = ControllerClock(0.002)
+    clock = ControllerTimer(0.002)
     passed = [clock.passed(time, 7.0 + 0.002 * n) for n, time in enumerate((100.0, 100.002, 101.004, 100.006, 100.008))]
     assert sum(passed) == pytest.approx(0.008)
 
 
 def test_states_that_come_together_after_they_were_held_up_are_believed() -> None:
     """Half a second late, and then half a second in a tenth: no state came before its time."""
-    clock = ControllerClock(0.002)
+    clock = ControllerTimer(0.002)
     clock.passed(100.0, 7.0)
     assert clock.passed(100.002, 7.502) == pytest.approx(0.002)
     assert clock.passed(100.6, 7.61) == pytest.approx(0.598)
@@ -165,7 +165,7 @@ def test_states_that_come_together_after_they_were_held_up_are_believed() -> Non
 
 def test_the_first_states_may_be_late_and_those_after_them_less_and_less() -> None:
     """Each is believed that is hardly quicker than the quickest before it."""
-    clock = ControllerClock(0.002)
+    clock = ControllerTimer(0.002)
     passed = [clock.passed(100.0 + 0.092 * n, 7.0 + 0.002 * n) for n in range(4)]
     assert passed == pytest.approx([0.0, 0.092, 0.092, 0.092])
 

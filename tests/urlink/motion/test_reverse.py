@@ -11,7 +11,7 @@ import pytest
 from linkcore.errors import BadAddress, ConnectFailed, ConnectionLost, LinkTimeout
 from linkcore.net.transport import TcpTransport
 from tests.waiting import until
-from urlink.motion.servo.reverse import ReverseLink, ReversePort
+from urlink.motion.links.reverse import ReverseLink, ReversePort
 
 pytestmark = pytest.mark.simulated_time
 

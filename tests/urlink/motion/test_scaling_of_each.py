@@ -1,13 +1,11 @@
-"""What the speed slider does to each kind of motion: the rows of the table in docs/time.md, each measured."""
+"""What the speed slider does to each motion: what the classes state, each measured."""
 
 from __future__ import annotations
 
 import contextlib
-import re
 import threading
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,11 +13,12 @@ import pytest
 import urlink
 from linkcore.errors import BadValue
 from tests.urlink.motion.test_scaled import READY, Cell
+from urlink.motion.moves.path import Joint
 from urlink.motion.moves.trajectory import Trajectory
+from urlink.motion.slider import EFFECTS
 
 pytestmark = pytest.mark.simulated_time
 
-PAGE = Path(__file__).parents[3] / "docs" / "time.md"
 #: rad/s
 SPEED = 0.3
 FAR = (*READY[:5], 2.0)
@@ -52,16 +51,33 @@ def moved(cell: Cell) -> Iterator[None]:
 
 
 @contextlib.contextmanager
+def moved_along(cell: Cell) -> Iterator[None]:
+    with cell.robot.motion.path([Joint(FAR)], joint_speed=SPEED):
+        yield
+
+
+@contextlib.contextmanager
 def at_speed(cell: Cell) -> Iterator[None]:
     with cell.robot.motion.speed_joints([0, 0, 0, 0, 0, SPEED], duration=60.0):
         yield
 
 
-@contextlib.contextmanager
-def led(cell: Cell) -> Iterator[None]:
+def way() -> Trajectory:
     speeds = [[0.0] * 6, [0.0] * 5 + [SPEED], [0.0] * 5 + [SPEED], [0.0] * 6]
     places = [[*READY[:5], SPEED * t] for t in (0.0, 0.1, 5.0, 5.1)]
-    with cell.robot.motion.follow(Trajectory.from_arrays([0.0, 0.2, 5.1, 5.3], places, speeds)):
+    return Trajectory.from_arrays([0.0, 0.2, 5.1, 5.3], places, speeds)
+
+
+@contextlib.contextmanager
+def led(cell: Cell) -> Iterator[None]:
+    with cell.robot.motion.follow(way()):
+        yield
+
+
+@contextlib.contextmanager
+def streamed(cell: Cell) -> Iterator[None]:
+    with cell.robot.motion.stream() as stream:
+        stream.append(way(), wait=False)
         yield
 
 
@@ -145,8 +161,10 @@ def touched(cell: Cell) -> Iterator[None]:
 
 WAYS: dict[str, Callable[[Cell], contextlib.AbstractContextManager[None]]] = {
     "move_joints": moved,
+    "path": moved_along,
     "speed_joints": at_speed,
     "follow": led,
+    "stream": streamed,
     "servo, a loop by the controller's clock": looped_servo,
     "servo, a loop by servo.scaling": counted_servo,
     "servo, target filter": targeted_servo,
@@ -175,24 +193,18 @@ def went(way: Callable[[Cell], contextlib.AbstractContextManager[None]], fractio
         one.close()
 
 
-def rows() -> dict[str, tuple[float, float]]:
-    """The table of the page: the motion, and the fraction of its speed at 50 % and at 0."""
-    found = re.findall(r"^\| `([^|]+)` \| ([0-9.]+) \| ([0-9.]+) \|", PAGE.read_text(), re.MULTILINE)
-    return {name.replace("`", ""): (float(half), float(none)) for name, half, none in found}
-
-
-def test_each_motion_has_a_row() -> None:
-    assert set(rows()) == set(WAYS)
+def test_each_motion_is_measured() -> None:
+    assert set(EFFECTS) == set(WAYS), f"what differs needs a way to go in WAYS of {__name__}"
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", WAYS)
 def test_what_the_slider_does_to(name: str) -> None:
-    half, none = rows()[name]
+    effect = EFFECTS[name][1]
     full = went(WAYS[name], 1.0)
     assert full > 0.05
-    assert went(WAYS[name], 0.5) / full == pytest.approx(half, abs=0.06)
-    assert went(WAYS[name], 0.0) / full == pytest.approx(none, abs=0.01)
+    assert went(WAYS[name], 0.5) / full == pytest.approx(effect.half, abs=0.06)
+    assert went(WAYS[name], 0.0) / full == pytest.approx(effect.zero, abs=0.01)
 
 
 @pytest.mark.slow

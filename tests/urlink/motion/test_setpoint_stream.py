@@ -230,7 +230,7 @@ def test_after_a_pause_the_source_begins_anew_where_the_arm_stands(fed: Fed) -> 
     fed.source.speed = 0.3 / (7 * CYCLE)
     q, _ = fed.led(7 * CYCLE)
     assert q == pytest.approx(0.3)  # it is not too far from where the arm stands, nor beside it by a gap
-    assert fed.paced._clock.rate == 0.0
+    assert fed.paced._timer.rate == 0.0
 
 
 def test_a_pause_before_it_has_begun_restarts_nothing() -> None:

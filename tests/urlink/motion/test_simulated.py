@@ -14,9 +14,9 @@ from linkcore.errors import BadValue, ConnectionLost
 from linkcore.handle import Motion, Phase
 from tests.waiting import until
 from urlink.motion import TrajectoryFeedback
+from urlink.motion.links.register_link import RegisterLink
+from urlink.motion.links.reverse import ReverseLink
 from urlink.motion.moves.trajectory import Trajectory
-from urlink.motion.servo.register_link import RegisterLink
-from urlink.motion.servo.reverse import ReverseLink
 from urlink.robot import Robot
 from urlink.simulator import Controller
 

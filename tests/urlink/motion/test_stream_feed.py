@@ -121,7 +121,7 @@ def test_a_pace_takes_three_cycles_to_get_to_the_program() -> None:
     found: list[float] = []
     for _ in range(6):
         stream.run()
-        found.append(stream.feed._pace)
+        found.append(stream.feed._program_pace.now)
     assert found == [1.0, 1.0, 1.0, 0.875, 0.75, 0.625]
 
 
@@ -135,16 +135,16 @@ def test_a_pace_changes_no_faster_than_the_program_does_it() -> None:
     paces.wanted = 0.5
     for _ in range(5):
         stream.run()
-        found.append(stream.feed._pace)
+        found.append(stream.feed._program_pace.now)
     assert (WAIT, 0, SCALE // 2, *[0] * (MESSAGE - 3)) in messages
     assert found == pytest.approx([1.0, 1.0, 1.0, 1.0 - change, 1.0 - 2.0 * change])
     stream.until(lambda: stream.feed._report.phase == BRAKING)
-    assert stream.feed._pace == pytest.approx(0.5)
+    assert stream.feed._program_pace.now == pytest.approx(0.5)
     stream.run(3)
-    assert stream.feed._pace == pytest.approx(0.5 + 3.0 * change)
+    assert stream.feed._program_pace.now == pytest.approx(0.5 + 3.0 * change)
     stream.run(12)
     assert stream.feed._report.phase == BRAKING
-    assert stream.feed._pace == pytest.approx(1.0)
+    assert stream.feed._program_pace.now == pytest.approx(1.0)
 
 
 def test_without_reports_its_time_ends_with_what_was_sent() -> None:
@@ -637,7 +637,7 @@ def test_where_it_goes_on_with_its_points_the_arm_was_not_led_away() -> None:
     stream = moves(Streamed(E_SERIES))
     before = paused(stream)
     stream.run()
-    assert stream.feed._clock.rate == 0.0
+    assert stream.feed._timer.rate == 0.0
     last = before
     while stream.feed._found is not None:
         last = stream.feed._report.messages
@@ -655,7 +655,7 @@ def test_points_that_the_braking_before_a_pause_has_passed_are_left_out() -> Non
     time = stream.feed.time
     found_at(stream, wave(time + 0.2).q)
     assert stream.feed._found is None
-    assert (stream.feed._is_open, stream.feed._may_skip) == (False, True)
+    assert (stream.feed._life.is_open, stream.feed._may_skip) == (False, True)
     assert stream.feed._last.ends == stream.feed.time == pytest.approx(time, abs=0.005)
     assert stream.feed._brake.end.q == pytest.approx(wave(time + 0.2).q)
     waiting = [aim.time for aim in stream.feed._queue]

@@ -27,6 +27,7 @@ from linkcore.errors import (
     WrongPeer,
 )
 from tests.fakes.dashboard import FIRMWARES, TIMEOUT, ScriptedDashboard, play, protective_stop, stepped, wait
+from tests.listed import assert_listed
 from urlink.protocol.dashboard.client import Dashboard
 from urlink.protocol.dashboard.commands import COMMANDS, GREETING, NOT_IN_REMOTE_CONTROL, DashboardRefused
 from urlink.protocol.dashboard.protocol import ProgramStatus, SavedProgram
@@ -131,7 +132,7 @@ CALLS: dict[str, tuple[Callable[[Dashboard], object], object]] = {
 
 
 def test_every_command_has_its_method() -> None:
-    assert CALLS.keys() == COMMANDS.keys()
+    assert_listed(COMMANDS, CALLS, "CALLS in tests/urlink/protocol/test_dashboard.py")
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES)

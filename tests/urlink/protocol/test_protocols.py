@@ -120,6 +120,18 @@ def test_whole_streams(release: Release) -> None:
             assert (framer.skipped, framer.resyncs, framer.rest) == (0, 0, b"")
 
 
+@pytest.mark.parametrize("part", [0, 1, 3, 4, 12, 700])
+@pytest.mark.parametrize("begun", [0, 5])
+def test_realtime_packets_that_arrive_at_once_are_cut_when_the_last_is_not_whole(part: int, begun: int) -> None:
+    packets = [realtime(n) for n in range(6)]
+    size = len(packets[0])
+    chunks = cut(b"".join(packets), sorted({size, size + begun, 4 * size + part}))
+    frames, framer = fed(RealtimeProtocol, *chunks)
+    assert frames == packets
+    assert all(type(frame) is bytes for frame in frames)
+    assert (framer.skipped, framer.resyncs, framer.rest) == (0, 0, b"")
+
+
 #: So many that the largest size which a forged header can declare ends among them.
 MANY_PACKETS = [realtime(n) for n in (1, 2, 3)]
 MANY_STATES = [robot_state(number=n) for n in range(120)]

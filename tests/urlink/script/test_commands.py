@@ -1,11 +1,7 @@
-"""Every command as text, for a firmware of each kind, against what was looked over once.
-
-`URLINK_WRITE_GOLDEN=1` writes the files anew: read the difference before you commit it.
-"""
+"""Every command as text, for a firmware of each kind, against what was read once (`tests/golden.py`)."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,6 +9,7 @@ import numpy as np
 import pytest
 
 from linkcore.errors import BadValue
+from tests.golden import check_golden
 from urlink.protocol.firmware import Firmware
 from urlink.script import commands
 
@@ -54,10 +51,7 @@ def table(firmware: str) -> str:
 
 @pytest.mark.parametrize("firmware", FIRMWARES)
 def test_text_is_as_it_was_looked_over(firmware: str) -> None:
-    path = GOLDEN / f"commands_{firmware}.txt"
-    if os.environ.get("URLINK_WRITE_GOLDEN"):
-        path.write_text(table(firmware), encoding="utf-8")
-    assert table(firmware) == path.read_text(encoding="utf-8")
+    check_golden(GOLDEN / f"commands_{firmware}.txt", table(firmware))
 
 
 NEW = Firmware(5, 11)

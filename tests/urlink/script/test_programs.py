@@ -1,17 +1,14 @@
-"""The programs that move an arm, word for word per firmware.
-
-`URLINK_WRITE_GOLDEN=1` writes the files anew: read the difference before you commit it.
-"""
+"""The programs that move an arm, word for word per firmware (`tests/golden.py`)."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from linkcore.errors import BadValue
+from tests.golden import check_golden
 from urlink.protocol.firmware import Firmware
 from urlink.script import commands, waypoints
 from urlink.script.links import ReverseSocket
@@ -46,10 +43,7 @@ CASES = [(version, name) for version in ("1.8", "3.1", "3.4", "5.11") for name i
 @pytest.mark.parametrize(("version", "name"), CASES)
 def test_text(version: str, name: str) -> None:
     text = "\n".join((PROGRAMS | WAYPOINTS)[name](Firmware.parse(version))) + "\n"
-    path = GOLDEN / f"{name}_{version}.script"
-    if os.environ.get("URLINK_WRITE_GOLDEN"):
-        path.write_text(text, encoding="utf-8")
-    assert text == path.read_text(encoding="utf-8")
+    check_golden(GOLDEN / f"{name}_{version}.script", text)
 
 
 @pytest.mark.parametrize(("version", "name"), CASES)

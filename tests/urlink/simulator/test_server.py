@@ -19,6 +19,7 @@ from linkcore.errors import BadAddress, BadValue, LocalError
 from tests.fakes.clock import Clock
 from tests.waiting import until
 from urlink.protocol.enums import SafetyMode
+from urlink.protocol.firmware import NEWEST, release_of
 from urlink.protocol.primary.robot_message import RobotCommMessage, SafetyModeMessage, VersionMessage
 from urlink.protocol.realtime.packets import RealtimeState
 from urlink.simulator import PORTS, Controller, Reaction, Setpoint, Still
@@ -376,7 +377,7 @@ def test_stepping_needs_no_server() -> None:
         "print(len(controller.realtime_packet()), threading.active_count(), 'urlink.simulator.server' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["1220", "1", "False"]
+    assert done.stdout.split() == [str(release_of(NEWEST).realtime), "1", "False"]
 
 
 def test_an_older_head_has_the_version_message_alone(connect: Connect) -> None:

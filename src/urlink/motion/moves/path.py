@@ -30,6 +30,7 @@ from ...arm.models import Model
 from ...arm.vectors import JOINTS, FloatArray, Numbers, six
 from ...protocol.realtime.packets import RealtimeState
 from ...script import commands
+from ..slider import SliderEffect, slider
 
 if TYPE_CHECKING:
     from ...arm.curves import Curve
@@ -192,6 +193,7 @@ class Plan:
     sections: list[PathSection]
 
 
+@slider(path=SliderEffect.SCALED)
 class PathMotion(Motion):
     """The motion along a path."""
 

@@ -2,7 +2,7 @@
 
 Each real-time state that arrives is answered with the set-point for its own time, a little ahead: the controller's
 clock paces the stream, so it does not matter how this computer's clock runs. On the trajectory passes the time of the
-program on the robot (`urlink.command.controller_clock`): where the speed slider, or what else scales motion, slows that
+program on the robot (`urlink.command.program_time`): where the speed slider, or what else scales motion, slows that
 down, the set-points are closer together, and the program follows those that it has time for, on the same path.
 
 The distance between two set-points is bounded, also after set-points were missed. While none arrives, the program on
@@ -19,7 +19,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
-from ...command.controller_clock import ProgramClock
+from ...command.program_time import ProgramTimer
 from ...errors import ToleranceExceeded
 from ...protocol.realtime.packets import RealtimeState
 from ..moves.trajectory import Trajectory
@@ -95,7 +95,7 @@ class Follower(Following):
         delay: s from a state to the one in which the arm is at the set-point that answered it; None for the cycles that
             a set-point takes to arrive. What exceeds these is the lag of ``servoj``, which lasts longer while motion is
             scaled down (a guess: docs/protocols/urscript.md, Speed scaling).
-        clock: of the trajectory; None for that of the program.
+        timer: of the trajectory; None for that of the program.
     """
 
     def __init__(
@@ -104,11 +104,11 @@ class Follower(Following):
         tolerances: Tolerances,
         servoing: Servoing,
         delay: float | None = None,
-        clock: ProgramClock | None = None,
+        timer: ProgramTimer | None = None,
     ) -> None:
         self._stream = SetpointStream(servoing)
         self._cycle = self._stream.cycle
-        super().__init__(servoing.body, trajectory, tolerances, clock or ProgramClock(self._cycle))
+        super().__init__(servoing.body, trajectory, tolerances, timer or ProgramTimer(self._cycle))
         self.watchdog = servoing.watchdog
         self._lag = 0.0 if delay is None else delay - AHEAD * self._cycle
         #: s that have passed on the trajectory; None before it began
@@ -149,10 +149,10 @@ class Follower(Following):
             ToleranceExceeded: the arm is too far from the trajectory, or no set-point leads back to it within the
                 limits.
         """
-        passed, scaled = self._clock.passed(state, now)
-        cycle = self._clock.rate * self._cycle
+        passed, scaled = self._timer.passed(state, now)
+        cycle = self._timer.rate * self._cycle
         if self._t is None:
-            beginning = self._clock.beginning() if self._rest.is_reached(state, now) else None
+            beginning = self._timer.beginning() if self._rest.is_reached(state, now) else None
             if beginning is None:
                 return WAIT_MESSAGE
             here = self._check_start(state)
@@ -164,7 +164,7 @@ class Follower(Following):
             self._t, self._s, self._pace = beginning, begun + (AHEAD - 1) * cycle, 1.0
             self._gap = _Gap(_difference(here, self.desired(self._s)[0]) if late else [0.0] * 6, self._s)
         else:
-            self._t = self._clock.after(self._t, scaled)
+            self._t = self._timer.after(self._t, scaled)
             self._passed += passed
             self._stream.advance(passed, scaled)
             if not self._stream.is_due:

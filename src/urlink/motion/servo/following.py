@@ -16,11 +16,12 @@ from linkcore.arguments import check_number
 from linkcore.errors import LinkTimeout
 
 from ...arm.vectors import JOINTS, FloatArray
-from ...command.controller_clock import ProgramClock
+from ...command.program_time import ProgramTimer
 from ...errors import ToleranceExceeded
 from ...protocol.realtime.packets import RealtimeState
 from ...script.links import Writer
 from ..moves.trajectory import Trajectory
+from ..slider import SliderEffect, slider
 from .setpoints import LinkDialogue
 
 #: Cycles from a state to the one in which its set-point takes effect: it is sent within the next cycle, and the program
@@ -118,30 +119,31 @@ class Rest:
         return is_standing
 
 
+@slider(follow=SliderEffect.SCALED)
 class Following(LinkDialogue):
     """A trajectory that is being followed: the base of the two dialogues that do it.
 
-    Its time is that of the program on the robot (`urlink.command.controller_clock`).
+    Its time is that of the program on the robot (`urlink.command.program_time`).
 
     Args:
         write: makes the lines of the program.
         trajectory: what to follow.
         tolerances: how closely.
-        clock: of the trajectory.
+        timer: of the trajectory.
 
     Attributes:
         progress: the fraction that is over.
         is_over: whether the arm has arrived and stands still: of the arm, not of the motion, whose BRAKE follows.
     """
 
-    def __init__(self, write: Writer, trajectory: Trajectory, tolerances: Tolerances, clock: ProgramClock) -> None:
+    def __init__(self, write: Writer, trajectory: Trajectory, tolerances: Tolerances, timer: ProgramTimer) -> None:
         super().__init__(write)
         self.progress = 0.0
         #: s on the trajectory: its end; later, if a difference is still faded out then
         self._end = trajectory.duration
         self._trajectory = trajectory
         self._tolerances = tolerances
-        self._clock = clock
+        self._timer = timer
         #: s: since it began on the controller's clock; from the first comparison on
         self._passed: float
         #: s: the time of a state, those since it began, and those on the trajectory
@@ -152,7 +154,7 @@ class Following(LinkDialogue):
 
     def resume(self, state: RealtimeState) -> None:
         """Go on after a pause, from where the arm stands."""
-        self._clock.restart()
+        self._timer.restart()
 
     def _nearest(self, q: Sequence[float], t: float) -> float:
         """s on the trajectory: where it is closest to `q`, (6,) rad, after a pause at `t`.
@@ -173,7 +175,7 @@ class Following(LinkDialogue):
             at, passed, t = self._times[-n]
             if at <= time:
                 if after is None:
-                    return passed + time - at, min(t + self._clock.rate * (time - at), max(t, self._next_time))
+                    return passed + time - at, min(t + self._timer.rate * (time - at), max(t, self._next_time))
                 share = (time - at) / (after[0] - at)
                 return passed + time - at, t + share * (after[2] - t)
             after = at, passed, t

@@ -20,6 +20,7 @@ from ...protocol.firmware import Firmware
 from ...script import force_control as yielding
 from ...script.force_control import Pressing
 from ..context import MotionContext
+from ..slider import SliderEffect, slider
 from .block_motion import KeptMessage, LinkedBlock, message
 from .linked_program import Link
 
@@ -87,6 +88,7 @@ def _check_pressing(pressing: Pressing, firmware: Firmware) -> None:
             raise LocalError(f"firmware {firmware} takes no gain; {_GAIN} is the first")
 
 
+@slider(force_mode=SliderEffect.UNSCALED)
 class ForceMode(LinkedBlock):
     """Force mode while a ``with`` block is open; made by `robot.motion.force_mode`."""
 
@@ -135,6 +137,7 @@ _NOTHING = (0.0,) * 6
 _FREEDRIVE, _SOME_AXES = Firmware(3, 0), Firmware(5, 10)
 
 
+@slider(freedrive=SliderEffect.UNSCALED)
 class Freedrive(LinkedBlock):
     """Freedrive while a ``with`` block is open; made by `robot.freedrive`.
 
@@ -174,6 +177,7 @@ class Freedrive(LinkedBlock):
 DIRECT_TORQUE = Since("5.23/10.11")
 
 
+@slider(torque=SliderEffect.UNSCALED)
 class Torque(LinkedBlock):
     """Sends the torques of a loop; made by `robot.motion.torque`, and open within a ``with`` block.
 
@@ -245,6 +249,7 @@ class Contact:
     pose: FloatArray | None
 
 
+@slider(until_contact=SliderEffect.SCALED)
 class ContactMotion(Motion):
     """A movement until a contact; made by `robot.motion.until_contact`. It fails with `NoContact` if there is none.
 

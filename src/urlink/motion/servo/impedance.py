@@ -20,6 +20,7 @@ from ...script.links import FOLLOW, Writer
 from ...script.springs import GAINS, POSTURE
 from ..context import MotionContext
 from ..moves.path import check_joint_positions, shown_tcp
+from ..slider import SliderEffect, slider
 from .block_motion import LinkedBlock
 from .impedance_parameters import Softness, damping_of, stiffness_of
 from .jog import FrameName
@@ -31,6 +32,7 @@ from .setpoints import LinkDialogue, packed
 _GOLDEN, _GAINS_SHARE = 0.6180339887, 0.25
 
 
+@slider(impedance=SliderEffect.SCALED)
 class Impedance(LinkedBlock):
     """Draws the arm to a target by springs and dampers; made by `robot.motion.impedance`.
 

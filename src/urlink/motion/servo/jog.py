@@ -18,6 +18,7 @@ from ...script.links import Writer
 from ...script.streaming import jogging
 from ..context import MotionContext
 from ..moves.speed_limit import check_joint_speeds
+from ..slider import SliderEffect, slider
 from .block_motion import LinkedBlock, message
 from .linked_program import Link, LinkedProgram
 from .setpoints import WAIT_MESSAGE, LinkDialogue
@@ -68,6 +69,7 @@ class _Jogging(LinkDialogue):
         return message(speeds.tolist())
 
 
+@slider(jog=SliderEffect.SCALED)
 class Jog(LinkedBlock):
     """Speeds by hand; made by `robot.motion.jog`, and open within a ``with`` block. Leaving the block stops the arm.
 
@@ -161,6 +163,7 @@ class _Holding(LinkDialogue):
             return 0.0 if self._began is None else (now - self._began) / self._duration
 
 
+@slider(speed_joints=SliderEffect.SCALED)
 class HeldSpeed(Motion):
     """A speed for longer than `UNLED`: the robot brakes by itself that long after the last message from this computer.
 

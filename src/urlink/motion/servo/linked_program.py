@@ -18,7 +18,7 @@ from linkcore.handle import Event, Lifecycle, Phase
 from linkcore.streaming.packet_queue import latest
 from linkcore.streaming.subscription import Subscription
 
-from ...command.controller_clock import MOVED, ControllerClock, Pause, is_paused
+from ...command.program_time import MOVED, ControllerTimer, Pause, is_paused
 from ...errors import ProgramStopped, ToleranceExceeded
 from ...protocol.realtime.packets import RealtimeState
 from ...script import links
@@ -99,7 +99,7 @@ class LinkedProgram:
         self._link: Link | None = None
         self._subscription: Subscription | None = None
         self._cycle = 1.0 / context.who.identity.firmware.rate
-        self._controller = ControllerClock(self._cycle)
+        self._controller = ControllerTimer(self._cycle)
         #: s on the controller's clock from the first state to the newest one
         self._passed = 0.0
         #: when the newest state was looked at, monotonic s; from the first one on

@@ -17,7 +17,7 @@ import numpy as np
 from linkcore.errors import BadValue
 
 from ...arm.models import Model
-from ...command.controller_clock import ProgramClock
+from ...command.program_time import ProgramTimer
 from ...protocol.realtime.packets import RealtimeState
 from ..moves.trajectory import Trajectory
 from .following import Rest
@@ -70,7 +70,7 @@ class PacedSetpoints:
     def __init__(self, servoing: Servoing, source: PacedSource) -> None:
         self._source = source
         self._stream = SetpointStream(servoing)
-        self._clock = ProgramClock(self._stream.cycle)
+        self._timer = ProgramTimer(self._stream.cycle)
         self._rest = Rest("the servo")
         self._has_begun = False
         #: rad, between the last set-point and that of the source
@@ -78,7 +78,7 @@ class PacedSetpoints:
 
     def resume(self, state: RealtimeState) -> None:
         """Go on after a pause, from where the arm stands."""
-        self._clock.restart()
+        self._timer.restart()
         if self._has_begun:
             here = state.q_target.tolist()
             self._stream.begin(here)
@@ -91,7 +91,7 @@ class PacedSetpoints:
         Raises:
             LinkTimeout: the arm does not come to rest before the first set-point.
         """
-        passed, scaled = self._clock.passed(state, now)
+        passed, scaled = self._timer.passed(state, now)
         if not self._has_begun:
             if not self._rest.is_reached(state, now) or not self._source.has_targets:
                 return WAIT_MESSAGE
@@ -107,7 +107,7 @@ class PacedSetpoints:
         if missed:
             self._catch_up(missed, state.time, now)
         gap = [(1.0 - self._stream.cycle / _SETTLING) * each for each in self._gap]
-        rate = self._clock.rate
+        rate = self._timer.rate
         q, qd = self._source.at(state.time, rate)
         q = [a + b for a, b in zip(q, gap, strict=True)]
         if self._stream.excess(q, now) is not None:

@@ -12,13 +12,14 @@ from linkcore.arguments import check_number
 from linkcore.errors import BadValue, LocalError
 
 from ...arm.vectors import JOINTS, Numbers
-from ...command.controller_clock import ProgramClock, reported_scaling
+from ...command.program_time import ProgramTimer, reported_scaling
 from ...protocol.realtime.packets import RealtimeState
 from ...script.text import integer
 from ..context import MotionContext
 from ..moves.path import Joint, Linear, Waypoint, check_joint_positions, shown_tcp
 from ..moves.speed_limit import LONGEST_PERIOD, SpeedLimit
 from ..moves.trajectory import LEAP
+from ..slider import SliderEffect, slider_by_use
 from .block_motion import LinkedBlock
 from .following import AHEAD
 from .jerk_limited import JointLimit
@@ -69,7 +70,7 @@ class _Leading(LinkDialogue):
         self.watchdog = servoing.watchdog
         #: set once, by any thread
         self.paced = paced
-        self._clock = ProgramClock(1.0 / servoing.firmware.rate)
+        self._timer = ProgramTimer(1.0 / servoing.firmware.rate)
         #: s by which the program is behind the controller's clock, and when that was measured, monotonic s
         self._behind = self._at = 0.0
         #: rad; target positions of the arm before the first message
@@ -79,7 +80,7 @@ class _Leading(LinkDialogue):
         self.begins_anew = False
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
-        passed, scaled = self._clock.passed(state, now)
+        passed, scaled = self._timer.passed(state, now)
         self._behind, self._at = self._behind + passed - scaled, now
         if self.paced is not None:
             return self.paced.answer(state, now)
@@ -90,16 +91,24 @@ class _Leading(LinkDialogue):
 
     def program_time(self, now: float) -> float:
         """Monotonic s of which those are left out in which the program stood still, or its part of them."""
-        return now - self._behind - (1.0 - self._clock.rate) * max(now - self._at, 0.0)
+        return now - self._behind - (1.0 - self._timer.rate) * max(now - self._at, 0.0)
 
     def resume(self, state: RealtimeState) -> None:
-        self._clock.restart()
+        self._timer.restart()
         if self.paced is not None:
             self.paced.resume(state)
         else:
             self.here, self.begins_anew = state.q_target.tolist(), self.has_begun
 
 
+@slider_by_use(
+    {
+        "servo, a loop by the controller's clock": SliderEffect.KEPT_UNTIL_0,
+        "servo, a loop by servo.scaling": SliderEffect.SCALED,
+        "servo, target filter": SliderEffect.SCALED,
+        "servo, schedule": SliderEffect.KEPT_UNTIL_0,
+    }
+)
 class Servo(LinkedBlock):
     """Sends the set-points of a loop; made by `robot.motion.servo`, and open within a ``with`` block.
 

@@ -10,7 +10,7 @@ import math
 
 from linkcore.errors import ConnectionLost
 
-from ...command.controller_clock import ProgramClock
+from ...command.program_time import ProgramTimer
 from ...errors import ProgramStopped
 from ...protocol.firmware import Firmware
 from ...protocol.realtime.packets import RealtimeState
@@ -48,7 +48,7 @@ class WaypointServer(Following):
                 firmware, *link, is_quintic=is_quintic, lookahead_time=lookahead_time, gain=gain
             )
 
-        super().__init__(write, trajectory, tolerances, ProgramClock(1.0 / firmware.rate))
+        super().__init__(write, trajectory, tolerances, ProgramTimer(1.0 / firmware.rate))
         self._next_time = float(trajectory.time[1])
         self._line = b""
         self._requests: list[int] = []
@@ -70,7 +70,7 @@ class WaypointServer(Following):
             ProgramStopped: the program has sent something that is not a request.
             ToleranceExceeded: the arm is too far from the trajectory.
         """
-        passed, scaled = self._clock.passed(state, now)
+        passed, scaled = self._timer.passed(state, now)
         if self._t is not None:
             self._t = min(self._t + scaled, max(self._t, self._next_time))
             self._passed += passed

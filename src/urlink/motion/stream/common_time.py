@@ -14,7 +14,7 @@ import math
 import threading
 from collections.abc import Callable
 
-from ...command.controller_clock import RAMP, ProgramClock
+from ...command.program_time import RAMP, ProgramTimer
 from ...protocol.realtime.packets import RealtimeState
 from ..servo.following import AHEAD
 
@@ -42,22 +42,22 @@ class CommonTime:
         self.rate = 1.0
         self._lock = threading.Lock()
         #: in the order of joining; a dictionary, since a member leaves in one step, also in a signal handler
-        self._members: dict[MemberClock, None] = {}
+        self._members: dict[MemberTimer, None] = {}
         #: where it has got to: monotonic s of this computer, and s of its own
         self._local, self._time = -math.inf, 0.0
 
-    def member(self, to_local: Callable[[float], float], cycle: float) -> MemberClock:
-        """The clock of one more arm.
+    def member(self, to_local: Callable[[float], float], cycle: float) -> MemberTimer:
+        """The timer of one more arm.
 
         Args:
             to_local: converts s of the arm's controller to monotonic s of this computer.
             cycle: s of its controller.
         """
-        member = MemberClock(self, to_local, cycle)
+        member = MemberTimer(self, to_local, cycle)
         self._members[member] = None
         return member
 
-    def leave(self, member: MemberClock) -> None:
+    def leave(self, member: MemberTimer) -> None:
         """The motion of that arm is over, so it holds up nobody."""
         self._members.pop(member, None)
 
@@ -82,8 +82,8 @@ class CommonTime:
                 self._local, self._time, self.rate = local, time, self.rate + change
 
 
-class MemberClock(ProgramClock):
-    """The clock of the trajectory of one arm of a group; made by `CommonTime.member`.
+class MemberTimer(ProgramTimer):
+    """The time of the trajectory of one arm of a group; made by `CommonTime.member`.
 
     Attributes:
         is_ready: the arm can begin.
@@ -96,7 +96,7 @@ class MemberClock(ProgramClock):
         self.is_paused: Callable[[], bool] = bool
         self._common = common
         self._to_local = to_local
-        self._own = ProgramClock(cycle)
+        self._own = ProgramTimer(cycle)
         #: of the newest state: s since the one before, monotonic s of this computer at its time and at its arrival
         self._seconds, self._local, self._seen = 0.0, -math.inf, -math.inf
 

@@ -22,6 +22,7 @@ from ..servo.block_motion import LinkedBlock
 from ..servo.jerk_limited import JointLimit
 from ..servo.linked_program import Link
 from ..servo.setpoints import Servoing
+from ..slider import SliderEffect, slider
 from .common_time import MemberPace
 from .stream_feed import StreamFeed
 from .stream_points import PointReader, Points
@@ -38,6 +39,7 @@ _ANSWER = 10.0
 T = TypeVar("T")
 
 
+@slider(stream=SliderEffect.SCALED)
 class PointStream(LinkedBlock):
     """Moves through points that are appended while it runs; made by `robot.motion.stream`, open in a ``with`` block.
 

@@ -23,7 +23,7 @@ import numpy as np
 
 from linkcore.errors import BadValue, Cancelled
 
-from ...command.controller_clock import ProgramClock
+from ...command.program_time import ProgramTimer
 from ...errors import ToleranceExceeded
 from ...protocol.realtime.packets import RealtimeState
 from ...script.buffering import (
@@ -33,16 +33,17 @@ from ...script.buffering import (
     MESSAGE,
     MOVING,
     OPEN,
-    PACING,
     POINT,
     REPORTED,
     RESTING,
     PointRegisters,
 )
 from ...script.links import SCALE, STOP, WAIT
-from ..servo.following import AHEAD, Rest
+from ..servo.following import Rest
 from ..servo.setpoints import LARGEST, LinkDialogue
 from .common_time import MemberPace
+from .feed_life import FeedEvent, FeedLife, FeedPhase
+from .program_pace import ProgramPace
 from .stream_steps import Aim, Bounds, Handed, JointMoment, Mark, Step, onto
 
 _MESSAGE, _REPORT = struct.Struct(f">{MESSAGE}i"), struct.Struct(f">{REPORTED}i")
@@ -51,8 +52,6 @@ _STOP_MESSAGE = _MESSAGE.pack(STOP, *[0] * (MESSAGE - 1))
 _UNANSWERED = 0.1
 #: Cycles without a state, from which on a report may be older than the state that comes next.
 _GAP = 2
-#: Difference of two paces that is not sent while points are waiting to be sent.
-_SAME_PACE = 1e-3
 #: Cycles, and s, that a cut takes to the program at first, and s at most: each that comes too late doubles the time.
 _AHEAD, _WAY, _LONGEST_WAY = 6, 0.01, 1.0
 #: Messages within which a program has found out where the arm is, after a pause in which it was slow at first.
@@ -162,11 +161,9 @@ class StreamFeed(LinkDialogue):
         self.margin = _AHEAD * cycle + _WAY
         self.mark: Mark | None = None
         self.pace: MemberPace | None = None
-        self._clock = ProgramClock(cycle)
-        #: the pace of the program; those that it is to have, up to the newest; that which it was sent, by the last
-        #: message
-        self._pace, self._paces = 1.0, deque([1.0], AHEAD + 1)
-        self._pace_sent, self._has_sent_pace = 1.0, True
+        self._timer = ProgramTimer(cycle)
+        self._life = FeedLife()
+        self._program_pace = ProgramPace()
         self._begin = Rest("the stream")
         self._is_lossy = False
         self._received = b""
@@ -181,14 +178,13 @@ class StreamFeed(LinkDialogue):
         #: the end of the step before these; while the epoch is closed, the braking from there
         self._last: _Sent
         self._brake: Step
-        self._is_open = False
         #: number of the step with which it went on from braking, of what was left of that; -1 before
         self._resumed = -1
         self._queue: deque[Aim] = deque()
+        #: while a cut has no answer
         self._cut: _Cut | None = None
         #: those that wait for the answer to the cut
         self._requests: deque[_Request] = deque()
-        self._is_cleared = False
         self._may_skip = False
         #: after a pause: the messages before it, and where the arm stood
         self._found: tuple[int, JointMoment] | None = None
@@ -206,7 +202,7 @@ class StreamFeed(LinkDialogue):
         """Replace what comes after a time, or as soon as possible after it; without points, end there."""
         request = _Request(since, curve, Future())
         self._requests.append(request)
-        if self._cut is None:
+        if not self._life.is_cut:
             self._attend()
         return request.done
 
@@ -220,7 +216,7 @@ class StreamFeed(LinkDialogue):
 
     def reach(self, later: float) -> float:
         """s on the clock of the stream from which points can be replaced, `later` s from now."""
-        if not self._is_open:
+        if not self._life.is_open:
             return self._last.ends
         place = self._place(self.margin + later)
         if place is None:
@@ -230,7 +226,7 @@ class StreamFeed(LinkDialogue):
 
     def skip(self, time: float) -> None:
         """Where no points are left, set the clock of the stream forward to `time`, s."""
-        if not self._is_open and not self._queue and self.is_answered and self.mark is not None:
+        if not self._life.is_open and not self._queue and self.is_answered and self.mark is not None:
             self._last = dataclasses.replace(self._last, ends=max(time, self._last.ends))
             self.mark = Mark(self._last.ends, self.mark.moment)
 
@@ -264,7 +260,7 @@ class StreamFeed(LinkDialogue):
     @property
     def is_answered(self) -> bool:
         """Whether the program has answered every cut, so that it is known which points it holds."""
-        return not (self._cut or self._requests)
+        return not (self._life.is_cut or self._requests)
 
     @property
     def is_dry(self) -> bool:
@@ -273,7 +269,7 @@ class StreamFeed(LinkDialogue):
             return False
         if self._report.phase == OPEN:  # its points were dropped before the first of them was sent
             return not self._steps
-        return not self._is_open and self._report.phase == RESTING
+        return not self._life.is_open and self._report.phase == RESTING
 
     @property
     def time(self) -> float:
@@ -320,7 +316,7 @@ class StreamFeed(LinkDialogue):
     def resume(self, state: RealtimeState) -> None:
         """Go on after a pause: with the points, or where the arm has braked to, if the program finds it elsewhere."""
         with self._section:
-            self._clock.restart()
+            self._timer.restart()
             self._found = self._messages, JointMoment.at_rest(state.q_target)
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
@@ -331,8 +327,8 @@ class StreamFeed(LinkDialogue):
             ToleranceExceeded: no path leads onto the points from where the arm has braked to.
         """
         with self._section:
-            seconds = self._clock.passed(state, now)[1]
-            self._pass(seconds)
+            seconds = self._timer.passed(state, now)[1]
+            self._passed += self._program_pace.passed(self._report.phase, seconds)
             self._unseen = seconds if seconds > _GAP * self._cycle else 0.0
             self._messages += 1
             self._received += received
@@ -343,17 +339,20 @@ class StreamFeed(LinkDialogue):
                 messages = self._messages - (self._messages - messages) % LARGEST
                 self._take(_Report(messages, epoch, head, base, passed / SCALE, phase))
             if self.pace is not None:
-                is_idle = not (self._steps or self._queue or self._cut)
+                is_idle = not (self._steps or self._queue or self._life.is_cut)
                 is_answered = (self._messages - self._last_answered) * self._cycle < _UNANSWERED
                 is_led = self._report.phase == MOVING and is_answered
-                rate = self._clock.rate
-                self._paces.append(self.pace.look(state.time, now, self.time, rate, is_led=is_led, is_idle=is_idle))
+                rate = self._timer.rate
+                self._program_pace.want(
+                    self.pace.look(state.time, now, self.time, rate, is_led=is_led, is_idle=is_idle)
+                )
             if self.mark is None:
                 # Done where another thread has ended it since this one began to look.
                 if not self.begun.done() and self._begin.is_reached(state, now):
                     self.mark = Mark(0.0, JointMoment.at_rest(state.q_target))
                     self._brake = Step.braking(self.mark.moment, self._bounds.limits)
                     self._last = _Sent(0, 0, self._brake, 0.0, 0.0, 0.0, None)
+                    self._life.fire(FeedEvent.REST)
                     self.begun.set_result(None)
                 return self._wait_message()
             for handed in {aim.handed for aim in self._queue if aim.handed is not None}:
@@ -362,34 +361,22 @@ class StreamFeed(LinkDialogue):
                     handed.settle(Cancelled("the task that appended these points has given them up"))
             return self._next()
 
-    def _pass(self, seconds: float) -> None:
-        """So many seconds of the program have passed: with its pace, as it keeps that itself."""
-        phase, change = self._report.phase, PACING * seconds
-        if phase in (MOVING, BRAKING):
-            wanted = self._paces[0] if phase == MOVING else 1.0
-            self._pace += min(max(wanted - self._pace, -change), change)
-        else:
-            self._pace = self._paces[0]
-        self._passed += self._pace * seconds
-
     def _wait_message(self) -> bytes:
-        self._pace_sent, self._has_sent_pace = self._paces[-1], True
-        return _MESSAGE.pack(WAIT, 0, round(SCALE * self._pace_sent), *[0] * (MESSAGE - 3))
+        return _MESSAGE.pack(WAIT, 0, round(SCALE * self._program_pace.send()), *[0] * (MESSAGE - 3))
 
     def _next(self) -> bytes:
-        while self._cut is None and self._requests:
+        while self._requests and not self._life.is_cut:
             self._attend()
         self._settle()
-        if self._cut is None and not self._is_open and self._queue:
+        if self._life.phase is FeedPhase.CLOSED and self._queue:
             self._resume()
         if self._cut is not None and (self._cut.message == 0 or self._is_lossy):
             # Again until it is answered, where messages may be lost: so what sees a later message has seen a cut.
             if self._cut.message == 0:
                 self._cut = dataclasses.replace(self._cut, message=self._messages)
             return self._cut_message
-        is_paced = self._has_sent_pace or abs(self._paces[-1] - self._pace_sent) < _SAME_PACE
-        if self._is_open and self._queue and self._has_room and is_paced:
-            self._has_sent_pace = False
+        if self._life.is_open and self._queue and self._has_room and self._program_pace.has_room_for_a_point:
+            self._program_pace.send_point()
             aim = self._queue.popleft()
             assert aim.step is not None
             before = self._end_of_sent
@@ -433,8 +420,9 @@ class StreamFeed(LinkDialogue):
         if cut is not None and 0 < cut.message <= report.messages:
             self._cut = None
             if report.epoch == cut.epoch:
+                is_clearing = cut.request is not None and not cut.request.curve
+                self._life.fire(FeedEvent.CLEAR if is_clearing else FeedEvent.ACCEPT)
                 if cut.request is not None:
-                    self._is_cleared = not cut.request.curve
                     cut.request.done.set_result(cut.request.since)
             else:
                 self._take_back(cut)
@@ -442,7 +430,7 @@ class StreamFeed(LinkDialogue):
             self._last = self._steps.popleft()
         if has_moved and 0.0 < here - self._here <= self._unseen:
             self._reported -= here - self._here  # it is from before this computer stood still
-        if self._cut is not None or self.mark is None:
+        if self._life.is_cut or self.mark is None:
             return
         is_closed = report.phase in (RESTING, BRAKING)
         # While it moves, a point is refused if its message was too old; once it brakes, all that were on their way are.
@@ -454,8 +442,9 @@ class StreamFeed(LinkDialogue):
             again = [sent for sent in self._steps if sent.number > self._head]
             self._steps = deque(sent for sent in self._steps if sent.number <= self._head)
             self._queue.extendleft(sent.aim for sent in reversed(again) if sent.aim is not None)
-        if is_closed and (self._is_open or found is not None):
-            self._is_open = False
+        if is_closed and (self._life.is_open or found is not None):
+            is_cleared = self._life.phase is FeedPhase.CLEARED
+            self._life.fire(FeedEvent.CLOSE)
             if found is not None:
                 self._last = dataclasses.replace(self._last, ends=time)
                 # The controller has braked it along its path: what is behind it is left out.
@@ -464,15 +453,15 @@ class StreamFeed(LinkDialogue):
                 if not self._queue:  # it was cleared, or is past its last point
                     self.mark = Mark(time, found)
             self._brake = Step.braking(found or self._last.step.end, self._bounds.limits)
-            if self._last.number == self._resumed and not self._is_cleared:
+            if self._last.number == self._resumed and not is_cleared:
                 # It had gone on from braking, and its points came too late after the cut: it is the same braking.
                 self._reach_later()
-            elif self._brake.length > self._cycle and not self._is_cleared:
+            elif self._brake.length > self._cycle and not is_cleared:
                 self.starved += 1
-            self._is_cleared = False
 
     def _take_back(self, cut: _Cut) -> None:
         """The cut came too late."""
+        self._life.fire(FeedEvent.REFUSE)
         self._reach_later()
         new = [sent.aim for sent in self._steps if sent.number > cut.head and sent.aim is not None]
         self._head, self._steps = cut.head, deque(cut.steps)
@@ -481,7 +470,6 @@ class StreamFeed(LinkDialogue):
             self._requests.appendleft(cut.request)
         else:
             self._queue.extendleft(reversed([aim for aim in new if aim not in self._queue]))
-            self._is_open = False
 
     def _reach_later(self) -> None:
         """Plan cuts further ahead from now on."""
@@ -516,7 +504,7 @@ class StreamFeed(LinkDialogue):
         self._cut = dataclasses.replace(cut, epoch=self._epoch)
         self._cut_message = self._message(CUT, number, length, degree, moment)
         self._head = number + 1
-        self._is_open = True
+        self._life.fire(FeedEvent.RESUME if cut.request is None else FeedEvent.REPLACE)
 
     def _kept(self, request: _Request | None) -> _Cut:
         assert self.mark is not None
@@ -573,7 +561,7 @@ class StreamFeed(LinkDialogue):
             BadValue: no path within the limits leads onto the points.
         """
         now = self._place(self.margin)
-        if not self._is_open:
+        if not self._life.is_open:
             return self._planned_at_rest(request)
         if now is None or request.since >= self._end_of_sent.ends:
             return self._planned_unsent(request)
@@ -621,7 +609,7 @@ class StreamFeed(LinkDialogue):
         def replace() -> None:
             self._put([*kept, *aims])
             if not aims:
-                self._is_cleared = True
+                self._life.fire(FeedEvent.CLEAR)
                 self.mark = Mark(time, self._bounds.braked(begin))
             request.done.set_result(time)
 

@@ -100,6 +100,7 @@ class RealtimeState(State):
     payload_inertia: Vector | None = wire(
         Float64b[6], "kg m^2", "inertia of the payload: xx, yy, zz, xy, xz, yz", since="5.10"
     )
+    # -- fields of a later release
 
     @property
     def digital_coding(self) -> str | None:

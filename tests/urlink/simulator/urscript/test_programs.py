@@ -2,7 +2,7 @@
 
 A program may begin with lines for the stand-in: `#! firmware 3.4`, and `#! peer <port> <list of what it sends>`.
 A trace has a line for each thing that was asked of the controller, and last how the program ended, or the error with
-which it did not compile.
+which it did not compile. The traces are golden files (`tests/golden.py`).
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.fakes.world import NotedWorld, run
+from tests.golden import check_golden
 from urlink.simulator.urscript import ProgramError
 
 FOLDER = Path(__file__).parent / "programs"
@@ -34,8 +35,7 @@ def trace(name: str) -> list[str]:
 
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_the_program_does_what_its_trace_says(name: str) -> None:
-    expected = (FOLDER / f"{name}.trace").read_text(encoding="utf-8").splitlines()
-    assert trace(name) == expected
+    check_golden(FOLDER / f"{name}.trace", "\n".join(trace(name)) + "\n")
 
 
 def test_every_trace_has_a_program() -> None:

@@ -1,4 +1,4 @@
-"""The clock of the controller, as far as the times in its states can be trusted, the time of a program, and its pauses.
+"""How much time passes on the controller and for a program, from the times in states; and the pauses of a program.
 
 The speed slider and the controller's own limits slow down all motion of a program, streamed set-points too; where a
 program is paused, or the slider is at 0, its time stands still (docs/protocols/urscript.md, Speed scaling). A state
@@ -43,7 +43,7 @@ def reported_scaling(state: RealtimeState) -> float:
     return 1.0 if scaling is None or not 0.0 <= scaling <= 1.0 else scaling
 
 
-class ControllerClock:
+class ControllerTimer:
     """Measures how much time passes on the controller, by the times in its states, as far as these are plausible.
 
     A state cannot come before its time. How long states take to arrive is not known, but the quickest of them gives a
@@ -84,7 +84,7 @@ class ControllerClock:
         return max(now - last[1], self._cycle)
 
 
-class ProgramClock:
+class ProgramTimer:
     """Measures how much time passes on the controller and for its program, from the states.
 
     Args:
@@ -97,7 +97,7 @@ class ProgramClock:
 
     def __init__(self, cycle: float, scaling: ScalingName = "follow") -> None:
         self.rate = 1.0
-        self._clock = ControllerClock(cycle)
+        self._timer = ControllerTimer(cycle)
         self._is_ignored = scaling == "ignore"
         self._is_new = False
         self._most = 1.0
@@ -109,7 +109,7 @@ class ProgramClock:
             state: the newest.
             now: its arrival, monotonic s.
         """
-        seconds = self._clock.passed(state.time, now)
+        seconds = self._timer.passed(state.time, now)
         if self._is_new:
             self._is_new, self.rate = False, 0.0
             return seconds, 0.0

@@ -15,7 +15,7 @@ from linkcore.handle import Lifecycle
 from linkcore.streaming.packet_queue import latest
 from linkcore.streaming.stream import Stream
 from tests.fakes.line import Desk
-from urlink.command.controller_clock import Pause, ProgramClock, end_where_moved, is_paused, reported_scaling
+from urlink.command.program_time import Pause, ProgramTimer, end_where_moved, is_paused, reported_scaling
 from urlink.errors import ToleranceExceeded
 from urlink.protocol.enums import ProgramState
 from urlink.protocol.realtime.packets import RealtimeState
@@ -47,7 +47,7 @@ def test_how_fast_a_program_is(scaling: float | None, program: ProgramState | No
 
 
 def test_its_time_is_the_controllers_by_the_mean_of_two_states() -> None:
-    clock, wall = ProgramClock(0.002), ProgramClock(0.002, "ignore")
+    clock, wall = ProgramTimer(0.002), ProgramTimer(0.002, "ignore")
     seen = [(0.5, 0.0), (0.5, 0.002), (1.0, 0.002), (0.0, 0.01), (0.0, 1.0), (0.2, 0.002)]
     expected, now = [0.0, 0.001, 0.0015, 0.005, 0.0, 0.0002], 0.0
     for (scaling, later), scaled in zip(seen, expected, strict=True):
@@ -60,7 +60,7 @@ def test_its_time_is_the_controllers_by_the_mean_of_two_states() -> None:
 
 
 def test_a_program_that_goes_on_is_slow_at_first() -> None:
-    clock = ProgramClock(0.008)
+    clock = ProgramTimer(0.008)
     clock.passed(state(1.0, time=50.0), 0.0)
     clock.passed(state(1.0, time=50.008), 0.008)
     assert clock.rate == 1.0

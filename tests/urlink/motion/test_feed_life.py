@@ -1,0 +1,42 @@
+"""The life of a stream of points: what can happen in each phase, and whether points can be sent then."""
+
+from __future__ import annotations
+
+import pytest
+
+from urlink.motion.stream.feed_life import TRANSITIONS, FeedEvent, FeedLife, FeedPhase
+
+
+@pytest.mark.parametrize("event", FeedEvent)
+@pytest.mark.parametrize("phase", FeedPhase)
+def test_what_is_not_in_the_table_raises(phase: FeedPhase, event: FeedEvent) -> None:
+    life = FeedLife()
+    life.phase = phase
+    if (phase, event) in TRANSITIONS:
+        life.fire(event)
+        assert life.phase is TRANSITIONS[phase, event]
+    else:
+        with pytest.raises(RuntimeError, match=f"'{event.value}' cannot happen while it is {phase.value}"):
+            life.fire(event)
+        assert life.phase is phase
+
+
+def test_every_phase_can_be_reached() -> None:
+    reached, waiting = {FeedPhase.STARTING}, [FeedPhase.STARTING]
+    while waiting:
+        phase = waiting.pop()
+        after = {end for (begin, _), end in TRANSITIONS.items() if begin is phase} - reached
+        reached |= after
+        waiting += after
+    assert reached == set(FeedPhase)
+
+
+def test_an_open_stream_that_was_cleared_stays_cleared_when_a_replacement_is_refused() -> None:
+    life = FeedLife()
+    for event in (FeedEvent.REST, FeedEvent.RESUME, FeedEvent.ACCEPT, FeedEvent.CLEAR, FeedEvent.REPLACE):
+        life.fire(event)
+    assert (life.is_open, life.is_cut) == (True, True)
+    life.fire(FeedEvent.REFUSE)
+    assert (life.phase, life.is_cut) == (FeedPhase.CLEARED, False)
+    life.fire(FeedEvent.CLOSE)
+    assert not life.is_open

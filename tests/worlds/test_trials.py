@@ -1,0 +1,89 @@
+"""Each trial passes on the library as it is, and what is looked at beside the trials is seen when it is broken."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping
+
+import pytest
+
+from linkcore import clock
+from linkcore.simulated import simulated_time
+from linkcore.streaming.packet_queue import PacketQueue, latest
+from tests.worlds import learned, waits
+from tests.worlds.running import run
+from tests.worlds.trials import AWAITED, MOBILE, TRIALS
+from tests.worlds.world import Ask, Client, World
+
+pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
+
+KINDS: dict[str, Mapping[str, Callable[..., object]]]
+KINDS = {"trials": TRIALS, "trials in tasks": AWAITED, "mobile trials": MOBILE}
+EVERY = [(kind, name) for kind, trials in KINDS.items() for name in trials]
+
+
+@pytest.mark.parametrize(("kind", "name"), EVERY)
+def test_a_trial_passes(kind: str, name: str) -> None:
+    for number, firmware in enumerate(("3.15", "5.11")):
+        ask = Ask(name, "wait", 0.0, 0.3 * number + 0.05, 0.0)
+        outcome = run(World(number, firmware, 1e-4, 0.0, (Client((ask,), 0.0, kind),), ()))
+        assert outcome.faults == [], "\n".join(outcome.log)
+
+
+@pytest.mark.parametrize(("kind", "name"), EVERY)
+def test_a_trial_names_its_promise(kind: str, name: str) -> None:
+    assert KINDS[kind][name].__doc__
+
+
+def test_a_wait_is_a_fault_when_its_timeout_was_lost() -> None:
+    faults: list[str] = []
+    with waits.watching(faults.append):
+        clock.wait(lambda seconds: True, 60.0)
+        assert faults == []
+        clock.wait(lambda seconds: True, 1e6)
+    assert len(faults) > 0
+
+
+def test_a_timer_is_a_fault_when_its_timeout_was_lost() -> None:
+    faults: list[str] = []
+
+    async def begin() -> None:
+        asyncio.get_running_loop().call_later(1e6, print).cancel()
+
+    with waits.watching(faults.append):
+        asyncio.run(begin())
+    assert len(faults) == 1
+
+
+def test_a_change_without_its_lock_is_a_fault() -> None:
+    faults: list[str] = []
+    row = learned.Row("PacketQueue", "_discarded", "assigned", "_discarding")
+    assert row in learned.KNOWN
+    with simulated_time(1), learned.watching(faults.append, (row,)):
+        queue = PacketQueue(latest)
+        with queue._discarding:
+            queue._discarded = 1
+        assert faults == []
+        queue._discarded = 2
+    assert faults == ["PacketQueue._discarded changes without _discarding"]
+
+
+@pytest.mark.parametrize(("kind", "is_held"), [("with", False), ("without", True)])
+def test_a_call_is_a_fault_unless_its_lock_is_as_learned(kind: str, is_held: bool) -> None:
+    faults: list[str] = []
+    row = learned.Row("PacketQueue", "end", kind, "_discarding")
+    with simulated_time(1), learned.watching(faults.append, (row,)):
+        queue = PacketQueue(latest)
+        with queue._discarding:
+            if is_held:
+                queue.close if kind == "with" else queue.end()
+        if not is_held:
+            queue.end()
+    assert len(faults) == (kind == "with")  # a plain lock does not know who holds it
+
+
+def test_what_was_learned_is_still_there() -> None:
+    known = learned.classes()
+    lost = [row for row in learned.KNOWN if row.owner not in known or not hasattr(known[row.owner], row.name)]
+    lost = [row for row in lost if row.kind != "assigned"]
+    assert lost == [], "learn anew: python -m tests.worlds.learned"
