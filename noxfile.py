@@ -119,6 +119,7 @@ def types(session: nox.Session) -> None:
 def docs(session: nox.Session) -> None:
     """Build the documentation into docs/_build/html. Run it after changing a page; a warning is an error."""
     session.install("-e", f".{EXTRAS}", *group("docs"))
+    session.run("python", "docs/make_tables.py", "--check")
     # -E: a page that did not change is read again, or its warnings would be seen once only.
     session.run("sphinx-build", "-W", "--keep-going", "-E", *session.posargs, "-b", "html", "docs", "docs/_build/html")
 

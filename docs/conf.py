@@ -34,7 +34,8 @@ extensions = [
     "summary",
     "variables",
 ]
-exclude_patterns = ["_build", "_extensions", "_plots"]
+# tables: for readers without a build, who do not see what directives generate
+exclude_patterns = ["_build", "_extensions", "_plots", "tables"]
 
 html_theme = "furo"
 # Without the commit of a development version.

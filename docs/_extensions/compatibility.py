@@ -25,8 +25,13 @@ class ReleasesDirective(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         """One row for each release that changed a size."""
-        head = ("firmware", "controller", "real-time", "first state", "later states", "real bytes", "evidence")
-        return [table(head, [_row(number) for number in range(len(RELEASES))])]
+        return tables()
+
+
+def tables() -> list[nodes.Node]:
+    """The firmware table."""
+    head = ("firmware", "controller", "real-time", "first state", "later states", "real bytes", "evidence")
+    return [table(head, [_row(number) for number in range(len(RELEASES))])]
 
 
 def _row(number: int) -> tuple[str, ...]:

@@ -29,11 +29,15 @@ class DashboardDirective(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         """One row for each command, in the order of the class."""
         self.env.note_dependency(str(Path(inspect.getfile(Dashboard))))
-        found = methods()
-        missing = sorted(COMMANDS.keys() - {command for _, command, _ in found})
+        missing = sorted(COMMANDS.keys() - {command for _, command, _ in methods()})
         if missing:
             raise self.error(f"no method of Dashboard sends {', '.join(missing)}")
-        return [table(_HEAD, [_row(*one) for one in found], code=(0, 1))]
+        return tables()
+
+
+def tables() -> list[nodes.Node]:
+    """The table of methods and commands."""
+    return [table(_HEAD, [_row(*one) for one in methods()], code=(0, 1))]
 
 
 def methods() -> list[tuple[str, str, str]]:

@@ -50,13 +50,18 @@ class LayoutsDirective(SphinxDirective):
         if cls is None or not hasattr(cls, "LAYOUTS"):
             raise self.error(f"urlink.packets has no class {name}")
         documented(self.env).setdefault(self.env.docname, set()).add(name)
-        firmware = self.options.get("firmware")
-        chosen = [cls.LAYOUTS.of(firmware)] if firmware is not None else longest(cls)
-        found: list[nodes.Node] = [nodes.paragraph("", (cls.__doc__ or "").partition("\n\n")[0].replace("\n", " "))]
-        for layout in chosen:
-            found.append(nodes.paragraph("", "", nodes.strong("", sizes(cls, layout))))
-            found.append(fields_table(layout))
-        return found
+        return tables(name, self.options.get("firmware"))
+
+
+def tables(name: str, firmware: str | None = None) -> list[nodes.Node]:
+    """The sentence of a packet class and its layouts: all, or that of one release."""
+    cls: type[State] = getattr(packets, name)
+    chosen = [cls.LAYOUTS.of(firmware)] if firmware is not None else longest(cls)
+    found: list[nodes.Node] = [nodes.paragraph("", (cls.__doc__ or "").partition("\n\n")[0].replace("\n", " "))]
+    for layout in chosen:
+        found.append(nodes.paragraph("", "", nodes.strong("", sizes(cls, layout))))
+        found.append(fields_table(layout))
+    return found
 
 
 def documented(env: BuildEnvironment) -> dict[str, set[str]]:

@@ -21,6 +21,7 @@ from urlink.protocol.rtde import variables
 from urlink.protocol.rtde.variables import INPUTS, OUTPUTS, Variable
 
 _HEAD = ("variable", "type", "meaning", "since", "evidence")
+_KNOWN = {"outputs": OUTPUTS, "inputs": INPUTS}
 
 
 class VariablesDirective(SphinxDirective):
@@ -31,10 +32,14 @@ class VariablesDirective(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         """One row for each variable, and one for each range of registers."""
         self.env.note_dependency(str(Path(inspect.getfile(variables))))
-        known = {"outputs": OUTPUTS, "inputs": INPUTS}
-        if self.arguments[0] not in known:
-            raise self.error(f"no table of {self.arguments[0]}; expected {' or '.join(known)}")
-        return [table(_HEAD, _rows(known[self.arguments[0]].values()), code=(0, 1))]
+        if self.arguments[0] not in _KNOWN:
+            raise self.error(f"no table of {self.arguments[0]}; expected {' or '.join(_KNOWN)}")
+        return tables(self.arguments[0])
+
+
+def tables(direction: str) -> list[nodes.Node]:
+    """The table of the outputs or the inputs."""
+    return [table(_HEAD, _rows(_KNOWN[direction].values()), code=(0, 1))]
 
 
 def _rows(found: Iterable[Variable]) -> Iterable[tuple[str, ...]]:
