@@ -1,4 +1,5 @@
 import contextlib
+import re
 import sys
 import typing
 from importlib.metadata import version as installed_version
@@ -81,8 +82,14 @@ def strip_blocks(app: Any, document: Any) -> None:
         block += nodes.Text(text)
 
 
+def drop_links_to_tables(app: Any, docname: str, source: list[str]) -> None:
+    """Leave out the links to docs/tables/: the built page has the table itself."""
+    source[0] = re.sub(r"\n?If you read this page in the repository[^)]*\)\.", "", source[0])
+
+
 def setup(app: Any) -> None:
     """Called by Sphinx."""
+    app.connect("source-read", drop_links_to_tables)
     app.connect("doctree-read", strip_blocks)
     app.connect("autodoc-before-process-signature", resolve)
     app.connect("autodoc-process-signature", hide_constructor)
