@@ -14,7 +14,7 @@ Where the fields are known only at run time, a layout can be made of them alone:
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import groupby
 from typing import Any
@@ -245,6 +245,16 @@ class Layout:
             raise BadValue(f"{self.name} has no field {unknown}")
         body = self._encode_at_once(values) or self._encode_runs(values)
         return self.header.pack(**{**self.constants, "size": self.header.width + len(body) + len(tail)}) + body + tail
+
+    def check_complete(self, names: Collection[str]) -> None:
+        """That no field of this layout would be zero only because nobody named it.
+
+        Raises:
+            BadValue: some are neither in `names` nor constants of the layout.
+        """
+        missing = [name for name in self.places if name not in names and name not in self.constants]
+        if missing:
+            raise BadValue(f"{self.name}: no value for {', '.join(missing)}")
 
     def _encode_at_once(self, values: Mapping[str, Any]) -> bytes | None:
         """All fields by one precompiled struct; None where that cannot be: text, or a value that does not fit.
