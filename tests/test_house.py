@@ -41,7 +41,7 @@ AWAITED = {
 THREADS = {
     "linkcore.net.undo",  # takes back what was given up, for as long as there is anything
     "linkcore.threads",  # one for the callbacks of each robot, one for each host or server not run in its caller's
-    "linkcore.streaming.thread_connection",  # the reader of each stream
+    "linkcore.streaming.connection",  # the reader of each stream
     "linkcore.streaming.subscription",  # one for each callback that is not inline, or has a deadline
     "urlink.simulator.server",  # one for each simulated controller
     "urlink.simulator.control_loop",  # lets time pass within a block, for a controller that is stepped

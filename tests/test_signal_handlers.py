@@ -57,7 +57,7 @@ SIMULATORS = ("linkcore.simulated", "urlink.simulator")
 #: Each such lock -> why a signal handler does not wait for it.
 REASONS = {
     "linkcore.clock:Expiry": "servers of a robot alone use it, and a handler only calls their `stop`",
-    "linkcore.streaming.packet_queue:PacketQueue": "is acquired without waiting",
+    "linkcore.streaming.packet_queue:BoundedQueue": "is acquired without waiting",
     "linkcore.recording.index:side_by_side": "threads that read a file, and that no handler waits for",
     "urlink.motion.stream.common_time:CommonTime": "only threads that read streams take it",
     "urlink.motion.stream.common_time:CommonPace": "only threads that read streams take it",

@@ -19,8 +19,8 @@ from linkcore.recording.file import MAGIC, Kind, Progress, RecordingFile
 from linkcore.text import printable, strict_json
 from linkcore.wire.fields import version_text
 from linkcore.wire.framing import Framer
-from linkcore.wire.packet import State, plain
 from linkcore.wire.schema import Row, header_rows
+from linkcore.wire.state import State, plain
 
 from ..protocol.decoding import decode
 from ..protocol.firmware import Firmware, known_firmware

@@ -16,7 +16,7 @@ from linkcore.cli.options import DURATION, argument, command, one_of, positive_i
 from linkcore.cli.progress import ProgressBar
 from linkcore.errors import BadValue
 from linkcore.text import strict_json
-from linkcore.wire.packet import State, plain
+from linkcore.wire.state import State, plain
 
 from ..protocol.rtde.recipes import Outputs
 from ..robot import Robot

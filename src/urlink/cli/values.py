@@ -10,7 +10,7 @@ import numpy as np
 
 from linkcore.text import printable
 from linkcore.wire.fields import OpenInt
-from linkcore.wire.packet import State, plain
+from linkcore.wire.state import State, plain
 
 from ..protocol.primary.robot_message import OtherPackage
 from ..protocol.primary.robot_state import SUB_PACKAGES, RobotState, UnknownSubPackage, snake_case

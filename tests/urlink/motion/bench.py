@@ -11,9 +11,10 @@ import numpy as np
 from tests.fakes.rehearsal import HOME
 from urlink.arm.kinematics import Arm
 from urlink.arm.models import model
+from urlink.motion.links.messages import MESSAGE_SIZE, WAIT_MESSAGE, dated, read_message
 from urlink.motion.moves.speed_limit import largest_speeds
 from urlink.motion.servo.resampling import PacedSetpoints, PacedSource
-from urlink.motion.servo.setpoints import MESSAGE_SIZE, WAIT_MESSAGE, Servoing, dated, read_message
+from urlink.motion.servo.setpoints import Servoing
 from urlink.protocol.enums import ProgramState
 from urlink.protocol.firmware import Firmware
 from urlink.protocol.realtime.packets import RealtimeState

@@ -13,8 +13,9 @@ from linkcore.handle import Motion, Phase
 from tests.fakes.rehearsal import FOLLOW, TIMEOUT, WAIT, Rehearsal
 from tests.waiting import until
 from urlink.errors import NotRunning, ProgramStopped, SafetyStop, ToleranceExceeded
+from urlink.motion.links.messages import setpoint
 from urlink.motion.servo.linked_program import LinkedProgram
-from urlink.motion.servo.setpoints import LinkDialogue, setpoint
+from urlink.motion.servo.setpoints import LinkDialogue
 from urlink.protocol.enums import ProgramState, SafetyMode
 from urlink.protocol.realtime.packets import RealtimeState
 from urlink.script.links import InputRegisters, ReverseSocket

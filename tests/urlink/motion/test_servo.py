@@ -19,11 +19,12 @@ from tests.waiting import until
 from urlink.arm.models import model
 from urlink.errors import ProgramStopped, SafetyStop
 from urlink.motion import Servo, ServoStatistics
+from urlink.motion.links.messages import WAIT_MESSAGE
 from urlink.motion.moves.speed_limit import largest_speeds
 from urlink.motion.moves.trajectory import Trajectory
 from urlink.motion.servo.resampling import PacedSetpoints
 from urlink.motion.servo.servo import _Leading
-from urlink.motion.servo.setpoints import WAIT_MESSAGE, Servoing
+from urlink.motion.servo.setpoints import Servoing
 from urlink.protocol.enums import SafetyMode
 from urlink.protocol.firmware import Firmware
 from urlink.protocol.realtime.packets import RealtimeState

@@ -12,18 +12,11 @@ import pytest
 from linkcore.errors import LinkTimeout
 from tests.urlink.motion.bench import PLAYING
 from urlink.arm.models import model
+from urlink.motion.links.messages import STOP_MESSAGE, WAIT_MESSAGE, dated, read_message, setpoint
 from urlink.motion.moves.speed_limit import EARLY, largest_speeds
 from urlink.motion.servo.jerk_limited import TargetFilter, joint_limits
 from urlink.motion.servo.resampling import FilteredTargets, PacedSetpoints
-from urlink.motion.servo.setpoints import (
-    STOP_MESSAGE,
-    WAIT_MESSAGE,
-    Servoing,
-    SetpointStream,
-    dated,
-    read_message,
-    setpoint,
-)
+from urlink.motion.servo.setpoints import Servoing, SetpointStream
 from urlink.protocol.firmware import Firmware
 from urlink.protocol.realtime.packets import RealtimeState
 from urlink.script.links import STOP, WAIT

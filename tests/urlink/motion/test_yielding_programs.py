@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import pytest
 
+from urlink.motion.links.messages import STOP_MESSAGE, WAIT_MESSAGE, read_message
 from urlink.motion.servo.block_motion import KeptMessage
-from urlink.motion.servo.setpoints import STOP_MESSAGE, WAIT_MESSAGE, read_message
 from urlink.protocol.firmware import Firmware
 from urlink.protocol.realtime.packets import RealtimeState
 from urlink.script import force_control as yielding

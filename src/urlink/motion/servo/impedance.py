@@ -19,13 +19,14 @@ from ...protocol.realtime.packets import RealtimeState
 from ...script.links import FOLLOW, Writer
 from ...script.springs import GAINS, POSTURE
 from ..context import MotionContext
+from ..links.messages import packed
 from ..moves.path import check_joint_positions, shown_tcp
 from ..slider import SliderEffect, slider
 from .block_motion import LinkedBlock
 from .impedance_parameters import Softness, damping_of, stiffness_of
 from .jog import FrameName
 from .linked_program import Link
-from .setpoints import LinkDialogue, packed
+from .setpoints import LinkDialogue
 
 #: One message of so many has the gains or the posture. No simple fraction: a program that takes each n-th message meets
 #: them all the same.

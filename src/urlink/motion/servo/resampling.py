@@ -19,10 +19,11 @@ from linkcore.errors import BadValue
 from ...arm.models import Model
 from ...command.program_time import ProgramTimer
 from ...protocol.realtime.packets import RealtimeState
+from ..links.messages import WAIT_MESSAGE
 from ..moves.trajectory import Trajectory
 from .following import Rest
 from .jerk_limited import JointLimit, TargetFilter
-from .setpoints import WAIT_MESSAGE, Servoing, SetpointStream
+from .setpoints import Servoing, SetpointStream
 
 #: rad and rad/s, in any joint; a larger gap is not faded out. Chosen: at 1 rad/s it is the gap after 20 ms without
 #: set-points, with the default watchdog.

@@ -16,6 +16,7 @@ from ...command.program_time import ProgramTimer, reported_scaling
 from ...protocol.realtime.packets import RealtimeState
 from ...script.text import integer
 from ..context import MotionContext
+from ..links.messages import WAIT_MESSAGE, setpoint
 from ..moves.path import Joint, Linear, Waypoint, check_joint_positions, shown_tcp
 from ..moves.speed_limit import LONGEST_PERIOD, SpeedLimit
 from ..moves.trajectory import LEAP
@@ -26,7 +27,7 @@ from .jerk_limited import JointLimit
 from .linked_program import Link
 from .resampling import FilteredTargets, PacedSetpoints, Schedule
 from .servo_delay import measure
-from .setpoints import WAIT_MESSAGE, LinkDialogue, Servoing, setpoint
+from .setpoints import LinkDialogue, Servoing
 
 #: Intervals that the statistics keep: a minute and a half at 500 Hz.
 _REMEMBERED = 50_000

@@ -39,8 +39,9 @@ from ...script.buffering import (
     PointRegisters,
 )
 from ...script.links import SCALE, STOP, WAIT
+from ..links.messages import LARGEST
 from ..servo.following import Rest
-from ..servo.setpoints import LARGEST, LinkDialogue
+from ..servo.setpoints import LinkDialogue
 from .common_time import MemberPace
 from .feed_life import FeedEvent, FeedLife, FeedPhase
 from .program_pace import ProgramPace

@@ -28,10 +28,12 @@ class Form:
 
     Gives the bytes of `Layout.encode` in a tenth of the time: values stay where they were put, and one `struct` packs
     them. Values are plain numbers and lists of them, checked only by `struct`.
+    The first packet has to name every field.
     """
 
     def __init__(self, layout: Layout) -> None:
         codes: list[str] = [""] * sum(place.count or 1 for place in layout.places.values())
+        self._layout: Layout | None = layout  # until the first packet has named every field
         self._values: list[Any] = [0] * len(codes)
         self._at: dict[str, int | slice] = {}
         for name, place in layout.places.items():
@@ -48,7 +50,14 @@ class Form:
         self._header = header
 
     def pack(self, fields: Fields) -> bytes:
-        """The packet with these fields, others unchanged; fields that are not in the layout are skipped."""
+        """The packet with these fields, others unchanged; fields that are not in the layout are skipped.
+
+        Raises:
+            BadValue: this is the first packet, and a field has no value.
+        """
+        if self._layout is not None:
+            self._layout.check_complete(fields.keys())
+            self._layout = None
         values, places = self._values, self._at
         for name, value in fields.items():
             at = places.get(name)

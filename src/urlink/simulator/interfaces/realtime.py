@@ -83,4 +83,12 @@ def _fields(state: ControllerState) -> Fields:
         "payload_mass": arm.payload,
         "payload_cog": arm.payload_cog,
         "payload_inertia": arm.payload_inertia,
+        # Internal to the vendor, or unused: zero is a guess.
+        "test_value": 0.0,
+        "unused": [0.0] * 15,
+        "reserved_a": [0.0] * 6,
+        "reserved_b": [0.0] * 6,
+        "reserved_c": 0.0,
+        "reserved_d": 0.0,
+        "reserved_e": [0.0] * 3,
     }

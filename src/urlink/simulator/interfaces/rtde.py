@@ -339,7 +339,7 @@ class RtdeSession(PortReceiver):
     # -- output --------------------------------------------------------------------------------------
 
     def _reply(self, kind: type[State], **values: Any) -> bytes:
-        return kind.LAYOUTS.of((self.protocol, 0)).encode(values)
+        return _packed(kind, self.protocol, values)
 
     def send_text(self, text: str, source: str = SOURCE, level: MessageLevel = MessageLevel.INFO) -> None:
         """Send a text message."""
@@ -387,4 +387,10 @@ class RtdeSession(PortReceiver):
 def _text(protocol: Protocol, text: str, source: str = SOURCE, level: MessageLevel = MessageLevel.INFO) -> bytes:
     """A text message. Under protocol 2 its length is one byte."""
     message = text if protocol == 1 else text.encode()[:255].decode("utf-8", "ignore")
-    return RtdeMessage.LAYOUTS.of((protocol, 0)).encode({"message": message, "source": source, "level": level})
+    return _packed(RtdeMessage, protocol, {"message": message, "source": source, "level": level})
+
+
+def _packed(kind: type[State], protocol: Protocol, values: Mapping[str, Any]) -> bytes:
+    layout = kind.LAYOUTS.of((protocol, 0))
+    layout.check_complete(values)
+    return layout.encode(values)
