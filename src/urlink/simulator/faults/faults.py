@@ -15,11 +15,11 @@ from typing import Any
 from linkcore.errors import BadValue
 from linkcore.names import StrictAttributes
 from urlink.protocol.firmware import Firmware
-from urlink.protocol.ports import PORTS, interface
+from urlink.protocol.ports import PORTS, interface_of
 from urlink.protocol.rtde.packets import MessageLevel
 
 from ..interfaces.interface import package
-from ..interfaces.rtde import Disturbance, RtdePort, RtdeSession
+from ..interfaces.rtde import Disturbance, RtdeInterface, RtdeSession
 from ..programs.runner import ProgramRunner
 from ..state import ControllerState, firmware_for
 from .link import LinkFaults
@@ -44,7 +44,7 @@ def package_ports(port: str | None) -> tuple[str, ...]:
     Raises:
         BadValue: none of them.
     """
-    names = tuple(name for name in port_names(port) if interface(name) in ("primary", "secondary"))
+    names = tuple(name for name in port_names(port) if interface_of(name) in ("primary", "secondary"))
     if not names:
         raise BadValue(f"{port} has no packages with types")
     return names
@@ -114,7 +114,7 @@ class Faults(StrictAttributes):
         state: ControllerState,
         runner: ProgramRunner,
         link: LinkFaults,
-        rtde: RtdePort,
+        rtde: RtdeInterface,
         *,
         seed: int,
         call: Callable[[Callable[[], object]], None],
