@@ -23,7 +23,7 @@ from .protocol.firmware import Firmware
 from .protocol.ports import service_of
 from .protocol.primary.robot_state import RobotState
 from .protocol.realtime.packets import RealtimeState
-from .session.address import RecordingAddress, RobotAddress, SimulatorAddress
+from .session.address import RecordingAddress, RobotAddress, SimulatorAddress, parse_address
 from .session.connect_options import ConnectOptions, takes_connect_options
 from .session.identity import Identity, KnownIdentity
 from .session.robot_clock import RobotClock
@@ -129,7 +129,9 @@ def simulated(place: SimulatorAddress) -> tuple[Controller, RobotAddress]:
     motion = Demonstration() if place.motion == "demo" else None
     controller = Controller(model=place.model, firmware=place.firmware, motion=motion, like=like, scene=place.scene)
     controller.start()
-    return controller, RobotAddress(controller.host, dict(controller.ports))
+    served_at = parse_address(controller.address)
+    assert isinstance(served_at, RobotAddress), "a controller that has been started is at ports of this computer"
+    return controller, served_at
 
 
 def assemble(

@@ -91,8 +91,9 @@ def _findings(address: str, timeout: float, duration: float, progress: ProgressB
     progress(text=f"connecting to {address}")
     if isinstance(place, SimulatorAddress):
         with connect(address, timeout=timeout) as robot:
-            ports = dict(robot.controller.ports)
-            yield from _expected(_ports(RobotAddress(robot.controller.host, ports), timeout, progress), robot)
+            served_at = parse_address(robot.controller.address)
+            assert isinstance(served_at, RobotAddress), "a simulator that has been started is at ports of this computer"
+            yield from _expected(_ports(served_at, timeout, progress), robot)
             yield from _of_robot(robot, duration, progress)
         return
     try:

@@ -210,7 +210,8 @@ class Controller(StrictAttributes):
             own = _NAMES.get(port)
             if own is None:
                 return Target(address, port, _source(self.host, address))
-            return Target(self._own_host, self.ports[own]) if own in self.ports else None
+            number = self._all_ports.get(own)
+            return None if number is None else Target(self._own_host, number)
         peers = () if self._server is None else self._server.peers
         return Target(address, port) if address in self._reachable or address in peers else None
 
@@ -494,19 +495,31 @@ class Controller(StrictAttributes):
 
     @property
     def ports(self) -> dict[str, int]:
-        """Name of each port that is served -> its number; empty until started."""
+        """Name of each port that is served -> its number; empty until started.
+
+        Ports whose interface the present firmware does not have are left out. A reboot into another firmware may add or
+        remove some.
+        """
+        return {name: number for name, number in self._all_ports.items() if self._serves(name)}
+
+    @property
+    def _all_ports(self) -> dict[str, int]:
+        """`ports`, and those that refuse connections until the firmware has their interface."""
         return {} if self._server is None else self._server.numbers
+
+    def _serves(self, port: str) -> bool:
+        return self._interfaces[interface_of(port)].is_offered()
 
     @property
     def address(self) -> str:
-        """The address for `urlink.connect`.
+        """The address for `urlink.connect`. It has all ports, so that it stays valid when the firmware changes.
 
         Raises:
             LocalError: it has not been started.
         """
         if self._server is None:
             raise LocalError("a controller that has not been started has no address")
-        return str(RobotAddress(self._own_host, self.ports))
+        return str(RobotAddress(self._own_host, self._all_ports))
 
     @property
     def is_serving(self) -> bool:
