@@ -67,7 +67,7 @@ REASONS = {
     "linkcore.clock:sleep": "belongs to one wait of a worker thread, in which no signal handler runs",
     "linkcore.clock:is_done": "belongs to one wait of a worker thread, in which no signal handler runs",
     "linkcore.cli.progress:_Screen": "is set when a command has ended; a handler of the command line only raises",
-    "rhdlink.cli.view:RateCounter": "`rhdlink view` alone uses it, whose handler only raises",
+    "rhdlink.cli.watch_view:RateCounter": "`rhdlink watch` alone uses it, whose handler only raises",
 }
 
 

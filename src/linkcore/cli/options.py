@@ -139,10 +139,39 @@ def positive_int(text: str) -> int:
     return int(text)
 
 
+def replay_rate(text: str) -> float:
+    """How many times as fast as it was recorded; 0 for ``max``, as fast as possible."""
+    if text == "max":
+        return 0.0
+    try:
+        return positive_number(text)
+    except argparse.ArgumentTypeError:
+        raise argparse.ArgumentTypeError(f"{text!r} is neither a positive number nor max") from None
+
+
 #: For how long a command runs.
 DURATION = argument("--duration", type=seconds, metavar="S", help="end after S seconds (never)")
 #: The file that a command reads.
 RECORDING = argument("file", metavar="FILE", help="a recording")
+
+
+_C = TypeVar("_C")
+
+
+def connected(connect: Callable[[str], _C], args: argparse.Namespace, address: str | None = None) -> _C:
+    """Connect to a robot, and show the progress.
+
+    Args:
+        connect: Connects to an address.
+        args: The arguments of a command that takes an address.
+        address: Address of the robot; None for the one in `args`.
+
+    Raises:
+        LinkError: See the `connect` of the package.
+    """
+    address = args.address if address is None else address
+    with ProgressBar(f"connecting to {address}", args.quiet):
+        return connect(address)
 
 
 class Exportable(Protocol):

@@ -25,7 +25,8 @@ from ..protocol.realtime.packets import RealtimeState
 from ..robot import Robot, connect
 from ..rtde import OUTPUTS
 from ..session.address import RecordingAddress, RobotAddress, SimulatorAddress, parse_address
-from .options import ADDRESS, Tap
+from .options import ADDRESS
+from .packet_stream import Tap
 
 #: What each port is for, if it should be open.
 _PORTS = {

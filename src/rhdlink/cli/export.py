@@ -1,0 +1,30 @@
+"""`rhdlink export`: a recording is written to a file of another program."""
+
+from __future__ import annotations
+
+import argparse
+
+from linkcore.cli.options import (
+    export,
+    exporting,
+)
+
+from ..loading import load
+from .options import tell
+
+
+@exporting
+def run(args: argparse.Namespace) -> int:
+    """Write a recording to a file of another program: .csv, .parquet, .mat (MATLAB), .h5 (HDF5) or .mcap (Foxglove,
+    ros2 bag), by its suffix.
+
+    A column for each variable, as 32-bit words, and a row or message for each batch that the robot sent. A file of
+    that name is replaced once the new one is complete. .parquet, .mat, .h5 and .mcap need the extra of the same name:
+    pip install 'urlink[parquet]', or 'urlink[data]' for all.
+
+    examples:
+      rhdlink export drive.urlog drive.csv encl encr
+      rhdlink export drive.urlog drive.parquet --rate 50
+      rhdlink export drive.urlog drive.mcap
+    """
+    return export(args, load, lambda recording: f"{len(recording)} batches", tell)

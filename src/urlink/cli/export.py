@@ -1,0 +1,32 @@
+"""`urlink export`: a recording is written to a file of another program."""
+
+from __future__ import annotations
+
+import argparse
+
+from linkcore.cli.options import (
+    export,
+    exporting,
+)
+
+from .options import tell
+
+
+@exporting
+def run(args: argparse.Namespace) -> int:
+    """Write a recording to a file of another program: .csv, .parquet, .mat (MATLAB), .h5 (HDF5) or .mcap (Foxglove,
+    ros2 bag), by its suffix.
+
+    Without fields everything is written; into .csv and .parquet, which hold one table, everything of the first
+    stream that was recorded. Fields are named as `urlink echo` names them: q_actual, joint_data.T_motor,
+    rtde.actual_q. A file of that name is replaced once the new one is complete. .parquet, .mat, .h5 and .mcap need the
+    extra of the same name: pip install 'urlink[mcap]', or 'urlink[data]' for all.
+
+    examples:
+      urlink export run.urlog run.csv q_actual tcp_force
+      urlink export run.urlog run.parquet --rate 100
+      urlink export run.urlog run.mcap
+    """
+    from ..recording.recording import load  # which `record` and `replay` do without
+
+    return export(args, load, lambda recording: f"{recording.duration:.1f} s of {', '.join(recording.tables)}", tell)
