@@ -37,7 +37,7 @@ AWAITED = {
 
 #: The only modules that may start threads.
 THREADS = {
-    "linkcore.net.undo",  # takes back what was given up, for as long as there is anything
+    "linkcore.net.undo",  # undoes what was given up, for as long as there is anything
     "linkcore.threads",  # one for the callbacks of each robot, one for each host or server not run in its caller's
     "linkcore.streaming.thread_connection",  # the reader of each stream
     "linkcore.streaming.subscription",  # one for each callback that is not inline, or has a deadline

@@ -13,7 +13,7 @@ from linkcore import clock
 from linkcore.arguments import check_callable, check_choice
 from linkcore.errors import BadValue, Closed, LocalError
 from linkcore.names import StrictAttributes
-from linkcore.net.undo import Recall
+from linkcore.net.undo import PendingUndos
 from linkcore.process import HomeProcess
 from linkcore.streaming.stream import Stream
 from linkcore.text import html_table
@@ -55,7 +55,7 @@ def connect(options: ConnectOptions) -> Robot:
     """Connect to a robot, to the simulator, or to a recording.
 
     Asks the controller who it is; the streams themselves connect when first used. What this process gave up at the same
-    address before, and may still be carried out, is taken back first, for at most `timeout` seconds; see
+    address before, and may still be carried out, is undone first, for at most `timeout` seconds; see
     docs/motion-ends.md, "What was given up is not carried out". A connection with `read_only` takes nothing back.
 
     Args:
@@ -105,7 +105,7 @@ def connect(options: ConnectOptions) -> Robot:
     try:
         robot = assemble(options, place, networked(place, options), controller)
         if owes(robot, place):
-            take_back(robot, options.timeout)
+            undo_abandoned(robot, options.timeout)
     except BaseException:
         opened = controller if robot is None else robot
         if opened is not None:
@@ -173,11 +173,11 @@ def peers_of(place: RobotAddress) -> tuple[Hashable, ...]:
 
 def owes(robot: Robot, place: RobotAddress) -> bool:
     """This process gave something up at that controller that may still be carried out, and the robot may command it."""
-    return robot._make_control is not None and Recall.is_owed(*peers_of(place))
+    return robot._make_control is not None and PendingUndos.is_owed(*peers_of(place))
 
 
-def take_back(robot: Robot, timeout: float) -> None:
-    """Wait until that is taken back, at most `timeout` seconds; the robot goes on with it while it is open."""
+def undo_abandoned(robot: Robot, timeout: float) -> None:
+    """Wait until that is undone, at most `timeout` seconds; the robot goes on with it while it is open."""
     robot._commanded().settle(timeout)
 
 

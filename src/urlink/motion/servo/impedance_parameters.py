@@ -55,7 +55,7 @@ _ENDLESS = 1e6
 
 
 @dataclass(frozen=True)
-class Softness:
+class ImpedanceParameters:
     """The numbers of `Motions.impedance`, as they were given.
 
     Attributes:

@@ -18,7 +18,7 @@ from ...script.links import Writer
 from ...script.streaming import jogging
 from ..context import MotionContext
 from ..moves.speed_limit import check_joint_speeds
-from .block_motion import LinkedBlock, message
+from .block_motion import BlockMotion, message
 from .linked_program import Link, LinkedProgram
 from .setpoints import WAIT_MESSAGE, LinkDialogue
 
@@ -68,7 +68,7 @@ class _Jogging(LinkDialogue):
         return message(speeds.tolist())
 
 
-class Jog(LinkedBlock):
+class Jog(BlockMotion):
     """Speeds by hand; made by `robot.motion.jog`, and open within a ``with`` block. Leaving the block stops the arm.
 
     Attributes:

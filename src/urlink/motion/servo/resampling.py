@@ -32,7 +32,7 @@ _WIDEST_GAP, _LARGEST_CHANGE = 0.005, 0.2
 _SETTLING = 0.1
 
 
-class PacedSource(Protocol):
+class ResampledSource(Protocol):
     """A source of set-points. Times are those of states, on the controller's clock; `rate` is that of the program."""
 
     @property
@@ -59,7 +59,7 @@ class PacedSource(Protocol):
         """The set-point of this time was sent."""
 
 
-class PacedSetpoints:
+class ResampledSetpoints:
     """Answers states with set-points.
 
     Args:
@@ -67,7 +67,7 @@ class PacedSetpoints:
         source: makes the set-points.
     """
 
-    def __init__(self, servoing: Servoing, source: PacedSource) -> None:
+    def __init__(self, servoing: Servoing, source: ResampledSource) -> None:
         self._source = source
         self._stream = SetpointStream(servoing)
         self._clock = ProgramClock(self._stream.cycle)

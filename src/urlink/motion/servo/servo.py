@@ -19,11 +19,11 @@ from ..context import MotionContext
 from ..moves.path import Joint, Linear, Waypoint, check_joint_positions, shown_tcp
 from ..moves.speed_limit import LONGEST_PERIOD, SpeedLimit
 from ..moves.trajectory import LEAP
-from .block_motion import LinkedBlock
+from .block_motion import BlockMotion
 from .following import AHEAD
 from .jerk_limited import JointLimit
 from .linked_program import Link
-from .resampling import FilteredTargets, PacedSetpoints, Schedule
+from .resampling import FilteredTargets, ResampledSetpoints, Schedule
 from .servo_delay import measure
 from .setpoints import WAIT_MESSAGE, LinkDialogue, Servoing, setpoint
 
@@ -61,14 +61,14 @@ class _Leading(LinkDialogue):
 
     Args:
         servoing: how set-points are followed.
-        paced: makes the set-points; None if the loop sends its own.
+        resampled: makes the set-points; None if the loop sends its own.
     """
 
-    def __init__(self, servoing: Servoing, paced: PacedSetpoints | None) -> None:
+    def __init__(self, servoing: Servoing, resampled: ResampledSetpoints | None) -> None:
         super().__init__(servoing.body)
         self.watchdog = servoing.watchdog
         #: set once, by any thread
-        self.paced = paced
+        self.resampled = resampled
         self._clock = ProgramClock(1.0 / servoing.firmware.rate)
         #: s by which the program is behind the controller's clock, and when that was measured, monotonic s
         self._behind = self._at = 0.0
@@ -81,8 +81,8 @@ class _Leading(LinkDialogue):
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
         passed, scaled = self._clock.passed(state, now)
         self._behind, self._at = self._behind + passed - scaled, now
-        if self.paced is not None:
-            return self.paced.answer(state, now)
+        if self.resampled is not None:
+            return self.resampled.answer(state, now)
         if self.has_begun:
             return b""
         self.here = state.q_target.tolist()
@@ -94,13 +94,13 @@ class _Leading(LinkDialogue):
 
     def resume(self, state: RealtimeState) -> None:
         self._clock.restart()
-        if self.paced is not None:
-            self.paced.resume(state)
+        if self.resampled is not None:
+            self.resampled.resume(state)
         else:
             self.here, self.begins_anew = state.q_target.tolist(), self.has_begun
 
 
-class Servo(LinkedBlock):
+class Servo(BlockMotion):
     """Sends the set-points of a loop; made by `robot.motion.servo`, and open within a ``with`` block.
 
     Send a set-point in each of the controller's cycles, or in each of your own; with a target filter, a target whenever
@@ -125,7 +125,9 @@ class Servo(LinkedBlock):
         self._schedule: Schedule | None = None
         self._delay = AHEAD * cycle if delay is None else delay
         self._targets = None if limits is None else FilteredTargets(limits, cycle)
-        self._dialogue = _Leading(servoing, None if self._targets is None else PacedSetpoints(servoing, self._targets))
+        self._dialogue = _Leading(
+            servoing, None if self._targets is None else ResampledSetpoints(servoing, self._targets)
+        )
         super().__init__(context, "servo", self._dialogue, open_link)
         self.rate = rate
         self._last: list[float] | None = None
@@ -203,7 +205,7 @@ class Servo(LinkedBlock):
         state = self._context.state()
         if self._schedule is None:
             schedule = Schedule(self._model, self._cycle, self._delay, self._context.section.lock)
-            self._dialogue.paced = PacedSetpoints(self._servoing, schedule)
+            self._dialogue.resampled = ResampledSetpoints(self._servoing, schedule)
             # Last: one that an interruption left without its set-points would lead nothing.
             self._schedule = schedule
         schedule = self._schedule

@@ -437,7 +437,7 @@ class StreamFeed(LinkDialogue):
                     self._is_cleared = not cut.request.curve
                     cut.request.done.set_result(cut.request.since)
             else:
-                self._take_back(cut)
+                self._undo_cut(cut)
         while self._steps and self._steps[0].number <= report.base:
             self._last = self._steps.popleft()
         if has_moved and 0.0 < here - self._here <= self._unseen:
@@ -471,7 +471,7 @@ class StreamFeed(LinkDialogue):
                 self.starved += 1
             self._is_cleared = False
 
-    def _take_back(self, cut: _Cut) -> None:
+    def _undo_cut(self, cut: _Cut) -> None:
         """The cut came too late."""
         self._reach_later()
         new = [sent.aim for sent in self._steps if sent.number > cut.head and sent.aim is not None]
