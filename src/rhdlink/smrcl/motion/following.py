@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from ..arithmetic import cosine, divide, normalize_angle, sine
-from ..odometry import PlanarPose
+from ..planar_pose import PlanarPose
 from .control import ControlledMotion, MotionControl, limited
 
 
