@@ -668,10 +668,13 @@ def _rtde_of(robot: Robot) -> Callable[[], Rtde]:
 
 def _recorder(path: str | os.PathLike[str]) -> Recorder:
     """The recorder for a file, by its suffix."""
-    suffix = PurePath(path).suffix.lower()
-    if suffix in (".csv", ".parquet", ".mat", ".h5", ".hdf5"):
+    from linkcore.recording.table_files import format_of
+
+    kind = format_of(path)
+    if kind is not None and not kind.is_live:
+        suffix = PurePath(path).suffix.lower()
         raise BadValue(f"{os.fspath(path)}: {suffix} is not written live; record a .urlog, and export it")
-    if suffix == ".mcap":
+    if kind is not None:
         from .recording.live import McapRecorder
 
         return McapRecorder(path)

@@ -202,6 +202,12 @@ class Load(Protocol[_T_co]):
     def __call__(self, path: str, /, *, progress: Progress | None = None) -> _T_co: ...
 
 
+def _formats() -> str:
+    from ..recording.table_files import format_list  # which most commands do without
+
+    return format_list()
+
+
 #: The command `export` of a package, made of a function that calls `export`.
 exporting = command(
     "export",
@@ -210,6 +216,7 @@ exporting = command(
     argument("to", metavar="OUT", help="file to write; its suffix says the format"),
     argument("fields", metavar="FIELD", nargs="*", trailing=True, help="write only these fields"),
     argument("--rate", type=positive_number, metavar="HZ", help="resample to so many rows a second"),
+    listing=_formats,
 )
 
 

@@ -15,12 +15,11 @@ from .options import tell
 
 @exporting
 def run(args: argparse.Namespace) -> int:
-    """Write a recording to a file of another program: .csv, .parquet, .mat (MATLAB), .h5 (HDF5) or .mcap (Foxglove,
-    ros2 bag), by its suffix.
+    """Write a recording to a file of another program.
 
     A column for each variable, as 32-bit words, and a row or message for each batch that the robot sent. A file of
-    that name is replaced once the new one is complete. .parquet, .mat, .h5 and .mcap need the extra of the same name:
-    pip install 'urlink[parquet]', or 'urlink[data]' for all.
+    that name is replaced once the new one is complete. Every format except .csv needs the extra of its name: pip
+    install 'urlink[parquet]', or 'urlink[data]' for all. The suffix of the file names the format:
 
     examples:
       rhdlink export drive.urlog drive.csv encl encr

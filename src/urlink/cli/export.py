@@ -14,13 +14,12 @@ from .options import tell
 
 @exporting
 def run(args: argparse.Namespace) -> int:
-    """Write a recording to a file of another program: .csv, .parquet, .mat (MATLAB), .h5 (HDF5) or .mcap (Foxglove,
-    ros2 bag), by its suffix.
+    """Write a recording to a file of another program.
 
-    Without fields everything is written; into .csv and .parquet, which hold one table, everything of the first
-    stream that was recorded. Fields are named as `urlink echo` names them: q_actual, joint_data.T_motor,
-    rtde.actual_q. A file of that name is replaced once the new one is complete. .parquet, .mat, .h5 and .mcap need the
-    extra of the same name: pip install 'urlink[mcap]', or 'urlink[data]' for all.
+    Without fields everything is written; into a format for one table, everything of the first stream that was
+    recorded. Fields are named as `urlink echo` names them: q_actual, joint_data.T_motor, rtde.actual_q. A file of
+    that name is replaced once the new one is complete. Every format except .csv needs the extra of its name: pip
+    install 'urlink[mcap]', or 'urlink[data]' for all. The suffix of the file names the format:
 
     examples:
       urlink export run.urlog run.csv q_actual tcp_force

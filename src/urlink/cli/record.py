@@ -15,6 +15,7 @@ from linkcore.cli.options import (
 )
 from linkcore.cli.progress import ProgressBar
 from linkcore.cli.terminal import Interruption
+from linkcore.recording.table_files import format_of
 from linkcore.streaming.connection_life import ConnectionState
 
 from ..protocol.ports import INTERFACES
@@ -68,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
                         raise stream.failure
                 if all(stream.connection is ConnectionState.CLOSED for stream in streams):
                     break  # the source is a recording, and it is over
-    if Path(args.file).suffix.lower() == ".mcap":
+    if format_of(args.file) is not None:
         print(f"{args.file}: {Path(args.file).stat().st_size} bytes")
     else:
         print(read_summary(args.file, args.quiet).as_text())
