@@ -1,4 +1,4 @@
-"""`completion`: what a shell reads to complete the commands of a program, their options and the names they take.
+"""`completion`: the script with which a shell completes commands, options and the names that they take.
 
 It is made from the parsers of all commands; a shell that has read it starts no program to complete a word.
 """

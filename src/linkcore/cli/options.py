@@ -1,4 +1,4 @@
-"""A command of a program as one row: its name, its help, its arguments and the function that it runs."""
+"""Declaration of a command: its name, help, arguments and function; and the arguments that many commands share."""
 
 from __future__ import annotations
 

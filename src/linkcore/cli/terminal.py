@@ -1,4 +1,4 @@
-"""What a command has of the terminal: lines on stderr, signals that end it, and a view that is drawn repeatedly."""
+"""The terminal of a command: lines on stderr, signals that end it, and a view that is drawn repeatedly."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Commands that were given up before they were answered, and may still be carried out: they are undone.
+"""Undoing commands that were abandoned before they were answered, and might still be executed.
 
 A peer that hangs has the bytes of a command already, and carries it out when it goes on, long after the call has
 failed. What has an opposite, as `play` has `stop`, can be undone then: at the first contact, and before a newer

@@ -1,4 +1,4 @@
-"""`rhdlink export`: a recording is written to a file of another program."""
+"""`rhdlink export`: writes a recording to a file of another program."""
 
 from __future__ import annotations
 

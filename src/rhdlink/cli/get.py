@@ -1,4 +1,4 @@
-"""`rhdlink get`: the values of variables."""
+"""`rhdlink get`: prints the values of variables."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The options of a host and how it is served until it ends: what `serve` and `turtle` share."""
+"""Options of a host, and serving it until it ends: shared by `serve` and `turtle`."""
 
 from __future__ import annotations
 

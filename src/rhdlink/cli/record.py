@@ -1,4 +1,4 @@
-"""`rhdlink record`: what a robot sends is written into a recording."""
+"""`rhdlink record`: records what a robot sends."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is in a recording of a robot that runs RHD: batches, connections, and how often each variable was set."""
+"""Summary of a recording of a robot that runs RHD: batches, connections, and how often each variable was set."""
 
 from __future__ import annotations
 

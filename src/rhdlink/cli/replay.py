@@ -1,4 +1,4 @@
-"""`rhdlink replay`: what is in a recording, or what was set, at the times at which it came."""
+"""`rhdlink replay`: prints what is in a recording, or what was set, at the times at which it arrived."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`rhdlink serve`: host a robot, from an `rhdconfig.xml`."""
+"""`rhdlink serve`: hosts a robot from an `rhdconfig.xml`."""
 
 from __future__ import annotations
 

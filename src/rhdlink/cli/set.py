@@ -1,4 +1,4 @@
-"""`rhdlink set`: a variable is written, as master of the robot."""
+"""`rhdlink set`: writes a variable, as master of the robot."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`rhdlink turtle`: host a simulated robot."""
+"""`rhdlink turtle`: hosts a simulated robot."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The world of a turtle: its options, and the drawing of the path in it. For `turtle` and `mission`."""
+"""The world of a turtle for `turtle` and `mission`: its options, and the drawing of the path in it."""
 
 from __future__ import annotations
 

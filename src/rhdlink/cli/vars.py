@@ -1,4 +1,4 @@
-"""`rhdlink vars`: the variables of a robot, as a list."""
+"""`rhdlink vars`: lists the variables of a robot."""
 
 from __future__ import annotations
 

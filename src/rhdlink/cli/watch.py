@@ -1,4 +1,4 @@
-"""`rhdlink watch`: variables live, on a terminal or as lines."""
+"""`rhdlink watch`: shows variables live, on a terminal or as lines."""
 
 from __future__ import annotations
 

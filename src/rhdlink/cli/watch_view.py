@@ -1,4 +1,4 @@
-"""What `rhdlink watch` shows at one moment: the variables, and how often each is set.
+"""The view of `rhdlink watch`: the variables, and how often each is set.
 
 The panel needs rich, which is imported when one is drawn.
 """

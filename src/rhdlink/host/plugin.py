@@ -1,4 +1,4 @@
-"""A part of a robot: declares its variables, and moves them on at each tick."""
+"""`Plugin`: a part of a robot that declares variables and updates them at each tick."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the robot is, from its counters: MRC's odometry, step for step.
+"""Odometry: the position of the robot from its counters, computed step for step as MRC does.
 
 A step adds the mean travel of both wheels along the heading that the robot has half-way through its turn. How far it
 turned comes from the wheels, from a heading (`Odometry.heading`), or from a curvature. A step in which a counter moves

@@ -1,4 +1,4 @@
-"""A place and a heading in the plane."""
+"""`PlanarPose`: a position and a heading in the plane."""
 
 from __future__ import annotations
 

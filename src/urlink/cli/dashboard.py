@@ -1,4 +1,4 @@
-"""`urlink dashboard`: a command of the dashboard server, and whether the reply confirms it."""
+"""`urlink dashboard`: sends a command to the dashboard server, and reports whether the reply confirms it."""
 
 from __future__ import annotations
 

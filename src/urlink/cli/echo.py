@@ -1,4 +1,4 @@
-"""`urlink echo`: packets as lines."""
+"""`urlink echo`: prints packets, one line each."""
 
 from __future__ import annotations
 

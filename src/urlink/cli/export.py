@@ -1,4 +1,4 @@
-"""`urlink export`: a recording is written to a file of another program."""
+"""`urlink export`: writes a recording to a file of another program."""
 
 from __future__ import annotations
 

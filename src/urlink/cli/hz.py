@@ -1,4 +1,4 @@
-"""`urlink hz`: how regularly states come."""
+"""`urlink hz`: measures the rate and jitter of incoming states."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the monitor draws on a terminal: the only module that needs rich."""
+"""The drawing of `urlink monitor` on a terminal: the only module that needs rich."""
 
 from __future__ import annotations
 

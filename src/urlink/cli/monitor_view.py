@@ -1,4 +1,4 @@
-"""What the monitor shows at one moment: the values of a state, and whether they are current; as a line of text.
+"""The view of `urlink monitor` at one moment: the values of a state, whether they are current, and a line of text.
 
 The values are the same for every interface and firmware. `monitor_panel` draws them.
 """

@@ -1,4 +1,4 @@
-"""The options of several commands: the address of a robot, and its interface; and how a command connects and speaks."""
+"""Options that several commands share (address, interface), connecting with progress, and lines on stderr."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Packets and their fields: found by the names that are used on the command line, as text and as JSON."""
+"""Fields of packets by their names on the command line, as text and as JSON."""
 
 from __future__ import annotations
 

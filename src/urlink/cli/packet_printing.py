@@ -1,4 +1,4 @@
-"""Which packets of an interface are printed, and how: the options, and the printing, of `echo` and `replay`."""
+"""Printing the packets of an interface: the options and the lines of `echo` and `replay`."""
 
 from __future__ import annotations
 

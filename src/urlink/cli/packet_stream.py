@@ -1,4 +1,4 @@
-"""Every packet of a stream, as a command reads it: `Tap`, and what the stream has counted."""
+"""`Tap`: every packet of a stream, for a command; and the counters of the stream as text."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`urlink plot`: fields of a recording, drawn over time."""
+"""`urlink plot`: draws fields of a recording over time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The rate and the jitter of a stream, a line each second: what `hz` and `rtde --hz` print."""
+"""Measurement of the rate and jitter of a stream, a line each second: for `hz` and `rtde --hz`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`urlink record`: what a robot sends is written into a recording."""
+"""`urlink record`: records what a robot sends."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is in a recording, channel by channel."""
+"""Summary of a recording, channel by channel."""
 
 from __future__ import annotations
 

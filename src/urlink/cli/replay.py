@@ -1,4 +1,4 @@
-"""`urlink replay`: what is in a recording, or its packets at the times at which they came."""
+"""`urlink replay`: prints what is in a recording, or its packets at the times at which they arrived."""
 
 from __future__ import annotations
 

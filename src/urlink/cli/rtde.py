@@ -1,4 +1,4 @@
-"""`urlink rtde`: variables of the controller by name."""
+"""`urlink rtde`: prints variables of the controller by name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`urlink run`: a URScript program is sent, and the command ends when the program does."""
+"""`urlink run`: sends a URScript program, and ends when the program does."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`urlink sim`: a simulated controller in the foreground."""
+"""`urlink sim`: runs a simulated controller in the foreground."""
 
 from __future__ import annotations
 

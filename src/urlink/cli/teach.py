@@ -1,4 +1,4 @@
-"""`urlink teach`: a person guides the arm by hand, and the waypoints are kept and played."""
+"""`urlink teach`: a person guides the arm by hand, and the waypoints are saved and played."""
 
 from __future__ import annotations
 

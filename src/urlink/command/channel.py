@@ -1,4 +1,4 @@
-"""The only path by which text that can move the arm is sent.
+"""The command channel: the only path by which text that can move the arm is sent.
 
 The decision is made in the robot's critical section (`urlink.command.section`), and within the same section the
 bytes go to the kernel by a system call that does not wait: after a stop was received, nothing is sent. A text nearly

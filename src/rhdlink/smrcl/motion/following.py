@@ -1,4 +1,4 @@
-"""`followline`, `followwall` and `followwall2`."""
+"""The motions that follow a line or a wall: `followline`, `followwall` and `followwall2`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Motions in which the arm yields, or presses: force mode, freedrive, direct torque; and one that ends at a contact."""
+"""Force control: force mode, freedrive, direct torque, and motions that end at a contact."""
 
 from __future__ import annotations
 

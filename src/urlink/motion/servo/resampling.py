@@ -1,4 +1,4 @@
-"""Set-points of a target filter or of a schedule, one for each cycle of the controller.
+"""Resampling of targets or of a schedule to set-points, one for each cycle of the controller.
 
 Each real-time state that arrives is answered with the next set-point, so the controller's clock sets the pace, whenever
 targets come. While set-points are missed, the program on the robot coasts (`urlink.motion.servo.setpoints`). Usually

@@ -1,4 +1,4 @@
-"""Closed loops: set-points or targets from the user's own loop."""
+"""Servo loops: set-points or targets from the user's own loop."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The dialogue with a program that holds points (`urlink.script.buffering`): what it is sent, and where it is.
+"""The dialogue with the buffering program (`urlink.script.buffering`): points that are sent, and its position.
 
 There are two curves. That of the points begins where the arm rests, and each point is reached at its own time. The
 arm is on it, but where the points came too late, or were replaced: then a path leads from where it is to a moment of

@@ -1,4 +1,4 @@
-"""The present faults of the connections: silence, cut connections, segments, and bytes that should not be there.
+"""Faults of the connections: silence, cut connections, segments, and bytes that should not be there.
 
 The server gets from it what a port sends instead of each packet; the bytes look like those of a newer controller, of a
 broken one, or of a bad network. The controller itself runs on.
