@@ -49,7 +49,7 @@ GROUPS = {
         ),
     ),
     "motion": Group(
-        ("urlink/motion/**/*.py",),
+        ("urlink/motion/**/*.py", "urlink/command/controller_clock.py"),
         (
             "tests/urlink/motion",
             "tests/urlink/script",

@@ -255,7 +255,7 @@ EQUIVALENT: tuple[Equivalent, ...] = (
     Equivalent(
         "urlink/motion/motions.py",
         "impedance",
-        "check_choice(frame, 'frame', get_args(FrameName)); parameters = ImpedanceParameters(frame, stiffness, damping, torque, speed, error, force, posture_stiffness, frict",
+        "check_choice(frame, 'frame', get_args(FrameName)); parameters = ImpedanceParameters(frame, stiffness, damping, torque, speed, error, force, posture_sti",
         "swapped",
         "of two wrong arguments, the other one is reported first",
     ),
