@@ -39,7 +39,7 @@ AWAITED = {
 
 #: The only modules that may start threads.
 THREADS = {
-    "linkcore.net.undo",  # takes back what was given up, for as long as there is anything
+    "linkcore.net.undo",  # undoes what was given up, for as long as there is anything
     "linkcore.threads",  # one for the callbacks of each robot, one for each host or server not run in its caller's
     "linkcore.streaming.connection",  # the reader of each stream
     "linkcore.streaming.subscription",  # one for each callback that is not inline, or has a deadline
@@ -140,14 +140,15 @@ ROLES = {
     "commands": "the table of what can be said to a controller in one language",
     "errors": "the exceptions of its folder",
     "framing": "the frame boundaries of one interface",
-    "gripper": "the simulated gripper, and the port that serves it",
+    "gripper": "the simulated gripper, and the interface that serves it",
     "interface": "what the interfaces of one folder have in common",
-    "interpreter": "interpreter mode: what users hold, and the port that serves it",
+    "interpreter": "interpreter mode: what users hold, and the interface that serves it",
     "packets": "the declared packets of one interface",
     "protocol": "the protocol of one interface",
     "registers": "the general-purpose registers: what users hold, and the simulated ones",
-    "robot_api": "the Robot API of PolyScope X: its requests, and the port that answers them",
+    "robot_api": "the Robot API of PolyScope X: its requests, and the interface that answers them",
     "server": "what is served to TCP clients",
+    "tool_serial": "the serial line of the tool: what users hold, and the interface that serves it",
     "waypoints": "a motion that is given point by point, and the text of its program",
     "force_control": "the motions that control forces, and the texts of their programs",
 }

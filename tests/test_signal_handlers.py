@@ -19,7 +19,7 @@ import urlink
 from linkcore.clock import Stamp
 from linkcore.errors import Cancelled, Closed, LinkError, LinkTimeout
 from linkcore.handle import Handle, Lifecycle, Phase
-from linkcore.net.undo import Recall
+from linkcore.net.undo import PendingUndos
 from linkcore.recording.file import Kind, RecordingFile, RecordingWriter
 from linkcore.streaming.packet_queue import drop_oldest
 from linkcore.streaming.scheduling import urgent
@@ -67,7 +67,7 @@ REASONS = {
     "linkcore.clock:sleep": "belongs to one wait of a worker thread, in which no signal handler runs",
     "linkcore.clock:is_done": "belongs to one wait of a worker thread, in which no signal handler runs",
     "linkcore.cli.progress:_Screen": "is set when a command has ended; a handler of the command line only raises",
-    "rhdlink.cli.view:RateCounter": "`rhdlink view` alone uses it, whose handler only raises",
+    "rhdlink.cli.watch_view:RateCounter": "`rhdlink watch` alone uses it, whose handler only raises",
 }
 
 
@@ -269,10 +269,10 @@ def test_recall_close_can_be_interrupted() -> None:
 
     def scenario(interruption: Interruption) -> None:
         user = threading.Lock()  # anything that can be referred to weakly
-        recall = Recall.of(("peer", next(numbers)), "peer", user)
-        with interruption.by(lambda: recall.close(user)):
-            recall.close(user)
-        assert recall._closed.is_set()
+        undos = PendingUndos.of(("peer", next(numbers)), "peer", user)
+        with interruption.by(lambda: undos.close(user)):
+            undos.close(user)
+        assert undos._closed.is_set()
 
     assert at_every_line(scenario) > 5
 

@@ -1,4 +1,4 @@
-"""Names: those of a package, which are imported when they are first used, and those that an object does not have.
+"""Package members that are imported at first use, and errors that suggest the right name for a misspelt attribute.
 
 - `lazy_names` makes the public names of a package (PEP 562), and `needs` says which extra brings a missing package.
 - `StrictAttributes` is a base class whose objects raise an error with a hint when a program reads or sets an attribute

@@ -1,4 +1,4 @@
-"""The errors of commanding a robot: the part of the error tree that knows robots.
+"""The exceptions of commanding a robot: the part of the error tree that is specific to arms.
 
 They hang below a branch of `linkcore.errors`::
 

@@ -1,4 +1,4 @@
-"""What robots send: packets, messages, their parts, and the enums of their numbers.
+"""Packets and messages that robots send, their parts, and the enums of their numbers.
 
     from urlink.packets import RealtimeState, RobotModeData
 

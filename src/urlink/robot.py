@@ -13,7 +13,7 @@ from linkcore import clock
 from linkcore.arguments import check_callable, check_choice
 from linkcore.errors import BadValue, Closed, LocalError
 from linkcore.names import StrictAttributes
-from linkcore.net.undo import Recall
+from linkcore.net.undo import PendingUndos
 from linkcore.process import HomeProcess
 from linkcore.streaming.stream import Stream
 from linkcore.text import html_table
@@ -23,7 +23,7 @@ from .protocol.firmware import Firmware
 from .protocol.ports import service_of
 from .protocol.primary.robot_state import RobotState
 from .protocol.realtime.packets import RealtimeState
-from .session.address import RecordingAddress, RobotAddress, SimulatorAddress
+from .session.address import RecordingAddress, RobotAddress, SimulatorAddress, parse_address
 from .session.connect_options import ConnectOptions, takes_connect_options
 from .session.identity import Identity, KnownIdentity
 from .session.robot_clock import RobotClock
@@ -55,7 +55,7 @@ def connect(options: ConnectOptions) -> Robot:
     """Connect to a robot, to the simulator, or to a recording.
 
     Asks the controller who it is; the streams themselves connect when first used. What this process gave up at the same
-    address before, and may still be carried out, is taken back first, for at most `timeout` seconds; see
+    address before, and may still be carried out, is undone first, for at most `timeout` seconds; see
     docs/motion-ends.md, "What was given up is not carried out". A connection with `read_only` takes nothing back.
 
     Args:
@@ -105,7 +105,7 @@ def connect(options: ConnectOptions) -> Robot:
     try:
         robot = assemble(options, place, networked(place, options), controller)
         if owes(robot, place):
-            take_back(robot, options.timeout)
+            undo_abandoned(robot, options.timeout)
     except BaseException:
         opened = controller if robot is None else robot
         if opened is not None:
@@ -129,7 +129,9 @@ def simulated(place: SimulatorAddress) -> tuple[Controller, RobotAddress]:
     motion = Demonstration() if place.motion == "demo" else None
     controller = Controller(model=place.model, firmware=place.firmware, motion=motion, like=like, scene=place.scene)
     controller.start()
-    return controller, RobotAddress(controller.host, dict(controller.ports))
+    served_at = parse_address(controller.address)
+    assert isinstance(served_at, RobotAddress), "a controller that has been started is at ports of this computer"
+    return controller, served_at
 
 
 def assemble(
@@ -171,11 +173,11 @@ def peers_of(place: RobotAddress) -> tuple[Hashable, ...]:
 
 def owes(robot: Robot, place: RobotAddress) -> bool:
     """This process gave something up at that controller that may still be carried out, and the robot may command it."""
-    return robot._make_control is not None and Recall.is_owed(*peers_of(place))
+    return robot._make_control is not None and PendingUndos.is_owed(*peers_of(place))
 
 
-def take_back(robot: Robot, timeout: float) -> None:
-    """Wait until that is taken back, at most `timeout` seconds; the robot goes on with it while it is open."""
+def undo_abandoned(robot: Robot, timeout: float) -> None:
+    """Wait until that is undone, at most `timeout` seconds; the robot goes on with it while it is open."""
     robot._commanded().settle(timeout)
 
 
@@ -666,15 +668,16 @@ def _rtde_of(robot: Robot) -> Callable[[], Rtde]:
 
 def _recorder(path: str | os.PathLike[str]) -> Recorder:
     """The recorder for a file, by its suffix."""
-    suffix = PurePath(path).suffix.lower()
-    if suffix == ".mcap":
+    from linkcore.recording.table_files import format_of
+
+    kind = format_of(path)
+    if kind is not None and not kind.is_live:
+        suffix = PurePath(path).suffix.lower()
+        raise BadValue(f"{os.fspath(path)}: {suffix} is not written live; record a .urlog, and export it")
+    if kind is not None:
         from .recording.live import McapRecorder
 
         return McapRecorder(path)
-    from linkcore.recording.table_files import TABLE_WRITERS
-
-    if suffix in TABLE_WRITERS:
-        raise BadValue(f"{os.fspath(path)}: {suffix} is not written live; record a .urlog, and export it")
     from linkcore.recording.recorder import Recorder
 
     return Recorder(path)

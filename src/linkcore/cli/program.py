@@ -1,8 +1,4 @@
-"""What every program has: what surrounds its commands (parsing, logging, errors, exit status), and `completion`.
-
-`completion` prints what a shell reads to complete the commands of a program, their options and the names they take. It
-is made from the parsers of all commands; a shell that has read it starts no program to complete a word.
-"""
+"""A program of commands, and what surrounds them: parsing, logging, errors and exit status."""
 
 from __future__ import annotations
 
@@ -20,11 +16,20 @@ from importlib import import_module
 from .. import distribution
 from ..errors import LinkError
 from ..text import printable, similar
-from .options import Subcommand, argument, command, common_options, completed_words
+from .options import Subcommand, common_options
 from .terminal import Interrupted, raise_on_sigterm
 
 #: An option of every command.
 _COMMON = re.compile("-[qv]+|--quiet|--verbose")
+
+
+#: The end of the help of every program.
+_END_OF_HELP = """\
+exit status:
+  0 done, 1 an error of the robot, the file or the address (one line on stderr), 2 wrong usage,
+  130 ended by Ctrl-C, 143 by SIGTERM
+
+`{name} COMMAND --help` explains each command, with examples."""
 
 
 def program(
@@ -36,12 +41,15 @@ def program(
         name: of the package, and of the program.
         commands: each command -> the module in the package's `cli` that has it, in the order of the help. Only the
             module of the given command is imported: importing all of them takes longer than most commands.
-        description, epilog: of the help.
+        description, epilog: of the help, which ends with the exit status.
         argv: the arguments; those of the process by default.
     """
     argv = sys.argv[1:] if argv is None else argv
     parser = argparse.ArgumentParser(
-        prog=name, description=description, epilog=epilog, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog=name,
+        description=description,
+        epilog=f"{epilog}\n\n{_END_OF_HELP.format(name=name)}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and end")
     common_options(parser)
@@ -155,71 +163,3 @@ def _logging(name: str, verbose: int) -> Iterator[None]:
             logger.removeHandler(handler)
             logger.setLevel(old_level)
             logger.propagate = old_propagate
-
-
-#: zsh runs the functions of bash after this.
-_ZSH = "autoload -U +X compinit && compinit -u\nautoload -U +X bashcompinit && bashcompinit\n"
-
-
-@command(
-    "completion",
-    "complete words in bash and zsh",
-    argument("shell", choices=("bash", "zsh"), help="whose lines to print"),
-)
-def _complete(args: argparse.Namespace) -> int:
-    """Print the lines by which a shell completes commands, options, and the names that a command takes, such as RTDE
-    variables. They belong into the file that the shell reads when it starts.
-
-    examples:
-      {program} completion bash >> ~/.bashrc
-      {program} completion zsh >> ~/.zshrc
-      {program} completion bash > ~/.local/share/bash-completion/completions/{program}
-    """
-    parser: argparse.ArgumentParser = args.all_commands()
-    print((_ZSH if args.shell == "zsh" else "") + _script(parser), end="")
-    return 0
-
-
-def _script(parser: argparse.ArgumentParser) -> str:
-    """The function of bash that completes the commands of a program."""
-    commands = next(each.choices for each in parser._actions if isinstance(each, argparse._SubParsersAction))
-    function = "_" + re.sub(r"\W", "_", parser.prog)
-    lines = [
-        f"{function}() {{",
-        '  local word="${COMP_WORDS[COMP_CWORD]}" before="${COMP_WORDS[COMP_CWORD-1]}"',
-        '  local command="${COMP_WORDS[1]}" words=""',
-        f'  if [ "$COMP_CWORD" -eq 1 ]; then words="{_joined([*commands, "--help", "--version"])}"',
-        '  else case "$command $before" in',
-        *(f'    "{name} {option}") words="{_joined(choices)}" ;;' for name, option, choices in _values(commands)),
-        '    *) case "$command" in',
-        *(f'      {name}) words="{_joined(_words(each))}" ;;' for name, each in commands.items()),
-        "    esac ;;",
-        "  esac; fi",
-        '  COMPREPLY=($(compgen -W "$words" -- "$word"))',
-        "}",
-        f"complete -o default -F {function} {parser.prog}",
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def _joined(words: Iterable[str]) -> str:
-    """Words that a shell takes as they are; others, with blanks, are left out."""
-    return " ".join(word for word in words if re.fullmatch(r"[\w.:/=+-]+", word))
-
-
-def _values(commands: dict[str, argparse.ArgumentParser]) -> Iterator[tuple[str, str, list[str]]]:
-    """Command, option, and the values that the option takes; none for one that takes anything."""
-    for name, parser in commands.items():
-        for action in parser._actions:
-            if action.option_strings and action.nargs != 0:
-                for option in action.option_strings:
-                    yield name, option, list(completed_words(action))
-
-
-def _words(parser: argparse.ArgumentParser) -> Iterator[str]:
-    """The options of a command, and the words that its other arguments take."""
-    for action in parser._actions:
-        if action.option_strings:
-            yield from action.option_strings
-        else:
-            yield from completed_words(action)

@@ -1,4 +1,4 @@
-"""Hands every packet of a stream to each queue and each inline callback that asked for its class.
+"""Distributes every packet of a stream to each queue and each inline callback that subscribed to its class.
 
 Called by the thread that reads, which meets no lock here: tuples are replaced and never changed.
 """

@@ -1,4 +1,4 @@
-"""`urlink serve`: robots in a middleware, by adapters that are distributions of their own."""
+"""`urlink serve`: serves robots to a middleware, by adapters that are separate distributions."""
 
 from __future__ import annotations
 

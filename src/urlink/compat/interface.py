@@ -18,7 +18,7 @@ import urlink
 from linkcore import clock
 from linkcore.errors import Cancelled, LocalError, RemoteError
 from linkcore.text import printable
-from urlink.motion.servo.block_motion import LinkedBlock
+from urlink.motion.servo.block_motion import BlockMotion
 from urlink.protocol.rtde.protocol import InputInUse
 
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ class RtdeInterface:
         self.disconnect()
 
 
-B = TypeVar("B", bound=LinkedBlock)
+B = TypeVar("B", bound=BlockMotion)
 
 
 class Blocks:
@@ -108,7 +108,7 @@ class Blocks:
 
     def __init__(self, robot: urlink.Robot) -> None:
         self._robot = robot
-        self._open: LinkedBlock | None = None
+        self._open: BlockMotion | None = None
         self._settings: tuple[Any, ...] = ()
 
     @property

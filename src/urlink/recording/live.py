@@ -1,4 +1,4 @@
-"""Streams as messages of ROS 2 while they go on: recorded into an MCAP file, or served to Foxglove by WebSocket."""
+"""Streams as messages of ROS 2 while they arrive: recorded into an MCAP file, or served to Foxglove by WebSocket."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a robot's bytes come from: a controller on the network, or a recording."""
+"""Sources of a robot's bytes: a controller on the network, or a recording."""
 
 from __future__ import annotations
 

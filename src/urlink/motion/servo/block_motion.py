@@ -36,7 +36,7 @@ _REASON = 1.5
 _END_TIMEOUT = 10.0
 
 
-class LinkedBlock(Motion):
+class BlockMotion(Motion):
     """The base of the motions that last for one ``with`` block, such as a servo and a jog.
 
     Args:

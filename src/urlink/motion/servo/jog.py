@@ -20,7 +20,7 @@ from ..context import MotionContext
 from ..links.messages import WAIT_MESSAGE
 from ..moves.speed_limit import check_joint_speeds
 from ..slider import SliderEffect, slider
-from .block_motion import LinkedBlock, message
+from .block_motion import BlockMotion, message
 from .linked_program import Link, LinkedProgram
 from .setpoints import LinkDialogue
 
@@ -71,7 +71,7 @@ class _Jogging(LinkDialogue):
 
 
 @slider(jog=SliderEffect.SCALED)
-class Jog(LinkedBlock):
+class Jog(BlockMotion):
     """Speeds by hand; made by `robot.motion.jog`, and open within a ``with`` block. Leaving the block stops the arm.
 
     Attributes:

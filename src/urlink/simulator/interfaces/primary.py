@@ -20,7 +20,7 @@ from urlink.protocol.primary.robot_state import SUB_PACKAGES, CalibrationData
 from ..messages import greeting
 from ..rtde_variables import ROBOT_VOLTAGE, robot_current
 from ..state import ControllerState
-from .interface import Fields, Form, Port, PortClient, ScriptReceiver, package
+from .interface import Fields, Form, Interface, InterfaceClient, ScriptReceiver, package
 
 #: Robot states a second.
 STATE_RATE = 10
@@ -89,19 +89,19 @@ class StatePackages:
         }
 
 
-class SecondaryPort(Port):
+class SecondaryInterface(Interface):
     """The secondary interface of one controller.
 
     Args:
         state: of the controller.
         states: the states to send.
-        receiver: makes the receiver of a client, for a port of this name.
+        receiver: makes the receiver of a client, for an interface of this name.
     """
 
     _NAME = "secondary"
 
     def __init__(
-        self, state: ControllerState, states: StatePackages, receiver: Callable[[str, PortClient], ScriptReceiver]
+        self, state: ControllerState, states: StatePackages, receiver: Callable[[str, InterfaceClient], ScriptReceiver]
     ) -> None:
         self._state = state
         self._states = states
@@ -122,11 +122,11 @@ class SecondaryPort(Port):
     def skip(self) -> None:
         self._served = None
 
-    def receiver(self, client: PortClient) -> ScriptReceiver:
+    def receiver(self, client: InterfaceClient) -> ScriptReceiver:
         return self._make_receiver(self._NAME, client)
 
 
-class PrimaryPort(SecondaryPort):
+class PrimaryInterface(SecondaryInterface):
     """The primary interface of one controller: as the secondary one, with robot messages."""
 
     _NAME = "primary"

@@ -9,18 +9,18 @@ from urlink.protocol.realtime.packets import RealtimeState
 
 from ..rtde_variables import MAIN_VOLTAGE, ROBOT_VOLTAGE, execution_time, robot_current
 from ..state import ControllerState
-from .interface import Fields, Form, Port, PortClient, ScriptReceiver
+from .interface import Fields, Form, Interface, InterfaceClient, ScriptReceiver
 
 
-class RealtimePort(Port):
+class RealtimeInterface(Interface):
     """The real-time interface of one controller.
 
     Args:
         state: of the controller.
-        receiver: makes the receiver of a client, for a port of this name.
+        receiver: makes the receiver of a client, for an interface of this name.
     """
 
-    def __init__(self, state: ControllerState, receiver: Callable[[str, PortClient], ScriptReceiver]) -> None:
+    def __init__(self, state: ControllerState, receiver: Callable[[str, InterfaceClient], ScriptReceiver]) -> None:
         self._state = state
         self._make_receiver = receiver
         self._form: Form | None = None
@@ -32,7 +32,7 @@ class RealtimePort(Port):
     def packets(self, cycle: int) -> list[bytes]:
         return [self.packet()]
 
-    def receiver(self, client: PortClient) -> ScriptReceiver:
+    def receiver(self, client: InterfaceClient) -> ScriptReceiver:
         return self._make_receiver("realtime", client)
 
     def packet(self) -> bytes:

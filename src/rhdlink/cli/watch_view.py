@@ -1,9 +1,6 @@
-"""How the variables of a robot are shown: their words and what they mean, on a line, in a table, as JSON, and live.
+"""The view of `rhdlink watch`: the variables, and how often each is set.
 
-A robot sends names and lengths, but no types and units. The ready-made classes declare those of the conventional
-names; a declaration is used if its direction and length match as well.
-
-The panel of `watch` needs rich, which is imported when one is drawn.
+The panel needs rich, which is imported when one is drawn.
 """
 
 from __future__ import annotations
@@ -13,29 +10,17 @@ import time
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from linkcore.errors import BadValue
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from linkcore.text import printable
 
-from ..robots import Ackerman, Gps, Smr, VelocityOmega
-from ..variables.declarations import Declaration
 from ..variables.snapshot import Update, Variable
-from ..variables.value_types import Bool, Float32, Float64, Int32, Int64, Millionths, Order, UInt32, ValueType
-from ..wire.data import Words
+from .variable_text import in_units, with_meaning, words_of, words_text
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderResult
 
-_TYPES: tuple[ValueType[Any, Any, Any], ...] = (Int32, UInt32, Int64, Float32, Float64, Bool, Millionths)
-#: Types that can be named on the command line: "int32", "uint32", ...
-TYPES = {repr(each).lower(): each for each in _TYPES}
-
-#: Words of a variable that are shown on one line.
-_MOST_WORDS = 16
 #: Seconds over which rates are counted.
 WINDOW = 2.0
 
@@ -45,100 +30,6 @@ _STATUS = {
     ConnectionState.LOST: "bold white on red",
 }
 _LABEL = "bright_black"
-
-
-def _known() -> dict[tuple[str, str, int], Declaration[Any, Any]]:
-    known: dict[tuple[str, str, int], Declaration[Any, Any]] = {}
-    for robot in (Smr, VelocityOmega, Ackerman, Gps):
-        for declaration in robot.declared().values():
-            known.setdefault((declaration.direction, declaration.name, declaration.length), declaration)
-    return known
-
-
-_KNOWN = _known()
-
-
-def in_units(direction: str, name: str, words: Words) -> str:
-    """The value with its unit: ``0.3 m/s``; "" where the name has none."""
-    declaration = _KNOWN.get((direction, name, len(words)))
-    if declaration is None or not declaration.unit:
-        return ""
-    value = declaration.unpack(words, declaration.order or "little")
-    if isinstance(value, (np.ndarray, tuple)):
-        text = " ".join(f"{each:.6g}" for each in value)
-    else:
-        text = f"{value:.6g}" if isinstance(value, float) else str(value)
-    return f"{text} {declaration.unit}"
-
-
-def words_of(value: int | Words) -> Words:
-    """The words of a variable that was not declared: its value is an int or an array (see `Variable`)."""
-    return np.atleast_1d(np.asarray(value, np.int32))
-
-
-def typed(name: str, words: Words, type_name: str, order: Order) -> list[int | float | bool]:
-    """The values in the words of a variable.
-
-    Raises:
-        BadValue: the number of words is not a multiple of those of the type.
-    """
-    value_type = TYPES[type_name]
-    size = value_type.length(1)
-    count, left = divmod(len(words), size)
-    if left or not count:
-        raise BadValue(f"{name} has {len(words)} words; a {type_name} takes {size}")
-    found: list[int | float | bool] = np.atleast_1d(value_type.unpack_many(words, count, order)).tolist()
-    return found
-
-
-def words_text(words: Words, most: int | None = _MOST_WORDS) -> str:
-    """The words of a variable, on one line."""
-    shown = [str(int(word)) for word in words[:most]]
-    left = len(words) - len(shown)
-    return " ".join(shown) + (f" … {left} more" if left else "")
-
-
-def with_meaning(direction: str, name: str, words: Words, most: int | None = _MOST_WORDS) -> str:
-    """The words of a variable, at most so many of them, and their meaning if the name has one: ``30000 = 0.3 m/s``."""
-    meaning = in_units(direction, name, words)
-    return words_text(words, most) + (f" = {meaning}" if meaning else "")
-
-
-def as_json(variable: Variable) -> dict[str, Any]:
-    """A variable as a JSON object; its value always as a list of words."""
-    words = words_of(variable.value)
-    return {
-        "name": variable.name,
-        "direction": variable.direction,
-        "id": variable.identity,
-        "length": variable.length,
-        "words": words.tolist(),
-        "stamp": [variable.stamp.seconds, variable.stamp.microseconds],
-        "meaning": in_units(variable.direction, variable.name, words) or None,
-    }
-
-
-def as_columns(variable: Variable) -> tuple[str, ...]:
-    """A variable for a table: direction, id, name, words, meaning, time stamp."""
-    words = words_of(variable.value)
-    meaning = in_units(variable.direction, variable.name, words)
-    return (
-        {"r": "read", "w": "write"}[variable.direction],
-        str(variable.identity),
-        printable(variable.name),
-        words_text(words),
-        f"= {meaning}" if meaning else "",
-        f"{variable.stamp.seconds}.{variable.stamp.microseconds:06d}",
-    )
-
-
-def update_as_json(update: Update) -> dict[str, Any]:
-    """The value, and when it was received."""
-    return {
-        "received": update.received.wall,
-        "variables": {name: words_of(change.value).tolist() for name, change in update.changes.items()},
-        "stamps": {name: list(change.stamp) for name, change in update.changes.items()},
-    }
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import pytest
 from linkcore.errors import BadValue, LocalError
 from urlink.arm.models import Model, model
 from urlink.arm.vectors import JOINTS
-from urlink.motion.servo.impedance_parameters import Softness
+from urlink.motion.servo.impedance_parameters import ImpedanceParameters
 from urlink.protocol.firmware import Firmware
 from urlink.script.springs import Springs
 
@@ -20,13 +20,15 @@ UR5E = model("UR5e")
 DIRECT, MEASURED, NONE = Firmware(5, 23), Firmware(5, 10), Firmware(5, 9)
 
 
-def softness(frame: Any, **given: Any) -> Softness:
+def parameters(frame: Any, **given: Any) -> ImpedanceParameters:
     numbers = dict.fromkeys(("stiffness", "torque", "speed", "error", "force", "posture_stiffness"))
-    return Softness(frame, **{**numbers, "damping": 1.0, "friction_compensation": True, "watchdog": 1.0, **given})
+    return ImpedanceParameters(
+        frame, **{**numbers, "damping": 1.0, "friction_compensation": True, "watchdog": 1.0, **given}
+    )
 
 
 def asked(frame: Any = "joints", firmware: Firmware = DIRECT, arm: Model = UR5E, **given: Any) -> partial[list[str]]:
-    program, _, _ = softness(frame, **given).program(firmware, arm)
+    program, _, _ = parameters(frame, **given).program(firmware, arm)
     assert isinstance(program, partial)
     return program
 
@@ -140,8 +142,8 @@ def test_a_firmware_without_direct_torque_leads_the_tool() -> None:
 
 def test_whether_it_takes_a_posture_and_the_stiffness_that_it_begins_with() -> None:
     for frame, firmware, takes in (("joints", DIRECT, False), ("tool", DIRECT, True), ("tool", MEASURED, False)):
-        _, stiffness, takes_posture = softness(frame, stiffness=20.0).program(firmware, UR5E)
+        _, stiffness, takes_posture = parameters(frame, stiffness=20.0).program(firmware, UR5E)
         assert stiffness.tolist() == [20.0] * 6
         assert takes_posture is takes
     with pytest.raises(LocalError, match="does not say which arm"):
-        softness("joints").program(DIRECT, None)
+        parameters("joints").program(DIRECT, None)

@@ -10,8 +10,7 @@ from urlink.motion.links.messages import STOP_MESSAGE, WAIT_MESSAGE, read_messag
 from urlink.motion.servo.block_motion import KeptMessage
 from urlink.protocol.firmware import Firmware
 from urlink.protocol.realtime.packets import RealtimeState
-from urlink.script import force_control as yielding
-from urlink.script import links
+from urlink.script import force_control, links
 from urlink.script.force_control import Pressing
 from urlink.script.links import FOLLOW, STOP, InputRegisters
 from urlink.script.wrapping import program
@@ -75,7 +74,7 @@ def pressing(firmware: str) -> Bench:
     bench = Bench(firmware)
     is_new = bench.firmware >= (5, 0)
     pressing = Pressing((0.0,) * 6, DOWN, (0.1,) * 6, kind=2, damping=0.01, gain=1.0 if is_new else None)
-    body = yielding.force_mode(bench.firmware, LINK, pressing, watchdog=0.2)
+    body = force_control.force_mode(bench.firmware, LINK, pressing, watchdog=0.2)
     bench.table(0.002)
     bench.take(body)
     return bench
@@ -114,7 +113,7 @@ def test_it_presses_as_told_and_its_end_ends_the_mode(firmware: str, way: str) -
 def test_freedrive_lasts_as_long_as_messages_come(firmware: str) -> None:
     bench = Bench(firmware)
     axes = [True, False, True, False, False, False] if bench.firmware >= (5, 10) else None
-    bench.take(yielding.freedrive(bench.firmware, LINK, axes, [0.0] * 6, watchdog=0.2))
+    bench.take(force_control.freedrive(bench.firmware, LINK, axes, [0.0] * 6, watchdog=0.2))
     bench.tell([0.0] * 6, 0.1)
     bench.controller.push([0, 0, 10.0, 0, 0, 0])
     bench.tell([0.0] * 6, 0.5)
@@ -135,7 +134,7 @@ def test_messages_that_are_old_when_they_are_read_do_not_feed_its_watchdog(firmw
         wrench = [0, 0, -10.0, 0, 0, 0]
     else:
         bench, wrench = Bench(firmware), [0.0] * 6
-        bench.take(yielding.freedrive(bench.firmware, LINK, None, [0.0] * 6, watchdog=0.2))
+        bench.take(force_control.freedrive(bench.firmware, LINK, None, [0.0] * 6, watchdog=0.2))
     bench.tell(wrench, 0.5)
     # They may be as late as the watchdog's time, by jitter, and after as long again it ends.
     first = bench.date
@@ -153,7 +152,7 @@ def test_messages_that_are_old_when_they_are_read_do_not_feed_its_watchdog(firmw
 @pytest.mark.parametrize("firmware", ["5.25"])
 def test_torques_move_the_arm_and_fade(firmware: str) -> None:
     bench = Bench(firmware)
-    bench.take(yielding.torque(bench.firmware, LINK, friction_compensation=True, watchdog=0.05))
+    bench.take(force_control.torque(bench.firmware, LINK, friction_compensation=True, watchdog=0.05))
     bench.tell([0, 0, 0, 0, 0, 0], 0.05)
     bench.tell([0, 0, 0, 0, 0, 0.5], 0.2)
     assert bench.controller.arm.setpoint.qd[5] > 0.1
@@ -166,7 +165,7 @@ def test_torques_move_the_arm_and_fade(firmware: str) -> None:
 def test_it_ends_at_a_contact_and_says_where(firmware: str, force: float | None) -> None:
     bench = Bench(firmware)
     bench.table(0.01)
-    bench.take(yielding.until_contact(bench.firmware, [0, 0, -1.0], 0.05, 0.5, 0.1, force=force, retracts=True))
+    bench.take(force_control.until_contact(bench.firmware, [0, 0, -1.0], 0.05, 0.5, 0.1, force=force, retracts=True))
     messages: list[bytes] = []
     for _ in range(round(2.0 * bench.firmware.rate)):
         bench.controller.step()
@@ -175,7 +174,7 @@ def test_it_ends_at_a_contact_and_says_where(firmware: str, force: float | None)
             break
     assert not bench.is_running
     (text,) = [m[m.index(b"urlink: contact") :].decode().strip("\0\n") for m in messages if b"urlink: contact" in m]
-    q = yielding.contact_of(text)
+    q = force_control.contact_of(text)
     assert q is not None
     assert bench.controller.arm.setpoint.q == pytest.approx(q, abs=1e-4)
     assert bench.pose[2] - bench.start[2] == pytest.approx(-0.01, abs=5e-4 if force is None else 2e-3)
@@ -183,7 +182,7 @@ def test_it_ends_at_a_contact_and_says_where(firmware: str, force: float | None)
 
 def test_it_gives_up_after_its_distance() -> None:
     bench = Bench("5.11")
-    bench.take(yielding.until_contact(bench.firmware, [0, 0, -1.0], 0.1, 0.5, 0.02, force=None, retracts=True))
+    bench.take(force_control.until_contact(bench.firmware, [0, 0, -1.0], 0.1, 0.5, 0.02, force=None, retracts=True))
     bench.silent(1.0)
     assert not bench.is_running
     # The distance, and at most twice what it takes to speed up and to brake on top of it.
@@ -192,7 +191,7 @@ def test_it_gives_up_after_its_distance() -> None:
 
 @pytest.mark.parametrize("text", ["urlink: contact ", "urlink: contact [1,2]", "urlink: contact [a,b,c,d,e,f]", "else"])
 def test_what_is_no_contact_is_none(text: str) -> None:
-    assert yielding.contact_of(text) is None
+    assert force_control.contact_of(text) is None
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES)
@@ -202,10 +201,10 @@ def test_over_a_socket_they_compile_too(firmware: str) -> None:
     version = Firmware.parse(firmware)
     link = links.ReverseSocket("10.0.0.1", 50001, 5)
     bodies = [
-        yielding.force_mode(
+        force_control.force_mode(
             version, link, Pressing((0.0,) * 6, DOWN, (0.1,) * 6, kind=2, damping=None, gain=None), watchdog=0.5
         ),
-        yielding.freedrive(version, link, None, [0.0] * 6, watchdog=0.5),
+        force_control.freedrive(version, link, None, [0.0] * 6, watchdog=0.5),
     ]
     for body, end in zip(bodies, ("end_force_mode()", "end_freedrive_mode()"), strict=True):
         compile_script(program("p", body, None).text, version)

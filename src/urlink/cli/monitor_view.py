@@ -1,5 +1,6 @@
-"""What the monitor knows at one moment: the values of a state, the same for every interface and firmware, and whether
-they are current. As a line of text here, and as a picture in `picture`.
+"""The view of `urlink monitor` at one moment: the values of a state, whether they are current, and a line of text.
+
+The values are the same for every interface and firmware. `monitor_panel` draws them.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from linkcore.wire.packet import State
 from ..protocol.enums import AnalogDomain
 from ..protocol.primary.robot_state import MasterboardData, RobotModeData, RobotState, ToolData
 from ..protocol.realtime.packets import RealtimeState
+from .packet_stream import counted
 
 #: Data older than this, in seconds, counts as old although the connection stands: five states of the 10 Hz
 #: interfaces, 60 and more of the real-time one.
@@ -217,7 +219,7 @@ def status_of(
 
 
 @dataclass(frozen=True)
-class Glance:
+class MonitorView:
     """One moment of the monitor.
 
     Attributes:
@@ -248,26 +250,26 @@ class Glance:
         return self.status in (StreamStatus.CONNECTED, StreamStatus.SLOW)
 
 
-def rate_text(glance: Glance) -> str:
+def rate_text(view: MonitorView) -> str:
     """The rate, and what it should be where it is too low: "111.0 of 500 Hz"."""
-    if glance.rate is None:
+    if view.rate is None:
         return "- Hz"
-    of = f" of {glance.usual:g}" if glance.status is StreamStatus.SLOW else ""
-    return f"{glance.rate:.1f}{of} Hz"
+    of = f" of {view.usual:g}" if view.status is StreamStatus.SLOW else ""
+    return f"{view.rate:.1f}{of} Hz"
 
 
-def line(glance: Glance, clock: str) -> str:
+def line(view: MonitorView, clock: str) -> str:
     """One line with the most important values; old values are marked as old."""
-    parts = [f"{clock} {glance.status.value}", printable(glance.robot)]
-    reading, stats = glance.reading, glance.stats
-    if glance.is_fresh:
-        parts.append(rate_text(glance))
-    elif glance.trouble is not None and glance.status is not StreamStatus.ENDED:
-        parts.append(printable(glance.trouble))
+    parts = [f"{clock} {view.status.value}", printable(view.robot)]
+    reading, stats = view.reading, view.stats
+    if view.is_fresh:
+        parts.append(rate_text(view))
+    elif view.trouble is not None and view.status is not StreamStatus.ENDED:
+        parts.append(printable(view.trouble))
     if reading is None:
         parts.append("no state yet")
     else:
-        parts.append(f"age {age_text(reading.age)}" if glance.is_fresh else f"OLD DATA, {age_text(reading.age)}")
+        parts.append(f"age {age_text(reading.age)}" if view.is_fresh else f"OLD DATA, {age_text(reading.age)}")
         if reading.q is not None:
             parts.append(f"q {_vector([math.degrees(value) for value in reading.q], 1)} deg")
         if reading.pose is not None:
@@ -275,15 +277,6 @@ def line(glance: Glance, clock: str) -> str:
         modes = (("robot", reading.robot_mode), ("safety", reading.safety_mode), ("program", reading.program))
         parts += [f"{name} {printable(mode)}" for name, mode in modes if mode is not None]
     return " | ".join([*parts, counted(stats)])
-
-
-def counted(stats: StreamStatistics) -> str:
-    """What a stream has counted, short; "-" where packets have no clock by which one can be missed."""
-    missed, duplicates = ("-" if each is None else each for each in (stats.missed, stats.duplicates))
-    return (
-        f"received {stats.received} missed {missed} duplicates {duplicates} failed {stats.failed} "
-        f"reconnects {stats.reconnects}"
-    )
 
 
 def age_text(seconds: float) -> str:

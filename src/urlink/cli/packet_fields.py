@@ -1,9 +1,9 @@
-"""Packets and their fields: found by the names that are used on the command line, as text and as JSON."""
+"""Fields of packets by their names on the command line, as text and as JSON."""
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -105,3 +105,8 @@ def as_line(packet: State) -> str:
     """A packet on one line, with its tail."""
     tail = f" tail={packet.tail.hex()}" if packet.tail else ""
     return printable(str(packet)) + tail
+
+
+def joints_text(q: Iterable[float]) -> str:
+    """Joint positions on one line, rad."""
+    return f"q: {', '.join(f'{each:.4f}' for each in q)}"

@@ -1,4 +1,4 @@
-"""The monitor as a picture: the only module that needs rich."""
+"""The drawing of `urlink monitor` on a terminal: the only module that needs rich."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rich.text import Text
 
 from linkcore.text import printable
 
-from .glance import Glance, Reading, StreamStatus, age_text, rate_text
+from .monitor_view import MonitorView, Reading, StreamStatus, age_text, rate_text
 
 #: Columns of the picture, if the terminal has as many.
 WIDTH = 100
@@ -43,49 +43,47 @@ _CALM |= {"READY", "INITIALIZING", "INITIALISATION", "MOTOR_INITIALISATION", "NO
 _CALM |= {"READY_FOR_POWER_OFF", "SHUTTING_DOWN", "RESET", "SIMULATED"}
 
 
-class Picture:
-    """A glance at the robot, as a rich renderable."""
+class MonitorPanel:
+    """A view of the robot, as a rich renderable."""
 
-    def __init__(self, glance: Glance) -> None:
-        self._glance = glance
+    def __init__(self, view: MonitorView) -> None:
+        self._view = view
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        glance = self._glance
+        view = self._view
         width = min(options.max_width, WIDTH)
-        border = _BORDER.get(glance.status, "yellow")
+        border = _BORDER.get(view.status, "yellow")
         rows: list[Table | Text | Rule] = [self._header()]
         rows.append(Rule(style=border, characters="─"))
-        if glance.reading is not None:
-            rows += self._body(glance.reading, width >= _NARROW)
+        if view.reading is not None:
+            rows += self._body(view.reading, width >= _NARROW)
         rows.append(_labelled("stream", self._counters()))
-        if glance.message is not None:
-            rows.append(
-                _labelled("message", Text(printable(glance.message), _VALUE, overflow="ellipsis", no_wrap=True))
-            )
-        title = Text.assemble((f" {printable(glance.robot)} ", "bold"), (f" {printable(glance.address)} ", _LABEL))
+        if view.message is not None:
+            rows.append(_labelled("message", Text(printable(view.message), _VALUE, overflow="ellipsis", no_wrap=True)))
+        title = Text.assemble((f" {printable(view.robot)} ", "bold"), (f" {printable(view.address)} ", _LABEL))
         yield Panel(Group(*rows), title=title, title_align="left", border_style=border, box=box.ROUNDED, width=width)
 
     def _header(self) -> Text:
-        glance = self._glance
+        view = self._view
         text = Text(no_wrap=True, overflow="ellipsis")
-        text.append(f" {glance.status.value} ", _STATUS[glance.status])
-        if glance.is_fresh and glance.reading is not None:
-            text.append(f"   {rate_text(glance)}", "bold")
-            text.append("   age ", _LABEL).append(age_text(glance.reading.age))
+        text.append(f" {view.status.value} ", _STATUS[view.status])
+        if view.is_fresh and view.reading is not None:
+            text.append(f"   {rate_text(view)}", "bold")
+            text.append("   age ", _LABEL).append(age_text(view.reading.age))
             return text
-        if glance.status is StreamStatus.ENDED:
+        if view.status is StreamStatus.ENDED:
             warning = "the recording is over; these are its last values"
-        elif glance.reading is None:
+        elif view.reading is None:
             warning = "no state has come yet"
         else:
-            warning = f"OLD DATA, {age_text(glance.reading.age)}"
-        text.append(f"  {warning}", "bold red" if glance.status is StreamStatus.LOST else "bold yellow")
-        if glance.trouble is not None and glance.status is not StreamStatus.ENDED:
-            text.append(f"  {printable(glance.trouble)}", _LABEL)
+            warning = f"OLD DATA, {age_text(view.reading.age)}"
+        text.append(f"  {warning}", "bold red" if view.status is StreamStatus.LOST else "bold yellow")
+        if view.trouble is not None and view.status is not StreamStatus.ENDED:
+            text.append(f"  {printable(view.trouble)}", _LABEL)
         return text
 
     def _counters(self) -> Text:
-        stats = self._glance.stats
+        stats = self._view.stats
         text = Text(no_wrap=True, overflow="ellipsis")
         text.append("received ", _LABEL).append(f"{stats.received}")
         losses = (
@@ -101,7 +99,7 @@ class Picture:
 
     def _body(self, reading: Reading, has_room: bool) -> list[Table | Text | Rule]:
         # Old values are dim, all of them.
-        shade: Callable[[str], str] = (lambda style: style) if self._glance.is_fresh else (lambda style: "dim")
+        shade: Callable[[str], str] = (lambda style: style) if self._view.is_fresh else (lambda style: "dim")
         rows: list[Table | Text | Rule] = []
         if reading.q is not None:
             rows += [_joints(reading, has_room, shade), Text()]

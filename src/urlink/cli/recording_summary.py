@@ -1,4 +1,4 @@
-"""What is in a recording, channel by channel."""
+"""Summary of a recording, channel by channel."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import time
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from linkcore.cli.progress import ProgressBar
 from linkcore.errors import PacketError, WrongPeer
 from linkcore.recording.file import Kind, Progress, Record, RecordingFile
 from linkcore.text import printable
@@ -128,6 +129,12 @@ def _channel_lines(channel: ChannelSummary) -> list[str]:
 
 def _counted(count: int, noun: str) -> str:
     return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def read_summary(path: str, quiet: bool) -> RecordingSummary:
+    """Read a recording, show the progress, and return what is in it."""
+    with ProgressBar(f"reading {path}", quiet) as progress:
+        return summarise(RecordingFile(path, progress), progress)
 
 
 def summarise(recording: RecordingFile, progress: Progress) -> RecordingSummary:

@@ -1,4 +1,4 @@
-"""`urlink jog` and `teach`: a person moves the arm, by the keys of a terminal or by hand."""
+"""`urlink jog`: a person moves the arm by the keys of a terminal."""
 
 from __future__ import annotations
 
@@ -7,18 +7,17 @@ import contextlib
 import os
 import select
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from typing import get_args
 
 from linkcore.cli.options import argument, command, seconds
-from linkcore.cli.progress import ProgressBar
 from linkcore.cli.terminal import Interruption
-from linkcore.errors import BadValue, LocalError
+from linkcore.errors import LocalError
 
 from ..motion.servo.jog import FULL_SPEED, FrameName, Jog
-from ..motion.teaching import Taught
 from ..robot import Robot
 from .options import ADDRESS, connected
+from .packet_fields import joints_text
 
 #: Keys that move each of the six one way, and the other way.
 _FORWARD, _BACKWARD = b"123456", b"qwerty"
@@ -26,8 +25,6 @@ _FORWARD, _BACKWARD = b"123456", b"qwerty"
 _SLOWEST, _FACTOR = 0.01, 1.5
 #: Bytes that end it: x, Ctrl-C if the terminal sends it as a byte, Ctrl-D.
 _END = b"x\x03\x04"
-#: Seconds that playing may take.
-_LONGEST = 3600.0
 
 
 def _part(text: str) -> float:
@@ -54,7 +51,7 @@ def _hold(text: str) -> float:
     argument("--speed", type=_part, default=0.2, metavar="PART", help="part of full speed, 0.01 to 1 (0.2)"),
     argument("--hold", type=_hold, default=0.6, metavar="S", help="move for S seconds after each key (0.6)"),
 )
-def _jog(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
     """Move the arm by the keys of a terminal. THE ARM MOVES while a key is held, and brakes when it is released.
 
       1 2 3 4 5 6   joints 1 to 6 one way; in a frame of the tool: along x, y, z and about x, y, z
@@ -80,7 +77,7 @@ def _jog(args: argparse.Namespace) -> int:
         hand = _Hand(robot, args.frame, args.speed, args.hold)
         while hand.goes_on and interruption.number is None:
             hand.use(terminal, interruption)
-        _show(robot.realtime.wait().q_actual)
+        print(joints_text(robot.realtime.wait().q_actual), flush=True)
     return interruption.status
 
 
@@ -150,113 +147,3 @@ def _keys() -> Iterator[int]:
         yield terminal
     finally:
         termios.tcsetattr(terminal, termios.TCSADRAIN, before)
-
-
-def _axes(text: str) -> list[int]:
-    if len(text) != 6 or set(text) - {"0", "1"}:
-        raise argparse.ArgumentTypeError(f"{text!r} is not six of 0 and 1")
-    return [int(each) for each in text]
-
-
-@command(
-    "teach",
-    "teach waypoints by hand, and play them",
-    *ADDRESS,
-    argument("file", metavar="FILE", help="file of the waypoints, in JSON"),
-    argument("--digital-input", type=int, metavar="N", help="standard digital input that keeps one too"),
-    argument("--button", action="store_true", help="move it by the arm's own button; releasing it keeps one"),
-    argument("--axes", type=_axes, metavar="BITS", help="free axes x y z rx ry rz, such as 110001 (all)"),
-    argument("--play", action="store_true", help="play FILE instead of teaching it"),
-    argument("--speed", type=float, default=0.5, metavar="V", help="rad/s while playing (0.5)"),
-    argument("--blend", type=float, default=0.0, metavar="R", help="m of round corners while playing (0)"),
-)
-def _teach(args: argparse.Namespace) -> int:
-    """Save waypoints to FILE while a person moves the arm by hand. THE ARM YIELDS: it goes where it is pushed,
-    and drifts if its payload is set wrong.
-
-      Enter          keeps a waypoint
-      u, Enter       forgets the last one
-      q, Enter       saves them, and ends; so does the end of stdin
-
-    Ctrl-C ends without saving. With --play the arm moves through the waypoints of FILE instead. THE ARM MOVES.
-
-    examples:
-      urlink teach 192.168.56.101 pick.json
-      urlink teach 192.168.56.101 pick.json --digital-input 0
-      urlink teach 192.168.56.101 pick.json --play --speed 0.3 --blend 0.02
-    """
-    known = Taught.load(args.file) if args.play else None
-    with Interruption() as interruption, connected(args) as robot:
-        if known is not None:
-            with ProgressBar(f"playing {args.file}", args.quiet) as progress:
-                _play(robot, known, args, interruption, progress)
-        else:
-            _keep(robot, args, interruption)
-    return interruption.status
-
-
-def _play(
-    robot: Robot, taught: Taught, args: argparse.Namespace, interruption: Interruption, progress: ProgressBar
-) -> None:
-    with taught.play(robot, speed=args.speed, blend=args.blend) as motion:
-        segment = -1
-        while not motion.done and not interruption.wait(0.05):
-            progress(motion.progress)
-            if motion.segment != segment:
-                segment = motion.segment
-                print(f"to waypoint {segment + 1} of {len(taught)}", flush=True)
-        if interruption.number is None:
-            motion.wait(_LONGEST)
-            print("done", flush=True)
-
-
-def _keep(robot: Robot, args: argparse.Namespace, interruption: Interruption) -> None:
-    with robot.teach(
-        digital_input=args.digital_input, button=args.button, axes=args.axes, on_point=lambda point: _show(point.q)
-    ) as teaching:
-        print("move the arm; Enter keeps a waypoint, q ends", flush=True)
-        for line in _lines(interruption):
-            if teaching.freedrive is not None and teaching.freedrive.done:
-                teaching.freedrive.wait(0.0)
-            if line == "":
-                teaching.record()
-            elif line == "u":
-                teaching.taught.remove_last()
-                print(f"{len(teaching.taught)} waypoints", flush=True)
-            elif line == "q":
-                break
-            elif line is not None:
-                print("Enter keeps a waypoint, u forgets the last, q ends", flush=True)
-    if interruption.number is None:
-        if not len(teaching.taught):
-            raise BadValue("no waypoint was taught, so nothing was saved")
-        teaching.taught.save(args.file)
-        print(f"{len(teaching.taught)} waypoints in {args.file}", flush=True)
-
-
-def _show(q: Iterable[float]) -> None:
-    print(f"q: {', '.join(f'{each:.4f}' for each in q)}", flush=True)
-
-
-def _lines(interruption: Interruption) -> Iterator[str | None]:
-    """Lines of stdin without line ends, until it ends or a signal comes; None while there is no line.
-
-    Raises:
-        LocalError: this system cannot wait for stdin with a timeout.
-    """
-    held = b""
-    while interruption.number is None:
-        try:
-            is_ready = bool(select.select([sys.stdin], [], [], 0.05)[0])
-        except (OSError, ValueError) as error:
-            raise LocalError(f"stdin cannot be waited for: {error}") from None
-        if not is_ready:
-            yield None
-            continue
-        read = os.read(sys.stdin.fileno(), 1024)
-        held += read
-        *lines, held = held.split(b"\n")
-        for line in lines:
-            yield line.decode(errors="replace").strip()
-        if not read:
-            return
