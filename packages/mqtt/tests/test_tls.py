@@ -14,7 +14,7 @@ from typing import NamedTuple
 import pytest
 
 import urlink
-from adapters.mqtt.tests.panel import Panel
+from packages.mqtt.tests.panel import Panel
 from tests.mosquitto import needs_broker, running
 from tests.waiting import until
 from urlink.simulator import Controller

@@ -24,8 +24,8 @@ from lerobot.rollout import RolloutConfig
 from lerobot.scripts import lerobot_rollout as rollout_script
 
 import urlink
-from adapters.mujoco.tests.placing import DOWN, TCP, arm_at
 from lerobot_robot_urlink import UR, URConfig
+from packages.mujoco.tests.placing import DOWN, TCP, arm_at
 from urlink.arm.kinematics import Arm
 from urlink_mujoco import MujocoWorld
 

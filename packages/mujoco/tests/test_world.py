@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import urlink
-from adapters.mujoco.tests.placing import arm_at
+from packages.mujoco.tests.placing import arm_at
 from urlink.simulator import Controller
 from urlink_mujoco import MujocoWorld, mount
 

@@ -1,4 +1,4 @@
-"""The adapters stand on the public surface alone, and the library stands on no middleware."""
+"""The packages stand on the public surface alone, and the library stands on no middleware."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-ADAPTERS = sorted((ROOT / "adapters").glob("*/pyproject.toml"))
+PACKAGES = sorted((ROOT / "packages").glob("*/pyproject.toml"))
 
-#: What a robot is put into by adapters and examples, by the names under which it is imported.
+#: What a robot is put into by packages and examples, by the names under which it is imported.
 MIDDLEWARES = {
     "zenoh",
     "RobotRaconteur",
@@ -36,7 +36,7 @@ MIDDLEWARES = {
 
 #: Modules that are public beside the names of their package, as the API page has them.
 PUBLIC = {
-    # The one clock, so that ages and deadlines of an adapter agree with those of the library.
+    # The one clock, so that ages and deadlines of a package agree with those of the library.
     "linkcore.clock",
     "urlink.arm.kinematics",
     "urlink.arm.mjcf",
@@ -107,14 +107,14 @@ LEROBOT = {
 
 @pytest.mark.parametrize("module", LEROBOT)
 def test_the_classes_for_lerobot_have_what_its_base_classes_leave_open(module: str) -> None:
-    path = ROOT / "adapters/lerobot/src/lerobot_robot_urlink" / module
+    path = ROOT / "packages/lerobot/src/lerobot_robot_urlink" / module
     classes = [node for node in ast.parse(path.read_text(encoding="utf-8")).body if isinstance(node, ast.ClassDef)]
     defined = {node.name for each in classes for node in each.body if isinstance(node, ast.FunctionDef)}
     assert LEROBOT[module] <= defined
 
 
-@pytest.mark.parametrize("project", ADAPTERS, ids=lambda path: path.parent.name)
-def test_an_adapter_imports_public_names_only(project: Path) -> None:
+@pytest.mark.parametrize("project", PACKAGES, ids=lambda path: path.parent.name)
+def test_a_package_imports_public_names_only(project: Path) -> None:
     sources = list((project.parent / "src").rglob("*.py")) + list(project.parent.glob("examples/*.py"))
     assert sources
     bad = [
@@ -126,8 +126,8 @@ def test_an_adapter_imports_public_names_only(project: Path) -> None:
     assert bad == []
 
 
-@pytest.mark.parametrize("project", ADAPTERS, ids=lambda path: path.parent.name)
-def test_an_adapter_touches_nothing_private(project: Path) -> None:
+@pytest.mark.parametrize("project", PACKAGES, ids=lambda path: path.parent.name)
+def test_a_package_touches_nothing_private(project: Path) -> None:
     """But what it has made itself: an attribute with an underscore is one of `self`, or of another object of it."""
     for path in (project.parent / "src").rglob("*.py"):
         tree = ast.parse(path.read_text(encoding="utf-8"))

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import urlink
-from adapters.mujoco.tests.placing import DOWN
+from packages.mujoco.tests.placing import DOWN
 from urlink.simulator import Controller
 from urlink_mujoco import MujocoWorld
 

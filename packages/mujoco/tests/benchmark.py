@@ -4,9 +4,9 @@ A UR5e with its gripper moves above a table with ten objects, in cycles of 2 ms.
 of robot time, the best of several runs: the controller alone, the controller in the world, and MuJoCo alone in the same
 state with the same number of steps. Beside it stands how many times faster than real time that is.
 
-    python adapters/mujoco/tests/benchmark.py
-    python adapters/mujoco/tests/benchmark.py --quick
-    python adapters/mujoco/tests/benchmark.py --json      # prints one JSON object
+    python packages/mujoco/tests/benchmark.py
+    python packages/mujoco/tests/benchmark.py --quick
+    python packages/mujoco/tests/benchmark.py --json      # prints one JSON object
 """
 
 from __future__ import annotations

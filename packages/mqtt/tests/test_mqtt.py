@@ -19,7 +19,7 @@ from typing import Any
 import pytest
 
 import urlink
-from adapters.mqtt.tests.panel import Panel
+from packages.mqtt.tests.panel import Panel
 from tests.mosquitto import MOSQUITTO, needs_broker
 from tests.waiting import until
 from urlink.simulator import Controller

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 import urlink
-from adapters.mqtt.tests.panel import Panel
+from packages.mqtt.tests.panel import Panel
 from tests.mosquitto import broker
 from urlink_mqtt import Broker, Server
 
