@@ -46,6 +46,8 @@ PUBLIC = {
     "urlink.arm.poses",
     "urlink.rtde",
     "urlink.simulator",
+    # What a tool needs beside the public names; its docstring says what it promises.
+    "urlink.tools",
     "urlink.arm.urdf",
     "rhdlink.host",
     "rhdlink.robots",

@@ -10,11 +10,9 @@ from typing import Any, TextIO, TypeVar
 import numpy as np
 
 import urlink
-from linkcore.errors import BadValue, LocalError
-from linkcore.streaming.packet_queue import block
-from linkcore.streaming.subscription import Subscription
-from urlink.protocol.enums import SafetyStatusBits
+from urlink import BadValue, LocalError, Subscription, block
 from urlink.rtde import OutputStream
+from urlink.tools import SafetyStatusBits
 
 from .interface import RtdeInterface, is_given, succeeds
 

@@ -6,15 +6,12 @@ from collections.abc import Callable, Sequence
 from enum import IntEnum
 from typing import Any, overload
 
-from linkcore.errors import BadValue
-from linkcore.handle import Motion
+from urlink import BadValue, Joint, Linear, Motion
+from urlink.arm.kinematics import Unreachable
+from urlink.motion import PathMotion, Waypoint
+from urlink.packets import CartesianInfo
+from urlink.tools import six, text, tool_offset
 
-from ..arm.kinematics import Unreachable
-from ..arm.vectors import six
-from ..motion import PathMotion
-from ..motion.moves.path import Joint, Linear, Waypoint
-from ..protocol.primary.robot_state import CartesianInfo, tool_offset
-from ..script import text
 from .interface import Blocks, NotOffered, RtdeInterface, is_given, succeeds
 
 __all__ = ["LONGEST", "STATE_TIMEOUT", "AsyncOperationStatus", "ControlMoves", "Path", "PathEntry"]

@@ -15,12 +15,12 @@ import pytest
 import urlink
 from linkcore.errors import BadValue, LocalError
 from tests.waiting import until
-from urlink.compat.interface import NotOffered
-from urlink.compat.rtde_control import Path as MovePath
-from urlink.compat.rtde_control import PathEntry, RTDEControlInterface
-from urlink.compat.rtde_io import RTDEIOInterface
-from urlink.compat.rtde_receive import RTDEReceiveInterface
+from urlink import NotOffered
 from urlink.simulator import HOME, Controller, Plane, Still
+from urlink_compat.rtde_control import Path as MovePath
+from urlink_compat.rtde_control import PathEntry, RTDEControlInterface
+from urlink_compat.rtde_io import RTDEIOInterface
+from urlink_compat.rtde_receive import RTDEReceiveInterface
 
 pytestmark = pytest.mark.simulated_time
 

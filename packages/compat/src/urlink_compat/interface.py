@@ -16,15 +16,13 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import urlink
 from linkcore import clock
-from linkcore.errors import Cancelled, LocalError, RemoteError
-from linkcore.text import printable
-from urlink.motion.servo.block_motion import LinkedBlock
-from urlink.protocol.rtde.protocol import InputInUse
+from urlink import Cancelled, InputInUse, NotOffered, RemoteError
+from urlink.tools import LinkedBlock, printable
 
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-    from urlink.motion.motions import LinkName
+    from urlink.tools import LinkName
 
 __all__ = ["Blocks", "NotOffered", "RtdeInterface", "is_given", "succeeds"]
 
@@ -32,12 +30,6 @@ _log = logging.getLogger(__name__)
 
 #: Seconds to wait for a connection that was lost, in `reconnect`.
 _RECONNECT_TIMEOUT = 10.0
-
-
-class NotOffered(LocalError, NotImplementedError):
-    """A call of the other client that is not offered here; the message names what replaces it."""
-
-    __module__ = "urlink"  # where users import it from, and what a traceback shows
 
 
 def succeeds(act: Callable[[], object]) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from urlink.protocol.rtde.protocol import InputInUse
+from urlink import InputInUse
 from urlink.rtde import Inputs
 
 from .interface import RtdeInterface, succeeds

@@ -14,10 +14,10 @@ from queue import Empty, SimpleQueue
 from typing import Any, NoReturn
 
 from linkcore import clock
-from linkcore.errors import BadValue, LinkTimeout
+from urlink import BadValue, LinkTimeout
 from urlink.arm.poses import compose
 from urlink.packets import RobotModeData, TextMessage
-from urlink.script import text
+from urlink.tools import text
 
 from .control_blocks import ControlBlocks, Feature
 from .control_moves import LONGEST, STATE_TIMEOUT, AsyncOperationStatus, Path, PathEntry

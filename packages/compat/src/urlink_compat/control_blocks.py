@@ -9,10 +9,8 @@ from typing import Literal
 import numpy as np
 
 from urlink.arm.poses import rotvec_to_matrix
-from urlink.arm.vectors import six
-from urlink.motion import Freedrive, Jog, Servo
-from urlink.motion.servo.force_control import ForceMode, Torque
-from urlink.script import text
+from urlink.motion import ForceMode, Freedrive, Jog, Servo, Torque
+from urlink.tools import six, text
 
 from .control_moves import ControlMoves
 from .interface import succeeds

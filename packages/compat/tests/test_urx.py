@@ -12,8 +12,8 @@ import pytest
 from linkcore.errors import BadValue, LocalError
 from tests.waiting import until
 from urlink.arm import poses
-from urlink.compat import urx
 from urlink.simulator import HOME, Controller, Still
+from urlink_compat import urx
 
 pytestmark = pytest.mark.simulated_time
 

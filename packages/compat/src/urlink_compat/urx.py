@@ -12,14 +12,10 @@ from importlib import import_module
 from typing import Any
 
 import urlink
-from linkcore.errors import BadValue, LinkError, LocalError
-from linkcore.handle import Motion
-from linkcore.streaming.feed import Feed
-from linkcore.threads import Closing
+from urlink import BadValue, Feed, Joint, Linear, LinkError, LocalError, Motion
 from urlink.arm import poses
-from urlink.arm.vectors import six
-from urlink.motion.moves.path import Joint, Linear, Waypoint
-from urlink.script import text
+from urlink.motion import Waypoint
+from urlink.tools import Closing, six, text
 
 __all__ = ["Robot", "RobotException"]
 
