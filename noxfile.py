@@ -31,7 +31,7 @@ COMPILED = {"PYTHONDONTWRITEBYTECODE": None}
 
 #: The packages of packages/ that need no middleware: every session that runs tests has them installed, and their tests
 #: run with those of the library.
-LIGHT = ("compat",)
+LIGHT = ("compat", "view")
 #: Everything that has tests.
 TESTED = ("tests", *(f"packages/{each}" for each in LIGHT))
 
@@ -251,14 +251,20 @@ def lerobot(session: nox.Session, release: str) -> None:
 def data(session: nox.Session) -> None:
     """Export recordings to every format, and open them again with the readers that people use."""
     install(session, *group("tests", "data"))
-    session.run("pytest", *(session.posargs or ["tests/urlink/recording"]))
+    session.run(
+        "pytest",
+        *(
+            session.posargs
+            or ["tests/urlink/recording", "packages/view/tests/test_live.py", "packages/view/tests/test_foxglove.py"]
+        ),
+    )
 
 
 @nox.session
 def view(session: nox.Session) -> None:
     """Show arms in a real browser, which needs chromedriver; without one, try all but that."""
     install(session, *group("tests", "view"))
-    session.run("pytest", *(session.posargs or ["tests/urlink/view"]))
+    session.run("pytest", *(session.posargs or ["packages/view"]))
 
 
 def _build_control_msgs(session: nox.Session) -> None:

@@ -50,7 +50,6 @@ THREADS = {
     "linkcore.event_loop",  # makes the calls that wait, for one robot of a program that uses asyncio
     "rhdlink.drive",  # drives a robot between the motions that are asked for
     "rhdlink.smrcl.mission",  # for a mission that is started rather than run
-    "urlink.view.arm_view",  # draws an arm for as long as a notebook shows it
     "linkcore.cli.progress",  # draws the progress of a command
     "urlink.cli.monitor",  # asks who the robot is while the picture is drawn
 }

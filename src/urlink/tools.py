@@ -13,130 +13,70 @@ from __future__ import annotations
 # For commands: arguments, progress, and what ends them.
 from linkcore.cli.options import (
     DURATION as DURATION,
-)
-from linkcore.cli.options import (
     argument as argument,
-)
-from linkcore.cli.options import (
     command as command,
-)
-from linkcore.cli.options import (
     positive_number as positive_number,
-)
-from linkcore.cli.options import (
     seconds as seconds,
 )
 from linkcore.cli.progress import ProgressBar as ProgressBar
 from linkcore.cli.terminal import Interruption as Interruption
 
 # For classes and texts.
-from linkcore.names import StrictAttributes as StrictAttributes
-from linkcore.names import needs as needs
+from linkcore.names import StrictAttributes as StrictAttributes, needs as needs
 
 # For conversations with a controller by itself, without a stream.
 from linkcore.net.dialogue import Dialogue as Dialogue
 from linkcore.net.http_client import HttpClient as HttpClient
-from linkcore.net.listener import bound_socket as bound_socket
-from linkcore.net.listener import local_address as local_address
-from linkcore.net.transport import TcpTransport as TcpTransport
-from linkcore.net.transport import witnessed as witnessed
+from linkcore.net.listener import bound_socket as bound_socket, local_address as local_address
+from linkcore.net.transport import TcpTransport as TcpTransport, witnessed as witnessed
 from linkcore.plotting import element_names as element_names
 
 # For recordings: their bytes, their columns, and MCAP.
 from linkcore.recording.columns import PacketColumns as PacketColumns
 from linkcore.recording.file import (
     Kind as Kind,
-)
-from linkcore.recording.file import (
     Progress as Progress,
-)
-from linkcore.recording.file import (
     RecordingFile as RecordingFile,
-)
-from linkcore.recording.file import (
     described as described,
-)
-from linkcore.recording.file import (
     new_file as new_file,
-)
-from linkcore.recording.file import (
     unseen as unseen,
 )
-from linkcore.recording.mcap_file import McapFile as McapFile
-from linkcore.recording.mcap_file import Topic as Topic
+from linkcore.recording.mcap_file import McapFile as McapFile, Topic as Topic
 from linkcore.recording.packets import states_of as states_of
 from linkcore.streaming.peer_clock import lowest_edge as lowest_edge
-from linkcore.text import printable as printable
-from linkcore.text import similar as similar
-from linkcore.text import strict_json as strict_json
-from linkcore.threads import Closing as Closing
-from linkcore.threads import ReentrantEvent as ReentrantEvent
+from linkcore.text import printable as printable, similar as similar, strict_json as strict_json
+from linkcore.threads import Closing as Closing, ReentrantEvent as ReentrantEvent
 from linkcore.wire.cycles import gaps_of as gaps_of
 
 # For arms: their files, their parameters, and what is computed from them.
 from .arm import rigid as rigid
 from .arm.arm_file import (
     MOTORS as MOTORS,
-)
-from .arm.arm_file import (
     SIDES as SIDES,
-)
-from .arm.arm_file import (
     ArmFile as ArmFile,
-)
-from .arm.arm_file import (
     Estimate as Estimate,
-)
-from .arm.arm_file import (
     read_arm_file as read_arm_file,
 )
 from .arm.dynamics import Dynamics as Dynamics
-from .arm.kinematics.geometry import ArmLink as ArmLink
-from .arm.kinematics.geometry import Geometry as Geometry
-from .arm.kinematics.geometry import angles as angles
-from .arm.kinematics.geometry import chain as chain
-from .arm.motors import FULL_SPEED as FULL_SPEED
-from .arm.motors import joint_sizes as joint_sizes
-from .arm.motors import motors_of as motors_of
-from .arm.parameters import (
-    Parameter as Parameter,
+from .arm.kinematics.geometry import ArmLink as ArmLink, Geometry as Geometry, angles as angles, chain as chain
+from .arm.motors import (
+    FULL_SPEED as FULL_SPEED,
+    force_size as force_size,
+    joint_sizes as joint_sizes,
+    motors_of as motors_of,
 )
-from .arm.parameters import (
-    number as number,
-)
-from .arm.parameters import (
-    numbers as numbers,
-)
-from .arm.parameters import (
-    parameters as parameters,
-)
-from .arm.rigid import FLOATS as FLOATS
-from .arm.rigid import ROWS as ROWS
-from .arm.vectors import JOINTS as JOINTS
-from .arm.vectors import FloatArray as FloatArray
-from .arm.vectors import six as six
+from .arm.parameters import Parameter as Parameter, number as number, numbers as numbers, parameters as parameters
+from .arm.rigid import FLOATS as FLOATS, ROWS as ROWS
+from .arm.vectors import JOINTS as JOINTS, FloatArray as FloatArray, six as six
 
 # For commands that connect to a robot.
 from .cli.monitor import with_motion as with_motion
-from .cli.options import (
-    ADDRESS as ADDRESS,
-)
-from .cli.options import (
-    address as address,
-)
-from .cli.options import (
-    agrees as agrees,
-)
-from .cli.options import (
-    connected as connected,
-)
-from .cli.options import (
-    tell as tell,
-)
+from .cli.options import ADDRESS as ADDRESS, address as address, agrees as agrees, connected as connected, tell as tell
 
 # For motions.
 from .motion.motions import LinkName as LinkName
 from .motion.moves.path import shown_tcp as shown_tcp
+from .motion.servo import jog as _jog
 from .motion.servo.block_motion import LinkedBlock as LinkedBlock
 from .motion.servo.jog import FrameName as FrameName
 
@@ -144,51 +84,29 @@ from .motion.servo.jog import FrameName as FrameName
 from .protocol.dashboard.commands import COMMANDS as COMMANDS
 from .protocol.dashboard.protocol import (
     DashboardProtocol as DashboardProtocol,
-)
-from .protocol.dashboard.protocol import (
     parse_robot_mode as parse_robot_mode,
-)
-from .protocol.dashboard.protocol import (
     parse_safety_mode as parse_safety_mode,
-)
-from .protocol.dashboard.protocol import (
     parse_truth as parse_truth,
 )
-from .protocol.dashboard.robot_api import RobotApi as RobotApi
-from .protocol.dashboard.robot_api import find as find
+from .protocol.dashboard.robot_api import RobotApi as RobotApi, find as find
 from .protocol.enums import SafetyStatusBits as SafetyStatusBits
-from .protocol.firmware import RELEASES as RELEASES
-from .protocol.firmware import Release as Release
-from .protocol.firmware import release_of as release_of
+from .protocol.firmware import RELEASES as RELEASES, Release as Release, release_of as release_of
 from .protocol.primary.protocol import PrimaryProtocol as PrimaryProtocol
 from .protocol.primary.robot_message import NO_TIMESTAMP as NO_TIMESTAMP
 from .protocol.primary.robot_state import tool_offset as tool_offset
 from .protocol.realtime.protocol import RealtimeProtocol as RealtimeProtocol
 from .protocol.rtde.packets import (
     ControllerVersionReply as ControllerVersionReply,
-)
-from .protocol.rtde.packets import (
     OutputsRequest as OutputsRequest,
-)
-from .protocol.rtde.packets import (
     StartReply as StartReply,
-)
-from .protocol.rtde.packets import (
     decode_request as decode_request,
-)
-from .protocol.rtde.packets import (
     split_names as split_names,
 )
-from .protocol.rtde.protocol import Requests as Requests
-from .protocol.rtde.protocol import RtdeProtocol as RtdeProtocol
+from .protocol.rtde.protocol import Requests as Requests, RtdeProtocol as RtdeProtocol
 from .recording.robot_state_table import RobotStates as RobotStates
 from .recording.ros_messages import (
     description_topic as description_topic,
-)
-from .recording.ros_messages import (
     log_topic as log_topic,
-)
-from .recording.ros_messages import (
     topics_of as topics_of,
 )
 from .robot import simulated as simulated
@@ -199,15 +117,11 @@ from .script import text as text
 # For addresses, and what is known of a robot.
 from .session.address import (
     RecordingAddress as RecordingAddress,
-)
-from .session.address import (
     RobotAddress as RobotAddress,
-)
-from .session.address import (
     SimulatorAddress as SimulatorAddress,
-)
-from .session.address import (
     parse_address as parse_address,
 )
-from .session.identity import Identity as Identity
-from .session.identity import described_identity as described_identity
+from .session.identity import Identity as Identity, described_identity as described_identity
+
+#: The speed that a full deflection of a jog stands for. Without the prefix it is that of a motor.
+FULL_JOG_SPEED = _jog.FULL_SPEED

@@ -18,7 +18,7 @@ import numpy as np
 from linkcore.errors import BadRecording, BadValue, Cancelled, LinkError
 
 from ..arm.arm_file import MOTORS, ArmFile, Estimate
-from ..arm.motors import joint_sizes
+from ..arm.motors import force_size, joint_sizes
 from ..arm.parameters import Parameter, numbers, parameters
 from ..arm.vectors import JOINTS, FloatArray
 from ..identification import identify
@@ -27,7 +27,6 @@ from ..identification.samples import COLUMNS, Samples
 from ..protocol.firmware import Firmware
 from ..protocol.realtime.packets import RealtimeState
 from ..robot import Robot
-from ..simulator.robot.characteristics import force_size
 from .arrivals import known_arm
 from .evidence import Evidence
 from .logbook import Logbook

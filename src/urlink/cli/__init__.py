@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from linkcore.cli.program import program
+from linkcore.cli.program import Plugin, program
 
 __all__ = ["main"]
 
-#: command -> the module of this folder that declares it, in the order of the help
-_COMMANDS = {
+#: command -> the module of this folder that declares it, or the package that brings it, in the order of the help
+_COMMANDS: dict[str, str | Plugin] = {
     "monitor": "monitor",
     "echo": "echo",
     "rtde": "rtde",
@@ -28,8 +28,8 @@ _COMMANDS = {
     "exercise": "identify",
     "identify": "identify",
     "compare": "identify",
-    "foxglove": "view",
-    "view": "view",
+    "foxglove": Plugin("urlink-view[foxglove]", "serve a robot to Foxglove"),
+    "view": Plugin("urlink-view", "show an arm in 3D in a browser"),
     "dissect": "dissect",
     "serve": "serve",
     "sim": "sim",

@@ -56,7 +56,7 @@ def _record(args: argparse.Namespace) -> int:
     Ctrl-C, SIGTERM, --duration and --count end the recording properly. After a crash the file can still be read
     up to the crash. Play it with `urlink replay`, look into it with `urlink dissect`, or use it as an address:
     replay:///path/to/file. A file that ends in .mcap gets messages of ROS 2 instead, for Foxglove and ros2 bag,
-    which cannot be replayed (pip install 'urlink[mcap]').
+    which cannot be replayed (pip install urlink-view).
 
     examples:
       urlink record 192.168.56.101 run.urlog

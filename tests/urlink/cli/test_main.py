@@ -2,15 +2,18 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import importlib.metadata
 import signal
 import socket
 import subprocess
+import sys
+import types
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from linkcore.cli.options import Subcommand
+from linkcore.cli.options import Subcommand, command
 from urlink.cli import info
 
 from .conftest import Run, write
@@ -125,6 +128,42 @@ def test_the_module_of_one_command_is_imported(run: Run, monkeypatch: pytest.Mon
     imported.clear()
     assert run("-q", "nothing")[0] == 2
     assert imported[:3] == ["urlink.cli.monitor", "urlink.cli.echo", "urlink.cli.rtde"]
+
+
+@pytest.mark.parametrize(
+    ("argv", "install"),
+    [
+        (("view", "sim://", "--plot", "qd_actual"), "urlink: `urlink view` needs the package urlink-view"),
+        (("foxglove", "--help"), "pip install 'urlink-view[foxglove]'\n"),
+    ],
+)
+def test_a_command_of_a_package_says_what_installs_it_when_it_is_not_installed(
+    run: Run, monkeypatch: pytest.MonkeyPatch, argv: tuple[str, ...], install: str
+) -> None:
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: ())
+    status, out, err = run(*argv)
+    assert (status, out, err.count("\n")) == (1, "", 1)
+    assert install in err
+
+
+def test_help_says_which_package_has_a_command_when_it_is_not_installed(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: ())
+    status, out, _ = run("--help")
+    assert status == 0
+    assert "show an arm in 3D in a browser (pip install urlink-view)" in " ".join(out.split())
+
+
+def test_a_command_of_another_distribution_is_found(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    entry = importlib.metadata.EntryPoint("wave", "wave_module", "urlink.commands")
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: (entry,) if "commands" in group else ())
+    wave = types.ModuleType("wave_module")
+    vars(wave)["row"] = command("wave", "wave the arm")(lambda args: 7)
+    monkeypatch.setitem(sys.modules, "wave_module", wave)
+    assert run("wave")[0] == 7
+    assert "wave the arm" in run("--help")[1]
+    assert "did you mean 'wave'?" in run("wvae")[2]
 
 
 def test_version(run: Run) -> None:

@@ -15,25 +15,22 @@ from typing import Any
 import numpy as np
 
 from linkcore import clock
-from linkcore.errors import ConnectFailed, LocalError, WrongPeer
-from linkcore.names import needs
-from linkcore.recording.columns import PacketColumns
-from linkcore.recording.file import new_file
-from linkcore.recording.mcap_file import McapFile, Topic
-from linkcore.recording.packets import states_of
-from linkcore.recording.recorder import Recorder
-from linkcore.recording.table import Table
-from linkcore.streaming.packet_queue import block, drop_oldest
-from linkcore.streaming.stream import Stream
-from linkcore.streaming.subscription import Subscription
-from linkcore.wire.packet import State
-
-from ..arm.kinematics import Arm
-from ..protocol.primary.robot_message import RobotMessage
-from ..protocol.primary.robot_state import RobotState
-from ..session.identity import described_identity
-from .robot_state_table import RobotStates
-from .ros_messages import description_topic, log_topic, topics_of
+from urlink import ConnectFailed, LocalError, Recorder, Stream, Subscription, Table, WrongPeer, drop_oldest
+from urlink.arm.kinematics import Arm
+from urlink.packets import RobotMessage, RobotState, State
+from urlink.tools import (
+    McapFile,
+    PacketColumns,
+    RobotStates,
+    Topic,
+    described_identity,
+    description_topic,
+    log_topic,
+    needs,
+    new_file,
+    states_of,
+    topics_of,
+)
 
 _log = logging.getLogger(__name__)
 
@@ -59,7 +56,7 @@ class McapRecorder(Recorder):
 
     Raises:
         BadRecording: the file exists, or cannot be made.
-        LocalError: the extra ``mcap`` is not installed.
+        LocalError: mcap is not installed.
     """
 
     _writer: _McapWriter  # type: ignore[assignment]  # as much of a writer as `Recorder` uses
@@ -69,19 +66,17 @@ class McapRecorder(Recorder):
 
     def add(self, stream: Stream[Any], info: Mapping[str, Any]) -> Subscription:
         """Record `stream` too; see `Recorder.add`. The arm is that of the first `info` that identifies one."""
-        writer, name = self._writer, info["name"]
+        writer, name, kind = self._writer, info["name"], self._kind_of(stream)
         writer.say(info)
         with contextlib.suppress(LocalError, WrongPeer):
             writer.describe(described_identity(info).kinematics)
 
         def write(state: State) -> None:
-            if isinstance(state, (stream._kind, RobotMessage)):
+            if isinstance(state, (kind, RobotMessage)):
                 writer.add(name, state)
 
         # One subscription for all classes: of two, the second would miss the packets that come before it is made.
-        subscription = stream._connection.subscribe(State, write, policy=block, gather=_LOOK, owner=stream)
-        self._subscriptions.append(subscription)
-        return subscription
+        return self._subscribe(stream, State, write, _LOOK)
 
 
 class _McapWriter:
@@ -184,7 +179,7 @@ class FoxgloveServer:
     """
 
     def __init__(self, name: str, host: str = "127.0.0.1", port: int = 8765) -> None:
-        with needs("foxglove", "a view in Foxglove"):
+        with needs("foxglove", "a view in Foxglove", "urlink-view"):
             import foxglove
         self._foxglove = foxglove
         # A context of its own: other parts of the program may use Foxglove too.

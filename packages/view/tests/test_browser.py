@@ -10,8 +10,8 @@ import pytest
 
 import urlink
 from tests.waiting import until
+from urlink.robot import View
 from urlink.simulator import Controller
-from urlink.view.arm_view import ArmView
 
 pytestmark = pytest.mark.real_time
 
@@ -22,7 +22,7 @@ SOON = 120.0
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    pytest.importorskip("viser", reason="needs viser: uv pip install 'urlink[view]'")
+    pytest.importorskip("viser", reason="needs viser: uv pip install viser")
     webdriver = pytest.importorskip("selenium.webdriver", reason="needs selenium: uv pip install selenium")
     if DRIVER is None:
         pytest.skip("needs chromedriver, of the system's package chromium-driver")
@@ -50,7 +50,7 @@ def button(browser: Any, label: str) -> Any:
     return next((each for each in browser.find_elements("tag name", "button") if each.text.strip() == label), None)
 
 
-def opened(browser: Any, view: ArmView) -> None:
+def opened(browser: Any, view: View) -> None:
     browser.get(view.address)
     until(lambda: said(browser, "connection") == "live", SOON)
 
@@ -64,7 +64,7 @@ def test_the_page_moves_and_reconnects(browser: Any) -> None:
             assert browser.find_elements("tag name", "canvas")
             place = said(browser, "TCP, mm")
             until(lambda: said(browser, "TCP, mm") != place, SOON)
-            port = view.page.port
+            port = int(view.address.rpartition(":")[2].rstrip("/"))
         # What is drawn anew at the same place is found by the page that is still open.
         with robot.view(plots=["I_actual"], port=port):
             until(lambda: "I_actual" in browser.find_element("tag name", "body").text, SOON)

@@ -19,8 +19,8 @@ import urlink.cli
 from linkcore.recording.mcap_file import Topic
 from linkcore.wire.packet import State
 from urlink.packets import TextMessage
-from urlink.recording import live
-from urlink.recording.live import FoxgloveServer, RobotView
+from urlink_view import live
+from urlink_view.live import FoxgloveServer, RobotView
 
 WHY = "it is not installed; the session `data` of nox has it"
 
@@ -125,4 +125,4 @@ def test_the_command(capsys: pytest.CaptureFixture[str]) -> None:
 def test_without_the_extra(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "foxglove", None)
     assert urlink.cli.main(["foxglove", "sim://"]) == 1
-    assert "pip install 'urlink[foxglove]'" in capsys.readouterr().err
+    assert "pip install 'urlink-view[foxglove]'" in capsys.readouterr().err

@@ -9,13 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from linkcore.errors import BadRecording
-from linkcore.recording.table import Table
-from linkcore.streaming.connection_life import ConnectionState
-from linkcore.streaming.stream import Stream
-
-from ..arm.vectors import FloatArray
-from ..protocol.realtime.packets import RealtimeState
+from urlink import BadRecording, ConnectionState, RealtimeState, Stream, Table
+from urlink.tools import FloatArray
 
 #: What is shown -> its names on the real-time interface and in RTDE.
 FIELDS: Mapping[str, tuple[str, ...]] = {

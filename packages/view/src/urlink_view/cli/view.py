@@ -9,22 +9,27 @@ from pathlib import Path
 from typing import Any
 
 from linkcore import clock
-from linkcore.cli.options import DURATION, argument, command, positive_number
-from linkcore.cli.progress import ProgressBar
-from linkcore.cli.terminal import Interruption
-from linkcore.errors import LocalError, WrongPeer
-from linkcore.streaming.connection_life import ConnectionState
-from linkcore.streaming.stream import Stream
+from urlink import ConnectionState, LocalError, Robot, Stream, WrongPeer
+from urlink.arm.kinematics import Arm
+from urlink.tools import (
+    ADDRESS,
+    DURATION,
+    Interruption,
+    ProgressBar,
+    RecordingAddress,
+    argument,
+    command,
+    connected,
+    parse_address,
+    positive_number,
+    tell,
+    with_motion,
+)
 
-from ..arm.kinematics import Arm
-from ..recording.live import FoxgloveServer, RobotView
-from ..robot import Robot
-from ..session.address import RecordingAddress, parse_address
-from ..view.arm_view import ArmView
-from ..view.page import LOOPBACK, Page
-from ..view.windows import LiveWindow, RecordedWindow, Window
-from .monitor import with_motion
-from .options import ADDRESS, connected, tell
+from ..arm_view import ArmView
+from ..live import FoxgloveServer, RobotView
+from ..page import LOOPBACK, Page
+from ..windows import LiveWindow, RecordedWindow, Window
 
 
 def arm_of(robot: Robot) -> Arm | None:
@@ -48,7 +53,7 @@ def _foxglove(args: argparse.Namespace) -> int:
     of /realtime and a log panel.
 
     The topics are those of `urlink export run.mcap`; the arm is drawn from cylinders, and moves as the real one.
-    The robot is only read. It needs the extra foxglove: pip install 'urlink[foxglove]'.
+    The robot is only read. It needs the extra foxglove: pip install 'urlink-view[foxglove]'.
 
     examples:
       urlink foxglove 192.168.56.101
@@ -110,7 +115,7 @@ def _view(args: argparse.Namespace) -> int:
     internet.
 
     The robot is only read. With --jog THE ARM MOVES while a button of the page is held: a box has to be ticked
-    before, which ends the program that runs. It needs the extra view: pip install 'urlink[view]'.
+    before, which ends the program that runs.
 
     examples:
       urlink view 192.168.56.101
@@ -129,7 +134,7 @@ def _view(args: argparse.Namespace) -> int:
             if isinstance(place, RecordingAddress):
                 if args.jog:
                     raise LocalError(f"{args.address} is a recording, so it cannot be moved")
-                from ..recording.recording import load
+                from urlink import load
 
                 recording = load(place.path, progress=progress)
                 table = recording.realtime if "realtime" in recording.channels else recording.rtde

@@ -10,9 +10,9 @@ import pytest
 
 import urlink
 import urlink.cli
-from urlink.view.page import LOOPBACK, Page, refusal
+from urlink_view.page import LOOPBACK, Page, refusal
 
-WHY = "needs viser: uv pip install 'urlink[view]'"
+WHY = "needs viser: uv pip install viser"
 
 
 @pytest.fixture
@@ -112,4 +112,4 @@ def test_servers_of_others_are_not_touched(page: Page) -> None:
 def test_without_the_extra(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setitem(sys.modules, "viser", None)
     assert urlink.cli.main(["view", "sim://"]) == 1
-    assert "pip install 'urlink[view]'" in capsys.readouterr().err
+    assert "pip install urlink-view" in capsys.readouterr().err

@@ -9,13 +9,11 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from linkcore.errors import LocalError
-from linkcore.names import needs
-
-from ..arm.kinematics import Arm
-from ..arm.poses import rotvec_to_quaternion, rpy_to_rotvec
-from ..arm.urdf import LINKS, link_poses, to_urdf
-from ..arm.vectors import FloatArray
+from urlink import LocalError
+from urlink.arm.kinematics import Arm
+from urlink.arm.poses import rotvec_to_quaternion, rpy_to_rotvec
+from urlink.arm.urdf import LINKS, link_poses, to_urdf
+from urlink.tools import FloatArray, needs
 
 #: Link of a URDF -> the frame of ours in which it is drawn. The vendor's base link for bodies is the controller's base.
 _FRAMES = {"base_link_inertia": "base_link", **{name: name for name in ("base_link", *LINKS, "tool0")}}
@@ -84,7 +82,7 @@ def _visuals(urdf: Path | None, arm: Arm) -> list[tuple[str, int, ElementTree.El
 def _draw(
     scene: Any, node: str, visual: ElementTree.Element, urdf: Path | None, colour: tuple[int, int, int], opacity: float
 ) -> None:
-    with needs("view", "a view in a browser"):
+    with needs("", "a view in a browser", "urlink-view"):
         import trimesh
     origin, shape = visual.find("origin"), visual.find("geometry/*")
     said: Mapping[str, str] = {} if origin is None else origin.attrib

@@ -18,12 +18,12 @@ from urlink.arm.kinematics import Arm
 from urlink.arm.poses import compose, quaternion_to_rotvec
 from urlink.packets import RealtimeState, RobotMode, SafetyMode, Stamp
 from urlink.simulator import Controller
-from urlink.view.arm_view import ArmView
-from urlink.view.bodies import Bodies
-from urlink.view.page import Page
-from urlink.view.windows import SPAN, LiveWindow, RecordedWindow, Window
+from urlink_view.arm_view import ArmView
+from urlink_view.bodies import Bodies
+from urlink_view.page import Page
+from urlink_view.windows import SPAN, LiveWindow, RecordedWindow, Window
 
-WHY = "needs viser: uv pip install 'urlink[view]'"
+WHY = "needs viser: uv pip install viser"
 NO_MESH = "<visual><geometry><mesh filename='no.stl'/></geometry></visual>"
 Q = np.array([0.3, -1.1, 1.4, -0.7, 0.9, 2.0])
 
@@ -189,6 +189,7 @@ def test_a_robot_shows_itself() -> None:
     pytest.importorskip("viser", reason=WHY)
     with urlink.connect("sim://ur5e?firmware=5.11&motion=demo") as robot:
         with robot.view(plots=["I_actual"]) as view:
+            assert isinstance(view, ArmView)
             assert f'<iframe src="{view.address}"' in view._repr_html_()
             frame = view._actual._frames[0]
             before = tuple(frame.wxyz)

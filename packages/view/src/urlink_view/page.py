@@ -16,10 +16,8 @@ from collections.abc import Iterator
 from typing import Any
 from urllib.parse import urlsplit
 
-from linkcore.errors import BadAddress, ConnectFailed, LocalError
-from linkcore.names import needs
-from linkcore.net.listener import bound_socket
-from linkcore.threads import Closing
+from urlink import BadAddress, ConnectFailed, LocalError
+from urlink.tools import Closing, bound_socket, needs
 
 #: The names of this computer for itself.
 LOOPBACK = frozenset({"127.0.0.1", "localhost", "::1"})
@@ -63,11 +61,11 @@ class Page(Closing):
 
     Raises:
         ConnectFailed: it cannot listen there.
-        LocalError: the extra ``view`` is not installed, or this release of viser cannot be checked.
+        LocalError: viser is not installed, or this release of viser cannot be checked.
     """
 
     def __init__(self, name: str, host: str = "127.0.0.1", port: int = 8080) -> None:
-        with needs("view", "a view in a browser"):
+        with needs("", "a view in a browser", "urlink-view"):
             import viser
             import websockets.asyncio.server as websocket_server
         # viser would go on to the next port, and never return where there is no such host.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -11,15 +12,12 @@ from typing import TYPE_CHECKING, Any, get_args
 import numpy as np
 
 from linkcore import clock
-from linkcore.errors import BadValue, LinkError
-from linkcore.names import StrictAttributes
-from linkcore.plotting import element_names
-from linkcore.text import similar
-from linkcore.threads import Closing, ReentrantEvent
+from urlink import BadValue, LinkError, Robot
+from urlink.arm.kinematics import Arm
+from urlink.motion import Jog
+from urlink.tools import FULL_JOG_SPEED as FULL_SPEED
+from urlink.tools import JOINTS, Closing, FrameName, ReentrantEvent, StrictAttributes, element_names, similar
 
-from ..arm.kinematics import Arm
-from ..arm.vectors import JOINTS
-from ..motion.servo.jog import FULL_SPEED, FrameName, Jog
 from .bodies import Bodies, wxyz
 from .page import Page
 from .windows import SPAN, LiveWindow, RecordedWindow, Window
@@ -191,6 +189,20 @@ class ArmView(StrictAttributes, Closing):
 
     def _repr_html_(self) -> str:
         return f'<iframe src="{self.address}" width="100%" height="600" style="border: 0"></iframe>'
+
+
+def view_robot(
+    robot: Robot, plots: Sequence[str], urdf: str | os.PathLike[str] | None, jog: bool, port: int
+) -> ArmView:
+    """What `Robot.view` returns; the arguments are its own."""
+    page = Page(f"urlink {robot.address}", port=port)
+    try:
+        begin = robot.motion.jog if jog else None
+        file = None if urdf is None else Path(urdf)
+        return ArmView(page, robot.kinematics, LiveWindow(robot.realtime), plots, file, begin).start()
+    except BaseException:
+        page.close()
+        raise
 
 
 class _Player:
