@@ -31,7 +31,7 @@ COMPILED = {"PYTHONDONTWRITEBYTECODE": None}
 
 #: The packages of packages/ that need no middleware: every session that runs tests has them installed, and their tests
 #: run with those of the library.
-LIGHT = ("compat", "view")
+LIGHT = ("accept", "compat", "view")
 #: Everything that has tests.
 TESTED = ("tests", *(f"packages/{each}" for each in LIGHT))
 
@@ -327,14 +327,14 @@ def simulate(session: nox.Session) -> None:
 def accepted(session: nox.Session) -> None:
     """Run `urlink accept` on sound controllers many times, or inject faults: ``-- faults --runs 220``."""
     install(session, *group("tests"))
-    session.run("python", "-m", "tests.urlink.acceptance", *(session.posargs or ["sound"]))
+    session.run("python", "-m", "packages.accept.tests.acceptance", *(session.posargs or ["sound"]))
 
 
 @nox.session
 def identified(session: nox.Session) -> None:
     """Run `urlink identify` on arms whose parameters were planted: ``-- --runs 200``."""
     install(session, *group("tests"))
-    session.run("python", "-m", "tests.urlink.identification", *(session.posargs or ["--runs", "20"]))
+    session.run("python", "-m", "packages.accept.tests.identification", *(session.posargs or ["--runs", "20"]))
 
 
 @nox.session

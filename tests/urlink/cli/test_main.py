@@ -134,6 +134,7 @@ def test_the_module_of_one_command_is_imported(run: Run, monkeypatch: pytest.Mon
     ("argv", "install"),
     [
         (("view", "sim://", "--plot", "qd_actual"), "urlink: `urlink view` needs the package urlink-view"),
+        (("accept", "sim://", "--stage", "0"), "pip install urlink-accept\n"),
         (("foxglove", "--help"), "pip install 'urlink-view[foxglove]'\n"),
     ],
 )
