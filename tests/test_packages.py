@@ -93,6 +93,20 @@ def test_no_module_of_the_library_imports_a_middleware() -> None:
     assert found == set()
 
 
+def test_no_module_of_the_library_imports_a_package() -> None:
+    """It finds them by entry points."""
+    packages = {path.name for path in ROOT.glob("packages/*/src/*")}
+    assert {"urlink_accept", "urlink_compat", "urlink_view"} <= packages
+    found = {
+        (str(path.relative_to(ROOT)), module)
+        for path in (ROOT / "src").rglob("*.py")
+        if any(package in path.read_text(encoding="utf-8") for package in packages)
+        for module, _ in imported(path)
+        if module.partition(".")[0] in packages
+    }
+    assert found == set()
+
+
 #: What the base classes of LeRobot 0.4.4 and 0.6.1 leave to be implemented, as read there: both need torch, which is
 #: not had here.
 LEROBOT = {

@@ -13,7 +13,9 @@ from pathlib import Path
 
 import pytest
 
+import urlink.cli
 from linkcore.cli.options import Subcommand, command
+from linkcore.cli.program import Plugin
 from urlink.cli import info
 
 from .conftest import Run, write
@@ -145,6 +147,21 @@ def test_a_command_of_a_package_says_what_installs_it_when_it_is_not_installed(
     status, out, err = run(*argv)
     assert (status, out, err.count("\n")) == (1, "", 1)
     assert install in err
+
+
+_PLUGINS = [name for name, where in urlink.cli._COMMANDS.items() if isinstance(where, Plugin)]
+
+
+@pytest.mark.parametrize("name", _PLUGINS)
+def test_a_command_of_a_package_is_listed_as_the_package_has_it(name: str) -> None:
+    """The help shows this line while the package is not installed."""
+    listed = urlink.cli._COMMANDS[name]
+    assert isinstance(listed, Plugin)
+    (entry,) = importlib.metadata.entry_points(group="urlink.commands", name=name)
+    assert entry.dist is not None
+    assert entry.dist.name == listed.distribution.partition("[")[0]
+    (row,) = (each for each in vars(entry.load()).values() if isinstance(each, Subcommand) and each.name == name)
+    assert row.summary == listed.summary
 
 
 def test_help_says_which_package_has_a_command_when_it_is_not_installed(
