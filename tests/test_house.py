@@ -52,7 +52,6 @@ THREADS = {
     "linkcore.event_loop",  # makes the calls that wait, for one robot of a program that uses asyncio
     "rhdlink.drive",  # drives a robot between the motions that are asked for
     "rhdlink.smrcl.mission",  # for a mission that is started rather than run
-    "urlink.view.arm_view",  # draws an arm for as long as a notebook shows it
     "linkcore.cli.progress",  # draws the progress of a command
     "urlink.cli.monitor",  # asks who the robot is while the picture is drawn
 }
@@ -262,8 +261,8 @@ def test_time_is_read_and_waited_for_by_one_clock() -> None:
         (2, "clock.sleep(seconds)"),
     ]
     assert other_clocks("from time import monotonic, time") == [(1, "clock.now()")]
-    adapters = {str(path): path.read_text() for path in (SRC.parent / "adapters").glob("*/src/**/*.py")}
-    texts = adapters | {module: source(module) for module in MODULES}
+    packages = {str(path): path.read_text() for path in (SRC.parent / "packages").glob("*/src/**/*.py")}
+    texts = packages | {module: source(module) for module in MODULES}
     wrong = [
         f"{name}, line {line}: use linkcore's {instead} instead (from linkcore import clock)"
         for name, text in texts.items()

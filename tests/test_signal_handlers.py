@@ -61,8 +61,6 @@ REASONS = {
     "linkcore.recording.index:side_by_side": "threads that read a file, and that no handler waits for",
     "urlink.motion.stream.common_time:CommonTime": "only threads that read streams take it",
     "urlink.motion.stream.common_time:CommonPace": "only threads that read streams take it",
-    "urlink.acceptance.logbook:Logbook": "`urlink accept` alone uses it, whose handler only raises",
-    "urlink.view.page:": "is held while a page is made, and no handler makes one",
     "rhdlink.client:Variables": "is acquired without waiting",
     "linkcore.clock:sleep": "belongs to one wait of a worker thread, in which no signal handler runs",
     "linkcore.clock:is_done": "belongs to one wait of a worker thread, in which no signal handler runs",

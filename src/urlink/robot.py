@@ -6,13 +6,13 @@ import os
 import warnings
 import weakref
 from collections.abc import Callable, Hashable, Sequence
-from pathlib import Path, PurePath
-from typing import TYPE_CHECKING, Any, Literal
+from pathlib import PurePath
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from linkcore import clock
 from linkcore.arguments import check_callable, check_choice
 from linkcore.errors import BadValue, Closed, LocalError
-from linkcore.names import StrictAttributes
+from linkcore.names import StrictAttributes, plugin
 from linkcore.net.undo import PendingUndos
 from linkcore.process import HomeProcess
 from linkcore.streaming.stream import Stream
@@ -30,6 +30,8 @@ from .session.robot_clock import RobotClock
 from .session.source import Source, networked, recorded
 
 if TYPE_CHECKING:
+    from typing_extensions import Self
+
     from linkcore.recording.recorder import Recorder
 
     from .arm.kinematics import Arm
@@ -47,7 +49,21 @@ if TYPE_CHECKING:
     from .protocol.tool_serial import ToolSerial
     from .rtde import OutputStream, Registers, Rtde
     from .simulator import Controller
-    from .view.arm_view import ArmView
+
+
+class View(Protocol):
+    """An arm on a page, as the package ``urlink-view`` shows it. A context manager."""
+
+    @property
+    def address(self) -> str:
+        """The address for browsers."""
+
+    def close(self) -> None:
+        """Show no more; idempotent."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *exc: object) -> None: ...
 
 
 @takes_connect_options
@@ -313,7 +329,7 @@ class Robot(StrictAttributes, Closing):
         Raises:
             BadRecording: the file exists, or cannot be made.
             BadValue: no such interface, two streams of RTDE, or a format that cannot be written live.
-            LocalError: .mcap, and the extra ``mcap`` is not installed.
+            LocalError: .mcap, and the package ``urlink-view`` is not installed.
             RemoteError: a stream could not be opened.
         """
         streams = [("rtde", each) if isinstance(each, Stream) else (each, self._stream(each)) for each in interfaces]
@@ -571,10 +587,10 @@ class Robot(StrictAttributes, Closing):
         urdf: str | os.PathLike[str] | None = None,
         jog: bool = False,
         port: int = 0,
-    ) -> ArmView:
+    ) -> View:
         """Show the arm in 3D in a browser of this computer; a notebook shows it in the cell.
 
-        It goes on until it is closed, or the block of a ``with`` is left. The extra ``view`` is needed.
+        It goes on until it is closed, or the block of a ``with`` is left. The package ``urlink-view`` is needed.
 
         Args:
             plots: names of fields of `RealtimeState` to draw as curves.
@@ -585,21 +601,12 @@ class Robot(StrictAttributes, Closing):
         Raises:
             BadValue: there is no such field.
             ConnectFailed: the port cannot be listened on.
-            LocalError: the extra is not installed, the model is unknown, or the file cannot be drawn.
+            LocalError: the package is not installed, the model is unknown, or the file cannot be drawn.
             RemoteError: the robot cannot be connected to.
         """
-        from .view.arm_view import ArmView
-        from .view.page import Page
-        from .view.windows import LiveWindow
-
-        page = Page(f"urlink {self.address}", port=port)
-        try:
-            begin = self.motion.jog if jog else None
-            file = None if urdf is None else Path(urdf)
-            return ArmView(page, self.kinematics, LiveWindow(self.realtime), plots, file, begin).start()
-        except BaseException:
-            page.close()
-            raise
+        show = plugin("urlink.robot", "view", "urlink-view", "a view in a browser")
+        shown: View = show(self, plots, urdf, jog, port)
+        return shown
 
     # -- its end -------------------------------------------------------------------------------------
 
@@ -675,9 +682,8 @@ def _recorder(path: str | os.PathLike[str]) -> Recorder:
         suffix = PurePath(path).suffix.lower()
         raise BadValue(f"{os.fspath(path)}: {suffix} is not written live; record a .urlog, and export it")
     if kind is not None:
-        from .recording.live import McapRecorder
-
-        return McapRecorder(path)
+        recorder: Recorder = plugin("urlink.recorders", "mcap", "urlink-view", "recording an .mcap file live")(path)
+        return recorder
     from linkcore.recording.recorder import Recorder
 
     return Recorder(path)

@@ -20,7 +20,7 @@ from urlink.robot import Robot
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "time.md"
 #: What is no part of the way to a robot.
-ELSEWHERE = ("simulator", "compat", "cli", "acceptance", "data")
+ELSEWHERE = ("simulator", "cli", "data")
 CALLS: dict[str, Callable[..., object]] = {
     "urlink.connect": urlink.connect,
     "robot.freedrive": Robot.freedrive,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import functools
 import io
 import itertools
 import logging
@@ -12,9 +13,11 @@ import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib import import_module
+from typing import NamedTuple
 
-from .. import distribution
+from .. import NAME
 from ..errors import LinkError
+from ..names import missing_plugin, plugins
 from ..text import printable, similar
 from .options import Subcommand, common_options
 from .terminal import Interrupted, raise_on_sigterm
@@ -32,15 +35,29 @@ exit status:
 `{name} COMMAND --help` explains each command, with examples."""
 
 
+class Plugin(NamedTuple):
+    """A command that a distribution of its own brings.
+
+    Attributes:
+        distribution: which brings it, with its extra if that is needed.
+        summary: its line in the help of the program while it is not installed.
+    """
+
+    distribution: str
+    summary: str
+
+
 def program(
-    name: str, commands: Mapping[str, str], description: str, epilog: str, argv: Sequence[str] | None = None
+    name: str, commands: Mapping[str, str | Plugin], description: str, epilog: str, argv: Sequence[str] | None = None
 ) -> int:
     """Run the command line of the package `name`; returns the exit status and never raises.
 
     Args:
         name: of the package, and of the program.
         commands: each command -> the module in the package's `cli` that has it, in the order of the help. Only the
-            module of the given command is imported: importing all of them takes longer than most commands.
+            module of the given command is imported: importing all of them takes longer than most commands. The module
+            of a `Plugin` is named by an entry point of the group `<name>.commands`, in which other distributions may
+            have further commands.
         description, epilog: of the help, which ends with the exit status.
         argv: the arguments; those of the process by default.
     """
@@ -60,20 +77,37 @@ def program(
         argv = [argv[len(leading)], *leading, *argv[len(leading) + 1 :]]
     asked = next((word for word in argv if not word.startswith("-")), "")
 
+    installed = functools.cache(functools.partial(plugins, f"{name}.commands"))
+    known = commands.get(asked)
+    if isinstance(known, Plugin) and asked not in installed():
+        print(f"{name}: {missing_plugin(known.distribution, f'`{name} {asked}`')}", file=sys.stderr)
+        return 1
+
     def declare(names: Iterable[str]) -> argparse.ArgumentParser:
         for each in names:
-            where = commands[each]
-            found = vars(import_module(where if "." in where else f"{name}.cli.{where}")).values()
-            next(row for row in found if isinstance(row, Subcommand) and row.name == each).declare(subparsers)
+            where = commands.get(each)
+            if isinstance(where, str):
+                found = import_module(where if "." in where else f"{name}.cli.{where}")
+            elif each in installed():
+                found = installed()[each].load()
+            elif where is not None:
+                subparsers.add_parser(each, help=f"{where.summary} (pip install {where.distribution})")
+                continue
+            rows = (row for row in vars(found).values() if isinstance(row, Subcommand))
+            next(row for row in rows if row.name == each).declare(subparsers)
         return parser
 
-    declare([asked] if asked in commands else commands)
-    parser.set_defaults(all_commands=lambda: declare(each for each in commands if each != asked))
+    def every() -> list[str]:
+        return [*commands, *sorted(installed().keys() - commands.keys())]
+
+    names = [asked] if isinstance(known, str) else every()
+    declare([asked] if asked in names else names)
+    parser.set_defaults(all_commands=lambda: declare(each for each in every() if each != asked))
     try:
-        if asked and asked not in commands and argv[0] == asked:
-            parser.error(f"no command {asked!r}{similar(asked, commands) or ';'} there are {', '.join(commands)}")
-        if asked not in commands and argv and argv[0].startswith("--") and not "--version".startswith(argv[0]):
-            behind = next((word for word in argv if word in commands), None)
+        if asked and asked not in names and argv[0] == asked:
+            parser.error(f"no command {asked!r}{similar(asked, names) or ';'} there are {', '.join(names)}")
+        if asked not in names and argv and argv[0].startswith("--") and not "--version".startswith(argv[0]):
+            behind = next((word for word in argv if word in names), None)
             if behind is not None:
                 parser.error(f"options come after the command: {name} {behind} {argv[0]}")
         args, extra = parser.parse_known_args(argv)
@@ -122,7 +156,7 @@ class _Version(argparse.Action):
         import importlib.metadata
 
         try:
-            version = importlib.metadata.version(distribution.NAME)
+            version = importlib.metadata.version(NAME)
         except importlib.metadata.PackageNotFoundError:
             version = "(not installed)"
         print(parser.prog, version)

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from linkcore.cli.program import program
+from linkcore.cli.program import Plugin, program
 
 __all__ = ["main"]
 
-#: command -> the module of this folder that declares it, in the order of the help
-_COMMANDS = {
+#: command -> the module of this folder that declares it, or the package that brings it, in the order of the help
+_COMMANDS: dict[str, str | Plugin] = {
     "monitor": "monitor",
     "echo": "echo",
     "rtde": "rtde",
     "hz": "hz",
     "info": "info",
     "doctor": "doctor",
-    "accept": "accept",
+    "accept": Plugin("urlink-accept", "prove a controller, and leave evidence"),
     "run": "run",
     "jog": "jog",
     "teach": "teach",
@@ -25,11 +25,11 @@ _COMMANDS = {
     "replay": "replay",
     "plot": "plot",
     "export": "export",
-    "exercise": "identify",
-    "identify": "identify",
-    "compare": "identify",
-    "foxglove": "view",
-    "view": "view",
+    "exercise": Plugin("urlink-accept", "a slow motion to record"),
+    "identify": Plugin("urlink-accept", "what a recording tells of its arm"),
+    "compare": Plugin("urlink-accept", "a recording beside the simulator"),
+    "foxglove": Plugin("urlink-view[foxglove]", "serve a robot to Foxglove"),
+    "view": Plugin("urlink-view", "show an arm in 3D in a browser"),
     "dissect": "dissect",
     "serve": "serve",
     "sim": "sim",
