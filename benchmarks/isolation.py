@@ -50,7 +50,7 @@ HOLD = 0.02
 
 def send_until_left(ports: Connection, seconds: float) -> None:
     with contextlib.suppress(ConnectionError):  # the receiver has enough
-        send(ports, seconds, 0)
+        send(ports, seconds, 0, 1)
 
 
 def receive(port: int, results: Connection, seconds: float, way: str) -> None:

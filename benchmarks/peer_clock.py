@@ -39,7 +39,7 @@ class Path:
         """Seconds of processor time for one of these packets."""
         stamps = [Stamp(began + i / RATE, 0.0) for i in range(len(packets))]
         if not self._is_looked_at:
-            self.counters.clock.due = math.inf
+            self.counters.clock_offset.due = math.inf
         begun = time.process_time()
         for packet, stamp in zip(packets, stamps, strict=True):
             self._receiver.feed(packet, stamp)
@@ -63,13 +63,13 @@ def main() -> None:
         for path in paths if number % 2 else paths[::-1]:
             costs[path].append(path.run(packets, begins + number * TURN / RATE))
     clocked, bare = (float(np.median(costs[path])) for path in (with_clock, without))
-    relation = with_clock.counters.clock.relation
+    relation = with_clock.counters.clock_offset.relation
     assert relation is not None
     assert relation.bound(number * TURN / RATE) < 1e-3
-    assert without.counters.clock.relation is None
+    assert without.counters.clock_offset.relation is None
     begun = time.process_time()
     for _ in range(10_000):
-        relation = with_clock.counters.clock.relation
+        relation = with_clock.counters.clock_offset.relation
         assert relation is not None
         relation.to_peer(begins)
     conversion = (time.process_time() - begun) / 10_000

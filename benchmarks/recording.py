@@ -24,9 +24,9 @@ from linkcore.clock import Stamp
 from linkcore.errors import ConnectionLost
 from linkcore.recording.file import Kind, RecordingFile
 from linkcore.recording.recorder import Recorder
+from linkcore.streaming.connection import Connection
 from linkcore.streaming.fanout import FanOut
 from linkcore.streaming.stream import Stream
-from linkcore.streaming.thread_connection import ThreadConnection
 from urlink.packets import RealtimeState
 from urlink.protocol.realtime.protocol import RealtimeProtocol
 
@@ -97,9 +97,7 @@ class PacedTransport:
 def compare(folder: Path, rounds: int, packets: int) -> dict[str, float]:
     transports = {name: PacedTransport() for name in ("plain", "recorded")}
     streams = {
-        name: Stream(
-            ThreadConnection(name, transport, RealtimeProtocol, FanOut(RealtimeState), silence=None), RealtimeState
-        )
+        name: Stream(Connection(name, transport, RealtimeProtocol, FanOut(RealtimeState), silence=None), RealtimeState)
         for name, transport in transports.items()
     }
     with Recorder(folder / "run.urlog") as recorder:

@@ -24,7 +24,7 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 
 from urlink.arm.kinematics import Arm
-from urlink.motion.servo.setpoints import STOP_MESSAGE, dated, setpoint
+from urlink.motion.links.messages import STOP_MESSAGE, dated, setpoint
 from urlink.protocol.enums import ProgramState
 from urlink.protocol.firmware import Firmware
 from urlink.script import commands, waypoints, wrapping

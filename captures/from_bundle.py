@@ -14,8 +14,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from linkcore.recording.file import Kind, RecordingWriter
-from urlink.acceptance.bundle import Bundle, opened
-from urlink.acceptance.report import judge
+from urlink_accept.acceptance.bundle import Bundle, opened
+from urlink_accept.acceptance.report import judge
 
 #: Seconds that a capture holds.
 SECONDS = 0.5

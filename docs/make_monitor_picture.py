@@ -13,7 +13,7 @@ from rich.terminal_theme import TerminalTheme
 
 import urlink
 from urlink.cli.monitor import watch
-from urlink.cli.picture import WIDTH, Picture
+from urlink.cli.monitor_panel import WIDTH, MonitorPanel
 
 T = TypeVar("T")
 
@@ -35,7 +35,7 @@ _THEME = TerminalTheme(
 
 
 def main() -> None:
-    """Watch the simulator, and save the last glance."""
+    """Watch the simulator, and save the last view."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--output", type=Path, default=Path(__file__).parent / "images" / "monitor.svg")
     parser.add_argument("--address", default="sim://?motion=demo")
@@ -50,11 +50,11 @@ def main() -> None:
             for number in (1, 16):
                 robot.controller.signals.set_digital_output(number, True)
         until = time.monotonic() + args.seconds
-        glances = watch(robot, args.interface)
-        glance = next(itertools.dropwhile(lambda _: time.monotonic() < until, _every(glances, 0.1)))
+        views = watch(robot, args.interface)
+        view = next(itertools.dropwhile(lambda _: time.monotonic() < until, _every(views, 0.1)))
         with open("/dev/null", "w") as nowhere:
             console = Console(record=True, width=WIDTH, file=nowhere, force_terminal=True)
-            console.print(Picture(glance))
+            console.print(MonitorPanel(view))
     args.output.parent.mkdir(exist_ok=True)
     svg = console.export_svg(
         title=f"urlink monitor {args.address.removesuffix('?motion=demo')}", theme=_THEME, unique_id="monitor"

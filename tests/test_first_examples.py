@@ -24,7 +24,7 @@ _CONNECTS = {
 }
 #: Pages whose first example cannot use `with`, and why.
 _EXCEPTIONS = {
-    "adapters/lerobot/README.md": "a robot of LeRobot has no `with`; the example disconnects in `finally`",
+    "packages/lerobot/README.md": "a robot of LeRobot has no `with`; the example disconnects in `finally`",
 }
 
 
@@ -32,7 +32,7 @@ def _pages() -> list[str]:
     found = [
         _ROOT / "README.md",
         *(_ROOT / "docs").rglob("*.md"),
-        *(_ROOT / "adapters").glob("*/README.md"),
+        *(_ROOT / "packages").glob("*/README.md"),
     ]
     return sorted(path.relative_to(_ROOT).as_posix() for path in found)
 

@@ -39,9 +39,9 @@ AWAITED = {
 
 #: The only modules that may start threads.
 THREADS = {
-    "linkcore.net.undo",  # takes back what was given up, for as long as there is anything
+    "linkcore.net.undo",  # undoes what was given up, for as long as there is anything
     "linkcore.threads",  # one for the callbacks of each robot, one for each host or server not run in its caller's
-    "linkcore.streaming.thread_connection",  # the reader of each stream
+    "linkcore.streaming.connection",  # the reader of each stream
     "linkcore.streaming.subscription",  # one for each callback that is not inline, or has a deadline
     "urlink.simulator.server",  # one for each simulated controller
     "urlink.simulator.control_loop",  # lets time pass within a block, for a controller that is stepped
@@ -52,7 +52,6 @@ THREADS = {
     "linkcore.event_loop",  # makes the calls that wait, for one robot of a program that uses asyncio
     "rhdlink.drive",  # drives a robot between the motions that are asked for
     "rhdlink.smrcl.mission",  # for a mission that is started rather than run
-    "urlink.view.arm_view",  # draws an arm for as long as a notebook shows it
     "linkcore.cli.progress",  # draws the progress of a command
     "urlink.cli.monitor",  # asks who the robot is while the picture is drawn
 }
@@ -140,14 +139,15 @@ ROLES = {
     "commands": "the table of what can be said to a controller in one language",
     "errors": "the exceptions of its folder",
     "framing": "the frame boundaries of one interface",
-    "gripper": "the simulated gripper, and the port that serves it",
+    "gripper": "the simulated gripper, and the interface that serves it",
     "interface": "what the interfaces of one folder have in common",
-    "interpreter": "interpreter mode: what users hold, and the port that serves it",
+    "interpreter": "interpreter mode: what users hold, and the interface that serves it",
     "packets": "the declared packets of one interface",
     "protocol": "the protocol of one interface",
     "registers": "the general-purpose registers: what users hold, and the simulated ones",
-    "robot_api": "the Robot API of PolyScope X: its requests, and the port that answers them",
+    "robot_api": "the Robot API of PolyScope X: its requests, and the interface that answers them",
     "server": "what is served to TCP clients",
+    "tool_serial": "the serial line of the tool: what users hold, and the interface that serves it",
     "waypoints": "a motion that is given point by point, and the text of its program",
     "force_control": "the motions that control forces, and the texts of their programs",
 }
@@ -261,8 +261,8 @@ def test_time_is_read_and_waited_for_by_one_clock() -> None:
         (2, "clock.sleep(seconds)"),
     ]
     assert other_clocks("from time import monotonic, time") == [(1, "clock.now()")]
-    adapters = {str(path): path.read_text() for path in (SRC.parent / "adapters").glob("*/src/**/*.py")}
-    texts = adapters | {module: source(module) for module in MODULES}
+    packages = {str(path): path.read_text() for path in (SRC.parent / "packages").glob("*/src/**/*.py")}
+    texts = packages | {module: source(module) for module in MODULES}
     wrong = [
         f"{name}, line {line}: use linkcore's {instead} instead (from linkcore import clock)"
         for name, text in texts.items()

@@ -23,7 +23,7 @@ pytestmark = pytest.mark.simulated_time
 _MODULES = """rclpy rclpy.action rclpy.callback_groups rclpy.duration rclpy.executors rclpy.qos rclpy.signals
     control_msgs control_msgs.action geometry_msgs geometry_msgs.msg sensor_msgs sensor_msgs.msg
     std_msgs std_msgs.msg std_srvs std_srvs.srv"""
-_SOURCE = Path(__file__).parents[1] / "adapters" / "ros2" / "src" / "urlink_ros2"
+_SOURCE = Path(__file__).parents[1] / "packages" / "ros2" / "src" / "urlink_ros2"
 #: rad from where the arm is to where it is asked to go.
 _WAY = np.array([0.5, 0, 0, 0, 0, 0])
 

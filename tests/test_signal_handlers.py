@@ -19,7 +19,7 @@ import urlink
 from linkcore.clock import Stamp
 from linkcore.errors import Cancelled, Closed, LinkError, LinkTimeout
 from linkcore.handle import Handle, Lifecycle, Phase
-from linkcore.net.undo import Recall
+from linkcore.net.undo import PendingUndos
 from linkcore.recording.file import Kind, RecordingFile, RecordingWriter
 from linkcore.streaming.packet_queue import drop_oldest
 from linkcore.streaming.scheduling import urgent
@@ -57,17 +57,15 @@ SIMULATORS = ("linkcore.simulated", "urlink.simulator")
 #: Each such lock -> why a signal handler does not wait for it.
 REASONS = {
     "linkcore.clock:Expiry": "servers of a robot alone use it, and a handler only calls their `stop`",
-    "linkcore.streaming.packet_queue:PacketQueue": "is acquired without waiting",
+    "linkcore.streaming.packet_queue:BoundedQueue": "is acquired without waiting",
     "linkcore.recording.index:side_by_side": "threads that read a file, and that no handler waits for",
     "urlink.motion.stream.common_time:CommonTime": "only threads that read streams take it",
     "urlink.motion.stream.common_time:CommonPace": "only threads that read streams take it",
-    "urlink.acceptance.logbook:Logbook": "`urlink accept` alone uses it, whose handler only raises",
-    "urlink.view.page:": "is held while a page is made, and no handler makes one",
     "rhdlink.client:Variables": "is acquired without waiting",
     "linkcore.clock:sleep": "belongs to one wait of a worker thread, in which no signal handler runs",
     "linkcore.clock:is_done": "belongs to one wait of a worker thread, in which no signal handler runs",
     "linkcore.cli.progress:_Screen": "is set when a command has ended; a handler of the command line only raises",
-    "rhdlink.cli.view:RateCounter": "`rhdlink view` alone uses it, whose handler only raises",
+    "rhdlink.cli.watch_view:RateCounter": "`rhdlink watch` alone uses it, whose handler only raises",
 }
 
 
@@ -269,10 +267,10 @@ def test_recall_close_can_be_interrupted() -> None:
 
     def scenario(interruption: Interruption) -> None:
         user = threading.Lock()  # anything that can be referred to weakly
-        recall = Recall.of(("peer", next(numbers)), "peer", user)
-        with interruption.by(lambda: recall.close(user)):
-            recall.close(user)
-        assert recall._closed.is_set()
+        undos = PendingUndos.of(("peer", next(numbers)), "peer", user)
+        with interruption.by(lambda: undos.close(user)):
+            undos.close(user)
+        assert undos._closed.is_set()
 
     assert at_every_line(scenario) > 5
 

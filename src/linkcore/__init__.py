@@ -1,9 +1,76 @@
 """Streams, connections, recordings and handles, which urlink and rhdlink share.
 
 Importing it warns if another distribution with a package `urlink` is installed. Every package of this project imports
-linkcore first.
+linkcore first. The project called urlink on PyPI shortens URLs. It installs a package `urlink` too, so only one of the
+two can be imported: the one that was installed last, or the one that comes first on the path. Python reports nothing
+about that.
 """
 
-from .distribution import warn_of_other as _warn_of_other
+from __future__ import annotations
+
+import os
+import sys
+import warnings
+
+#: Distribution of linkcore, urlink, rhdlink and pytest_urlink.
+NAME = "urlink-robot"
+
+_OTHER = "urlink"
+#: Suffixes of the folders that hold the metadata of a distribution.
+_METADATA = (".dist-info", ".egg-info")
+
+
+def _warn_of_other() -> None:
+    """Warn if another distribution that is installed has a package `urlink`.
+
+    It lists the folders of the path rather than asking `importlib.metadata`, whose import takes longer than that of
+    urlink.
+    """
+    for folder in sys.path:
+        try:
+            entries = os.listdir(folder or ".")
+        except OSError:
+            continue  # no folder: a zip file, or a path that does not exist
+        for entry in entries:
+            stem, suffix = os.path.splitext(entry)
+            name, _, version = stem.partition("-")
+            if name == _OTHER and suffix in _METADATA and _has_the_package(os.path.join(folder, entry)):
+                _warn(version)
+                return
+
+
+def _has_the_package(metadata: str) -> bool:
+    """Whether a distribution has a package `urlink`. One that does not list its files might have it."""
+    try:
+        with open(os.path.join(metadata, "RECORD"), encoding="utf-8") as files:
+            return any(line.startswith("urlink/__init__.py,") for line in files)
+    except OSError:
+        return True
+
+
+def _warn(version: str) -> None:
+    found = "another project's" if _is_shadowed() else f"that of {NAME}"
+    warnings.warn(
+        f"the distribution {_OTHER!r} {version} is installed; it is another project than {NAME!r}. "
+        f"Both have a package 'urlink', and 'import urlink' finds {found}. To use {NAME}, run: "
+        f"pip uninstall -y {_OTHER} && pip install --force-reinstall --no-deps {NAME}",
+        RuntimeWarning,
+        stacklevel=3,  # the import of linkcore
+    )
+
+
+def _is_shadowed() -> bool:
+    """Whether `import urlink` finds a package that is not ours."""
+    from importlib.util import find_spec
+
+    try:
+        spec = find_spec("urlink")
+    except ValueError:
+        return True  # the other one has been imported, and has replaced its module by an object without a spec
+    if spec is None or spec.origin is None:
+        return True
+    with open(spec.origin, encoding="utf-8", errors="replace") as file:
+        return "linkcore" not in file.read()
+
 
 _warn_of_other()

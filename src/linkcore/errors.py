@@ -1,4 +1,4 @@
-"""The errors of the library, one tree.
+"""The exceptions of the library, as one tree.
 
 Two kinds of mistake, two kinds of error::
 

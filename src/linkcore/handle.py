@@ -1,4 +1,4 @@
-"""What something that runs on a robot is held by, and the one state machine of its life.
+"""`Handle`: a motion, program or mission that runs on a robot, and the state machine of its life.
 
 ========== ========= ============ ========= ===================================
 event      in SENT   in RUNNING   after     in DONE, CANCELLED, FAILED

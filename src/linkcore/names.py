@@ -1,6 +1,7 @@
-"""Names: those of a package, which are imported when they are first used, and those that an object does not have.
+"""Package members that are imported at first use, and errors that suggest the right name for a misspelt attribute.
 
 - `lazy_names` makes the public names of a package (PEP 562), and `needs` says which extra brings a missing package.
+- `plugin` loads what a distribution of its own brings, such as a command or a recorder, and says what installs it.
 - `StrictAttributes` is a base class whose objects raise an error with a hint when a program reads or sets an attribute
   that they do not have. A misspelt attribute that is set would otherwise be a new one, and change nothing.
 """
@@ -12,10 +13,14 @@ import functools
 import sys
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from importlib import import_module
-from types import FunctionType
+from importlib.machinery import ModuleSpec
+from types import FunctionType, ModuleType
 from typing import TYPE_CHECKING, Any, NoReturn, cast
 
-from .distribution import NAME
+from . import NAME
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 #: Package -> its module with the names of other libraries. It has `own_name(name)`, which returns None or the own name.
 _foreign_names: dict[str, str] = {}
@@ -26,6 +31,7 @@ def lazy_names(
     homes: Mapping[str, str],
     modules: str = "",
     foreign: str | None = None,
+    packages: Mapping[str, str] | None = None,
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """What makes the public names of a package, so that a program pays for the modules which it uses and no others.
 
@@ -44,6 +50,8 @@ def lazy_names(
         modules: modules of the package, separated by blanks, that are found under their last name without being
             imported: `package.poses` for "arm.poses". They are not in `__all__`.
         foreign: the package's module with the names of other libraries; it has `own_name(name)`.
+        packages: subpackage -> the distribution that brings it, by an entry point of the group `<package>.packages`.
+            It is imported as if it were here, and is not in `__all__`.
 
     Returns:
         The package's `__getattr__`, `__dir__` and `__all__`.
@@ -52,8 +60,13 @@ def lazy_names(
     public = sorted(home)
     of_package = {module.rpartition(".")[2]: f".{module}" for module in modules.split()}
 
+    brought = {} if packages is None else packages
+
     if foreign is not None:
         _foreign_names[package] = f"{package}{foreign}"
+    for name, distribution in brought.items():
+        # Before those of Python, which would import the modules of such a package a second time.
+        sys.meta_path.insert(0, _Brought(package, name, distribution))
 
     def imported(module: str) -> Any:
         try:
@@ -63,6 +76,8 @@ def lazy_names(
             raise ImportError(f"{module} of {package} cannot be imported: {error}") from error
 
     def get(name: str) -> Any:
+        if name in brought:
+            return import_module(f"{package}.{name}")
         if name not in home and name not in of_package:
             from .text import similar  # a package is imported without it
 
@@ -94,8 +109,8 @@ def foreign_hint(package: str, name: str) -> str | None:
 
 
 @contextlib.contextmanager
-def needs(extra: str, purpose: str) -> Iterator[None]:
-    """Around the imports of what an extra of the distribution brings.
+def needs(extra: str, purpose: str, distribution: str = NAME) -> Iterator[None]:
+    """Around the imports of what an extra of the distribution brings; of what it needs itself if `extra` is empty.
 
     Raises:
         LocalError: it is not installed; says what installs it.
@@ -106,7 +121,86 @@ def needs(extra: str, purpose: str) -> Iterator[None]:
         package = error.name or extra
         from .errors import LocalError  # a package is imported without it
 
-        raise LocalError(f"{purpose} needs {package}, which is not installed: pip install '{NAME}[{extra}]'") from error
+        install = f"'{distribution}[{extra}]'" if extra else distribution
+        raise LocalError(f"{purpose} needs {package}, which is not installed: pip install {install}") from error
+
+
+def plugins(group: str) -> dict[str, EntryPoint]:
+    """The entry points that the installed distributions have in a group, by their names."""
+    import importlib.metadata  # a package is imported without it
+
+    return {entry.name: entry for entry in importlib.metadata.entry_points(group=group)}
+
+
+def plugin(group: str, name: str, distribution: str, purpose: str) -> Any:
+    """What a distribution of its own brings.
+
+    Args:
+        group: of its entry point.
+        name: of its entry point.
+        distribution: which brings it, with its extra if that is needed: "urlink-view[foxglove]".
+        purpose: what needs it, for the error.
+
+    Raises:
+        LocalError: it is not installed; says what installs it.
+    """
+    entry = plugins(group).get(name)
+    if entry is None:
+        from .errors import LocalError  # a package is imported without it
+
+        raise LocalError(missing_plugin(distribution, purpose))
+    return entry.load()
+
+
+def missing_plugin(distribution: str, purpose: str) -> str:
+    """What an error says of a distribution that is not installed."""
+    install = f"'{distribution}'" if "[" in distribution else distribution
+    return (
+        f"{purpose} needs the package {distribution.partition('[')[0]}, which is not installed: pip install {install}"
+    )
+
+
+class _Brought:
+    """Finds a subpackage, and the modules in it, in another distribution: each is one module under both names.
+
+    Args:
+        package: that the subpackage belongs to.
+        name: of the subpackage.
+        distribution: which brings it.
+    """
+
+    def __init__(self, package: str, name: str, distribution: str) -> None:
+        self._group = f"{package}.packages"
+        self._name = name
+        self._prefix = f"{package}.{name}"
+        self._distribution = distribution
+        self._there = ""
+
+    def find_spec(self, name: str, path: object = None, target: object = None) -> ModuleSpec | None:
+        """For the import system.
+
+        Raises:
+            ModuleNotFoundError: the distribution is not installed; says what installs it.
+        """
+        if name != self._prefix and not name.startswith(f"{self._prefix}."):
+            return None
+        entry = plugins(self._group).get(self._name)
+        if entry is None:
+            raise ModuleNotFoundError(missing_plugin(self._distribution, f"import {name}"), name=name)
+        from importlib.util import find_spec  # a package is imported without it
+
+        self._there = entry.value
+        return None if find_spec(self._elsewhere(name)) is None else ModuleSpec(name, self)  # type: ignore[arg-type]
+
+    def _elsewhere(self, name: str) -> str:
+        return self._there + name.removeprefix(self._prefix)
+
+    def create_module(self, spec: ModuleSpec) -> None:
+        """For the import system, which makes a module that `exec_module` replaces."""
+
+    def exec_module(self, module: ModuleType) -> None:
+        """For the import system, which goes on with what is in `sys.modules` after it."""
+        sys.modules[module.__name__] = import_module(self._elsewhere(module.__name__))
 
 
 #: argument here -> what other libraries call it

@@ -1,4 +1,4 @@
-"""Columns over time as a picture: a panel for each field, a line for each of its elements."""
+"""Plots of columns over time: a panel for each field, a line for each of its elements."""
 
 from __future__ import annotations
 

@@ -26,8 +26,8 @@ from .smrcl.motion.control import ControlledMotion, MotionControl
 from .smrcl.motion.following import FollowLine, FollowWall
 from .smrcl.motion.topoint import DriveToPoint
 from .smrcl.motion.turning import ArcTurn, Turn
-from .smrcl.odometry import PlanarPose
 from .smrcl.plan import Run
+from .smrcl.planar_pose import PlanarPose
 from .smrcl.profile import Profile, find_profile
 from .smrcl.robot_conf import RobotConf
 from .smrcl.robot_link import AnyRobot, open_link, suitable_conf

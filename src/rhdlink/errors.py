@@ -1,4 +1,4 @@
-"""The errors of a robot and of missions, beside those of any peer.
+"""The exceptions of a robot and of missions, in addition to those of any peer.
 
 Branches of the tree in `linkcore.errors`::
 

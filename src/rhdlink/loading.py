@@ -14,7 +14,7 @@ from linkcore.errors import BadRecording, PacketError
 from linkcore.recording.columns import ArrayColumns, Column
 from linkcore.recording.file import Progress, RecordingFile
 from linkcore.recording.table import Table
-from linkcore.recording.table_files import TABLE_WRITERS, chosen, export
+from linkcore.recording.table_files import chosen, export
 
 from .recording import CHANNEL, play
 from .variables.database import Database, VariableTable
@@ -35,7 +35,7 @@ class RobotTable(Table):
         """Write it to a file of another program, which replaces one of the same name once it is whole.
 
         Args:
-            path: its suffix says the format: .csv, .parquet, .mat, .h5 or .mcap.
+            path: its suffix names the format; `rhdlink export --help` lists the formats.
             fields: names of variables; None for all.
             rate: rows a second to which it is resampled; None for the batches as they came.
             progress: called with the part that is done, 0 to 1.
@@ -48,7 +48,7 @@ class RobotTable(Table):
             BadRecording: the file cannot be written.
             LocalError: what writes the format is not installed; says how to.
         """
-        return export(path, chosen({CHANNEL: self}, fields, rate), TABLE_WRITERS, progress)
+        return export(path, chosen({CHANNEL: self}, fields, rate), progress)
 
 
 def load(

@@ -1,4 +1,4 @@
-"""A thread that keeps a robot in sync, and the subscribers of what comes, each in a thread of its own."""
+"""A thread that keeps a robot in sync, and its subscribers, each with a dedicated thread."""
 
 from __future__ import annotations
 

@@ -63,13 +63,13 @@ if TYPE_CHECKING:
     from .command.safety import Safety as Safety
     from .command.scripts import Program as Program, Scripts as Scripts
     from .recording.recording import Recording as Recording, load as load
-    from .compat.interface import NotOffered as NotOffered
     from .protocol.decoding import decode as decode, schema as schema
     from .errors import (
         CompileError as CompileError,
         NoContact as NoContact,
         NotConfirmed as NotConfirmed,
         NotEnabled as NotEnabled,
+        NotOffered as NotOffered,
         NotRunning as NotRunning,
         ProgramStopped as ProgramStopped,
         SafetyStop as SafetyStop,
@@ -124,11 +124,10 @@ else:
             ".command.safety": "Safety",
             ".command.scripts": "Program Scripts",
             ".recording.recording": "Recording load",
-            ".compat.interface": "NotOffered",
             ".protocol.decoding": "decode schema",
             ".errors": """
-                CompileError NoContact NotConfirmed NotEnabled NotRunning ProgramStopped SafetyStop ScriptError
-                ScriptFailed StatementDiscarded ToleranceExceeded
+                CompileError NoContact NotConfirmed NotEnabled NotOffered NotRunning ProgramStopped SafetyStop
+                ScriptError ScriptFailed StatementDiscarded ToleranceExceeded
             """,
             ".protocol.firmware": "Firmware",
             ".group": "Group",
@@ -146,4 +145,5 @@ else:
         },
         modules="arm.dynamics arm.kinematics arm.models motion packets arm.poses rtde arm.urdf",
         foreign=".foreign_names",
+        packages={"compat": "urlink-compat"},
     )

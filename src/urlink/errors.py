@@ -1,8 +1,10 @@
-"""The errors of commanding a robot: the part of the error tree that knows robots.
+"""The exceptions of commanding a robot: the part of the error tree that is specific to arms.
 
-They hang below a branch of `linkcore.errors`::
+They hang below two branches of `linkcore.errors`::
 
     LinkError
+    ├── LocalError                  wrong in this program
+    │   └── NotOffered              a call of another client that `urlink.compat` has not
     └── RemoteError                 the peer sent nonsense, or went away, or refused
         ├── SafetyStop              a stop holds, or came in between: `cause` says which
         │   └── NotEnabled          all is clear, but `safety.enable()` has to be called first
@@ -19,7 +21,11 @@ They hang below a branch of `linkcore.errors`::
 
 from __future__ import annotations
 
-from linkcore.errors import RemoteError
+from linkcore.errors import LocalError, RemoteError
+
+
+class NotOffered(LocalError, NotImplementedError):
+    """A call of another client that is not offered here; the message names what replaces it."""
 
 
 class SafetyStop(RemoteError):

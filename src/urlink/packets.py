@@ -1,4 +1,4 @@
-"""What robots send: packets, messages, their parts, and the enums of their numbers.
+"""Packets and messages that robots send, their parts, and the enums of their numbers.
 
     from urlink.packets import RealtimeState, RobotModeData
 
@@ -16,7 +16,7 @@ from linkcore.names import lazy_names
 if TYPE_CHECKING:
     from linkcore.clock import Stamp as Stamp
     from linkcore.streaming.connection_life import Chunk as Chunk, Traffic as Traffic
-    from linkcore.wire.packet import State as State
+    from linkcore.wire.state import State as State
     from urlink.command.interpreter import InterpreterState as InterpreterState
     from urlink.command.io import Analog as Analog
     from urlink.protocol.dashboard.protocol import ProgramStatus as ProgramStatus, SavedProgram as SavedProgram
@@ -83,7 +83,7 @@ else:
         {
             "linkcore.clock": "Stamp",
             "linkcore.streaming.connection_life": "Chunk Traffic",
-            "linkcore.wire.packet": "State",
+            "linkcore.wire.state": "State",
             "urlink.command.interpreter": "InterpreterState",
             "urlink.command.io": "Analog",
             "urlink.protocol.dashboard.protocol": "ProgramStatus SavedProgram",

@@ -6,14 +6,14 @@ import os
 import warnings
 import weakref
 from collections.abc import Callable, Hashable, Sequence
-from pathlib import Path, PurePath
-from typing import TYPE_CHECKING, Any, Literal
+from pathlib import PurePath
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from linkcore import clock
 from linkcore.arguments import check_callable, check_choice
 from linkcore.errors import BadValue, Closed, LocalError
-from linkcore.names import StrictAttributes
-from linkcore.net.undo import Recall
+from linkcore.names import StrictAttributes, plugin
+from linkcore.net.undo import PendingUndos
 from linkcore.process import HomeProcess
 from linkcore.streaming.stream import Stream
 from linkcore.text import html_table
@@ -23,13 +23,15 @@ from .protocol.firmware import Firmware
 from .protocol.ports import service_of
 from .protocol.primary.robot_state import RobotState
 from .protocol.realtime.packets import RealtimeState
-from .session.address import RecordingAddress, RobotAddress, SimulatorAddress
+from .session.address import RecordingAddress, RobotAddress, SimulatorAddress, parse_address
 from .session.connect_options import ConnectOptions, takes_connect_options
 from .session.identity import Identity, KnownIdentity
 from .session.robot_clock import RobotClock
 from .session.source import Source, networked, recorded
 
 if TYPE_CHECKING:
+    from typing_extensions import Self
+
     from linkcore.recording.recorder import Recorder
 
     from .arm.kinematics import Arm
@@ -47,7 +49,21 @@ if TYPE_CHECKING:
     from .protocol.tool_serial import ToolSerial
     from .rtde import OutputStream, Registers, Rtde
     from .simulator import Controller
-    from .view.arm_view import ArmView
+
+
+class View(Protocol):
+    """An arm on a page, as the package ``urlink-view`` shows it. A context manager."""
+
+    @property
+    def address(self) -> str:
+        """The address for browsers."""
+
+    def close(self) -> None:
+        """Show no more; idempotent."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *exc: object) -> None: ...
 
 
 @takes_connect_options
@@ -55,7 +71,7 @@ def connect(options: ConnectOptions) -> Robot:
     """Connect to a robot, to the simulator, or to a recording.
 
     Asks the controller who it is; the streams themselves connect when first used. What this process gave up at the same
-    address before, and may still be carried out, is taken back first, for at most `timeout` seconds; see
+    address before, and may still be carried out, is undone first, for at most `timeout` seconds; see
     docs/motion-ends.md, "What was given up is not carried out". A connection with `read_only` takes nothing back.
 
     Args:
@@ -105,7 +121,7 @@ def connect(options: ConnectOptions) -> Robot:
     try:
         robot = assemble(options, place, networked(place, options), controller)
         if owes(robot, place):
-            take_back(robot, options.timeout)
+            undo_abandoned(robot, options.timeout)
     except BaseException:
         opened = controller if robot is None else robot
         if opened is not None:
@@ -129,7 +145,9 @@ def simulated(place: SimulatorAddress) -> tuple[Controller, RobotAddress]:
     motion = Demonstration() if place.motion == "demo" else None
     controller = Controller(model=place.model, firmware=place.firmware, motion=motion, like=like, scene=place.scene)
     controller.start()
-    return controller, RobotAddress(controller.host, dict(controller.ports))
+    served_at = parse_address(controller.address)
+    assert isinstance(served_at, RobotAddress), "a controller that has been started is at ports of this computer"
+    return controller, served_at
 
 
 def assemble(
@@ -171,11 +189,11 @@ def peers_of(place: RobotAddress) -> tuple[Hashable, ...]:
 
 def owes(robot: Robot, place: RobotAddress) -> bool:
     """This process gave something up at that controller that may still be carried out, and the robot may command it."""
-    return robot._make_control is not None and Recall.is_owed(*peers_of(place))
+    return robot._make_control is not None and PendingUndos.is_owed(*peers_of(place))
 
 
-def take_back(robot: Robot, timeout: float) -> None:
-    """Wait until that is taken back, at most `timeout` seconds; the robot goes on with it while it is open."""
+def undo_abandoned(robot: Robot, timeout: float) -> None:
+    """Wait until that is undone, at most `timeout` seconds; the robot goes on with it while it is open."""
     robot._commanded().settle(timeout)
 
 
@@ -311,7 +329,7 @@ class Robot(StrictAttributes, Closing):
         Raises:
             BadRecording: the file exists, or cannot be made.
             BadValue: no such interface, two streams of RTDE, or a format that cannot be written live.
-            LocalError: .mcap, and the extra ``mcap`` is not installed.
+            LocalError: .mcap, and the package ``urlink-view`` is not installed.
             RemoteError: a stream could not be opened.
         """
         streams = [("rtde", each) if isinstance(each, Stream) else (each, self._stream(each)) for each in interfaces]
@@ -569,10 +587,10 @@ class Robot(StrictAttributes, Closing):
         urdf: str | os.PathLike[str] | None = None,
         jog: bool = False,
         port: int = 0,
-    ) -> ArmView:
+    ) -> View:
         """Show the arm in 3D in a browser of this computer; a notebook shows it in the cell.
 
-        It goes on until it is closed, or the block of a ``with`` is left. The extra ``view`` is needed.
+        It goes on until it is closed, or the block of a ``with`` is left. The package ``urlink-view`` is needed.
 
         Args:
             plots: names of fields of `RealtimeState` to draw as curves.
@@ -583,21 +601,12 @@ class Robot(StrictAttributes, Closing):
         Raises:
             BadValue: there is no such field.
             ConnectFailed: the port cannot be listened on.
-            LocalError: the extra is not installed, the model is unknown, or the file cannot be drawn.
+            LocalError: the package is not installed, the model is unknown, or the file cannot be drawn.
             RemoteError: the robot cannot be connected to.
         """
-        from .view.arm_view import ArmView
-        from .view.page import Page
-        from .view.windows import LiveWindow
-
-        page = Page(f"urlink {self.address}", port=port)
-        try:
-            begin = self.motion.jog if jog else None
-            file = None if urdf is None else Path(urdf)
-            return ArmView(page, self.kinematics, LiveWindow(self.realtime), plots, file, begin).start()
-        except BaseException:
-            page.close()
-            raise
+        show = plugin("urlink.robot", "view", "urlink-view", "a view in a browser")
+        shown: View = show(self, plots, urdf, jog, port)
+        return shown
 
     # -- its end -------------------------------------------------------------------------------------
 
@@ -666,15 +675,15 @@ def _rtde_of(robot: Robot) -> Callable[[], Rtde]:
 
 def _recorder(path: str | os.PathLike[str]) -> Recorder:
     """The recorder for a file, by its suffix."""
-    suffix = PurePath(path).suffix.lower()
-    if suffix == ".mcap":
-        from .recording.live import McapRecorder
+    from linkcore.recording.table_files import format_of
 
-        return McapRecorder(path)
-    from linkcore.recording.table_files import TABLE_WRITERS
-
-    if suffix in TABLE_WRITERS:
+    kind = format_of(path)
+    if kind is not None and not kind.is_live:
+        suffix = PurePath(path).suffix.lower()
         raise BadValue(f"{os.fspath(path)}: {suffix} is not written live; record a .urlog, and export it")
+    if kind is not None:
+        recorder: Recorder = plugin("urlink.recorders", "mcap", "urlink-view", "recording an .mcap file live")(path)
+        return recorder
     from linkcore.recording.recorder import Recorder
 
     return Recorder(path)

@@ -11,7 +11,7 @@ from typing import Any, cast
 from linkcore.clock import Stamp
 from linkcore.errors import LinkTimeout
 from linkcore.handle import Handle, Lifecycle
-from linkcore.net.undo import Recall, TakeBack
+from linkcore.net.undo import PendingUndos, Undo
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from linkcore.threads import CallbackThread
@@ -171,13 +171,13 @@ class Desk:
         return self.primary.sent
 
 
-def give_up(recall: Recall, name: str, undo: Callable[[Any, Callable[[], bool]], object]) -> None:
+def give_up(undos: PendingUndos, name: str, undo: Callable[[Any, Callable[[], bool]], object]) -> None:
     """A command of that name was sent and not answered."""
     client = SimpleNamespace(close=lambda: None)
-    with contextlib.suppress(LinkTimeout), recall.command(name, 0.0, TakeBack(lambda: client, undo)) as sent:
+    with contextlib.suppress(LinkTimeout), undos.command(name, 0.0, Undo(lambda: client, undo)) as sent:
         sent()
         raise LinkTimeout("no answer")
-    assert recall.pending == (name,)
+    assert undos.pending == (name,)
 
 
 STARTED, STOPPED = "PROGRAM_XXX_STARTED", "PROGRAM_XXX_STOPPED"

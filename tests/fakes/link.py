@@ -14,10 +14,10 @@ import linkcore.clock
 from linkcore.clock import Stamp
 from linkcore.errors import ConnectionLost, LinkTimeout, PacketError
 from linkcore.net.transport import Transport
+from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import Backoff
 from linkcore.streaming.fanout import FanOut
 from linkcore.streaming.stream import Stream
-from linkcore.streaming.thread_connection import ThreadConnection
 from linkcore.wire.cycles import MissedCycles
 from linkcore.wire.fields import Header, Int8ub, Int32ub
 from linkcore.wire.framing import Framer
@@ -206,5 +206,5 @@ def scripted(
     lossless: bool = False,
 ) -> Stream[Count]:
     """A stream of `Count` over a transport."""
-    connection = ThreadConnection(name, transport, CountProtocol, FanOut(Count), backoff=backoff, silence=silence)
+    connection = Connection(name, transport, CountProtocol, FanOut(Count), backoff=backoff, silence=silence)
     return Stream(connection, Count, lossless=lossless)

@@ -18,6 +18,7 @@ from tests.waiting import until
 from urlink.arm.kinematics import Arm
 from urlink.arm.vectors import FloatArray
 from urlink.motion.context import MotionContext
+from urlink.motion.links.messages import MESSAGE_SIZE
 from urlink.motion.links.register_link import (
     POINT_INPUTS,
     SETPOINT_INPUTS,
@@ -27,7 +28,6 @@ from urlink.motion.links.register_link import (
 )
 from urlink.motion.links.reverse import ReversePort
 from urlink.motion.motions import LinkName, Motions
-from urlink.motion.servo.setpoints import MESSAGE_SIZE
 from urlink.protocol.enums import RobotMode, RobotModeCB2, SafetyMode
 from urlink.protocol.realtime.packets import RealtimeState
 from urlink.script.wrapping import finish_marker, start_marker

@@ -241,8 +241,8 @@ class NotedWorld:
     def freedrive(self, axes: Sequence[bool], frame: Sequence[float]) -> None:
         self.note(f"freedrive {short(axes)} {short(frame)}")
 
-    def end_yielding(self) -> None:
-        self.note("end yielding")
+    def end_compliance(self) -> None:
+        self.note("end compliance")
 
     def text_message(self, text: str) -> None:
         self.note(f"textmsg {text}")

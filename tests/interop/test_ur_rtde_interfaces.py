@@ -406,7 +406,7 @@ def test_more_of_force_and_payload(controller: Controller, rtde: Rtde, control: 
     controller.call(controller.pendant.play)
     until(control.isProgramRunning)
     assert control.servoC(controller.arm.sample.pose_target, 0.1, 0.5, 0.0)
-    # It takes the command back only with the next one, which it gives up after 3 s if the script has seen it till then.
+    # It undoes the command only with the next one, which it gives up after 3 s if the script has seen it till then.
     until(lambda: control.servoStop(2.0))
     is_new = controller.firmware >= (5, 9)
     enable = control.ftRtdeInputEnable if is_new else control.enableExternalFtSensor

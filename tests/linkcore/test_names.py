@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import ast
 import importlib
+import importlib.metadata
 import importlib.util
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -15,7 +17,8 @@ import pytest
 
 import rhdlink
 import urlink
-from linkcore.names import lazy_names
+from linkcore.errors import LocalError
+from linkcore.names import lazy_names, needs, plugin
 
 PACKAGES = [urlink, rhdlink]
 LAZY = [*PACKAGES, urlink.packets, urlink.rtde, rhdlink.host, rhdlink.smrcl, rhdlink.variables]
@@ -110,5 +113,57 @@ def test_importing_a_package_imports_nothing_of_it(package: ModuleType) -> None:
     program = f"import sys; import {package.__name__}; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     ours = {name for name in done.stdout.split() if name.partition(".")[0] in ("linkcore", "urlink", "rhdlink")}
-    assert ours == {"linkcore", "linkcore.distribution", "linkcore.names", package.__name__}
+    assert ours == {"linkcore", "linkcore.names", package.__name__}
     assert "numpy" not in done.stdout.split()
+
+
+@pytest.fixture
+def entries(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[importlib.metadata.EntryPoint]]:
+    """Group -> its entry points, in the place of those of installed distributions."""
+    found: dict[str, list[importlib.metadata.EntryPoint]] = {}
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: found.get(group, []))
+    return found
+
+
+def test_plugin_loads_what_an_entry_point_names(entries: dict[str, list[importlib.metadata.EntryPoint]]) -> None:
+    entries["made.parsers"] = [importlib.metadata.EntryPoint("json", "json:loads", "made.parsers")]
+    assert plugin("made.parsers", "json", "made-json", "reading") is json.loads
+
+
+@pytest.mark.parametrize(
+    ("distribution", "install"),
+    [("made-json", "pip install made-json"), ("made-json[fast]", "pip install 'made-json[fast]'")],
+)
+@pytest.mark.usefixtures("entries")
+def test_plugin_says_what_installs_it_when_it_is_not_installed(distribution: str, install: str) -> None:
+    with pytest.raises(LocalError) as refused:
+        plugin("made.parsers", "json", distribution, "reading")
+    assert str(refused.value) == f"reading needs the package made-json, which is not installed: {install}"
+
+
+@pytest.mark.parametrize(
+    ("extra", "distribution", "says"),
+    [("fast", "made-json", "pip install 'made-json[fast]'"), ("", "made-json", "pip install made-json")],
+)
+def test_needs_names_the_distribution_of_the_extra(extra: str, distribution: str, says: str) -> None:
+    with pytest.raises(LocalError, match=f"not installed: {re.escape(says)}$"), needs(extra, "reading", distribution):
+        importlib.import_module("made_no_such")
+
+
+def test_lazy_names_brings_a_package_of_another_distribution(
+    package: ModuleType, monkeypatch: pytest.MonkeyPatch, entries: dict[str, list[importlib.metadata.EntryPoint]]
+) -> None:
+    monkeypatch.setattr(sys, "meta_path", sys.meta_path[:])
+    get, names, public = lazy_names("made", {"json": "loads"}, packages={"mail": "made-mail"})
+    monkeypatch.setattr(package, "__getattr__", get)
+    monkeypatch.setattr(package, "__path__", [], raising=False)
+    with pytest.raises(ImportError, match=r"^import made\.mail needs the package made-mail.*: pip install made-mail$"):
+        importlib.import_module("made.mail.utils")
+    entries["made.packages"] = [importlib.metadata.EntryPoint("mail", "email", "made.packages")]
+    try:
+        assert importlib.import_module("made.mail.utils") is importlib.import_module("email.utils")
+        assert package.mail is importlib.import_module("email")
+    finally:
+        for name in [each for each in sys.modules if each.startswith("made.")]:
+            del sys.modules[name]
+    assert (names(), public) == (["loads"], ["loads"])

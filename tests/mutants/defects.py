@@ -25,11 +25,11 @@ __all__ = ["KINDS", "Drawn", "defects", "draw", "with_defect"]
 
 KINDS = ("swap", "late", "expiry", "lock", "forget", "branch")
 
-#: Calls that end, wake or take back something.
+#: Calls that end, wake or undo something.
 _ENDING = re.compile(
     r"_?(notify|notify_all|set|cancel\w*|release\w*|close\w*|clear|unsubscribe|remove\w*|discard\w*|stop\w*|wake\w*|"
     r"join|shutdown\w*|end\w*|fail\w*|finish\w*|forget\w*|undo\w*|disconnect\w*|abort\w*|withdraw\w*|give_up\w*|expire\w*|"
-    r"unregister\w*|recall\w*|fire|tell\w*|call_soon_threadsafe|set_result|set_exception|drop\w*|leave\w*|free\w*)"
+    r"unregister\w*|undo\w*|fire|tell\w*|call_soon_threadsafe|set_result|set_exception|drop\w*|leave\w*|free\w*)"
 )
 _TIME = re.compile(r"timeout|deadline|until|expir|watchdog|lifespan|patience|_age\b|\bage\b|overdue|\bleft\b|_since\b")
 _LOCK = re.compile(r"lock|mutex|condition|changed|turn|guard|critical", re.IGNORECASE)

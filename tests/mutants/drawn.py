@@ -16,7 +16,7 @@ COUNT = 200
 #: Patterns of the modules below src/ from which they are drawn.
 MODULES = (
     "urlink/command/*.py",
-    "urlink/motion/*.py",
+    "urlink/motion/**/*.py",
     "urlink/aio/*.py",
     "urlink/rtde/*.py",
     "linkcore/streaming/*.py",

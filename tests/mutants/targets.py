@@ -49,7 +49,7 @@ GROUPS = {
         ),
     ),
     "motion": Group(
-        ("urlink/motion/**/*.py",),
+        ("urlink/motion/**/*.py", "urlink/command/program_time.py"),
         (
             "tests/urlink/motion",
             "tests/urlink/script",

@@ -27,8 +27,8 @@ import urlink
 from linkcore.errors import LinkError, LocalError, RemoteError
 from tests.urlink import test_cycles as own
 from tests.urlink import test_cycles_of_others as others
-from urlink.compat import rtde_io, urx
 from urlink.simulator import Controller, Still
+from urlink_compat import rtde_io, urx
 
 HOST = "192.168.0.100"
 #: Calls between two collections: what the simulated controller leaves has to be taken away.

@@ -16,8 +16,8 @@ from linkcore.errors import LinkError
 from tests.spawning import spawning
 from tests.urlink.test_cycles import COUNT, HOME, NEAR, collector_off
 from tests.waiting import until
-from urlink.compat import rtde_control, rtde_io, urx
 from urlink.protocol.realtime.protocol import RealtimeProtocol
+from urlink_compat import rtde_control, rtde_io, urx
 
 pytestmark = pytest.mark.real_time
 

@@ -1,4 +1,4 @@
-"""A call that failed and may still be carried out is taken back by the next connection of this process, too.
+"""A call that failed and may still be carried out is undone by the next connection of this process, too.
 
 The service of the simulated controller hangs, the call fails, the robot is closed, and the controller goes on.
 """
@@ -13,7 +13,7 @@ import pytest
 
 import urlink
 from linkcore.errors import LinkError
-from linkcore.net.undo import Recall
+from linkcore.net.undo import PendingUndos
 from tests.waiting import until
 from urlink.protocol.firmware import Firmware
 from urlink.robot import peers_of
@@ -51,7 +51,7 @@ def moves(controller: Controller) -> bool:
 def is_owed(controller: Controller) -> bool:
     place = parse_address(controller.address)
     assert isinstance(place, RobotAddress)
-    return Recall.is_owed(*peers_of(place))
+    return PendingUndos.is_owed(*peers_of(place))
 
 
 def play(controller: Controller, robot: urlink.Robot) -> None:
@@ -79,7 +79,7 @@ def give_up(controller: Controller, call: Callable[[Controller, urlink.Robot], N
         robot.motion.stop(wait=10)
         with pytest.raises(LinkError, match="it may still be carried out"):
             call(controller, robot)
-    until(lambda: not [each for each in threading.enumerate() if each.name.endswith("take back")])
+    until(lambda: not [each for each in threading.enumerate() if each.name.endswith("undo")])
     assert is_owed(controller)
 
 
@@ -146,7 +146,7 @@ def test_a_connection_goes_on_with_what_it_could_not_take_back_in_time(controlle
 
 
 def test_a_newer_program_supersedes_it(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("urlink.command.channel._TAKE_BACK", 0.0)
+    monkeypatch.setattr("urlink.command.channel._UNDO_TIMEOUT", 0.0)
     with urlink.connect(controller.address) as other:
         give_up(controller, play)
         controller.faults.stall(3.0, "dashboard")
@@ -169,14 +169,14 @@ def give_up_alone(controller: Controller) -> None:
         controller.faults.stall(HANGS, "dashboard")
         with pytest.raises(LinkError, match="it may still be carried out"):
             dashboard.send("play", ANSWER)
-    until(lambda: not [each for each in threading.enumerate() if each.name.endswith("take back")])
+    until(lambda: not [each for each in threading.enumerate() if each.name.endswith("undo")])
     assert is_owed(controller)
     until(lambda: moves(controller), TIMEOUT)
 
 
 def dashboard_anew(controller: Controller) -> None:
     with dashboard_of(controller) as dashboard:
-        assert dashboard._recall.settle(TIMEOUT)
+        assert dashboard._undos.settle(TIMEOUT)
 
 
 @pytest.mark.parametrize("connect", [dashboard_anew, anew, anew_with_asyncio])
@@ -208,7 +208,7 @@ def test_fingers_that_a_gripper_alone_moved_are_stopped(controller: Controller) 
     assert is_owed(controller)
     until(lambda: controller.gripper.position > 20, TIMEOUT)
     again = gripper_of(controller)
-    assert again._recall.settle(TIMEOUT)
+    assert again._undos.settle(TIMEOUT)
     assert not is_owed(controller)
     assert controller.gripper.position < 250
     again._disconnect()
@@ -220,4 +220,4 @@ def test_a_simulator_that_ends_with_its_robot_is_owed_nothing() -> None:
         assert isinstance(place, RobotAddress)
         with pytest.raises(LinkError, match="it may still be carried out"):
             execute(robot.controller, robot)
-    assert not Recall.is_owed(*peers_of(place))
+    assert not PendingUndos.is_owed(*peers_of(place))

@@ -81,8 +81,7 @@ def test_move_joints() -> None:
         "urlink.command.section",
         "urlink.command.safety_monitor",
         "urlink.command.interlock",  # may it leave?
-        "linkcore.streaming.connection",
-        "linkcore.streaming.thread_connection",  # is this the thread that reads?
+        "linkcore.streaming.connection",  # is this the thread that reads?
         "linkcore.clock",  # how old is the news?
     }
 

@@ -218,7 +218,6 @@ def test_every_error_is_imported_from_where_a_traceback_shows_it() -> None:
     from pathlib import Path
 
     import urlink.arm.kinematics
-    import urlink.compat.interface  # the errors of everything are defined then
     import urlink.rtde
 
     def kinds(of: type[LinkError]) -> Iterator[type[LinkError]]:

@@ -20,9 +20,9 @@ from urlink.arm.models import MODELS
 from urlink.arm.motors import friction, motors_of
 from urlink.arm.poses import rotvec_to_matrix
 from urlink.arm.vectors import FloatArray
-from urlink.identification.calibration import Calibration, fit_calibration
-from urlink.identification.joints import fit_joints
 from urlink.simulator import Controller, Still
+from urlink_accept.identification.calibration import Calibration, fit_calibration
+from urlink_accept.identification.joints import fit_joints
 
 pytestmark = pytest.mark.captures("real")
 

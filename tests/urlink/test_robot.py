@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import importlib.metadata
 import socket
 import threading
 import time
@@ -483,3 +484,16 @@ def test_two_threads_that_are_the_first_have_the_same_rtde(monkeypatch: pytest.M
             thread.join(20)
         assert found == [robot.rtde] * 2
         assert robot.registers is robot.registers
+
+
+@pytest.mark.simulated_time
+def test_view_and_record_name_the_package_when_it_is_not_installed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: ())
+    with urlink.connect("sim://ur5e?firmware=5.11") as robot:
+        with pytest.raises(urlink.LocalError, match=r"view in a browser needs the .* pip install urlink-view$"):
+            robot.view()
+        with pytest.raises(urlink.LocalError, match=r"\.mcap file live needs the .* pip install urlink-view$"):
+            robot.record(tmp_path / "run.mcap")
+    assert list(tmp_path.iterdir()) == []

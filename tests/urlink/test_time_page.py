@@ -12,7 +12,7 @@ from pathlib import Path
 import urlink
 from linkcore.handle import Motion
 from urlink.motion.motions import Motions
-from urlink.motion.servo.block_motion import LinkedBlock
+from urlink.motion.servo.block_motion import BlockMotion
 from urlink.motion.slider import EFFECTS
 from urlink.motion.stream.group_motion import GroupMotion, GroupStream
 from urlink.robot import Robot
@@ -20,7 +20,7 @@ from urlink.robot import Robot
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "time.md"
 #: What is no part of the way to a robot.
-ELSEWHERE = ("simulator", "compat", "cli", "acceptance", "data")
+ELSEWHERE = ("simulator", "cli", "data")
 CALLS: dict[str, Callable[..., object]] = {
     "urlink.connect": urlink.connect,
     "robot.freedrive": Robot.freedrive,
@@ -98,5 +98,5 @@ def test_each_class_of_motions_states_what_the_slider_does_to_it() -> None:
         if kind.__module__.startswith("urlink.") and kind not in stated:
             silent.add(kind)
     # The first is the base class of blocks; the motions of groups are made of others.
-    silent -= {LinkedBlock, GroupMotion, GroupStream}
+    silent -= {BlockMotion, GroupMotion, GroupStream}
     assert not silent, f"decorate with @slider of urlink.motion.slider: {[str(kind) for kind in silent]}"

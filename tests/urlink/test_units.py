@@ -16,8 +16,8 @@ from linkcore.arguments import other_unit
 from linkcore.errors import BadValue
 from urlink import Circular, Joint, Linear, Trajectory
 from urlink.arm.kinematics import Arm, Unreachable
-from urlink.compat import rtde_control, urx
 from urlink.simulator import Controller, Still
+from urlink_compat import rtde_control, urx
 
 ARM = Arm("UR5e")
 HOME = [0.0, -1.57, 1.57, -1.57, -1.57, 0.0]

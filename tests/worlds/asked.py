@@ -16,9 +16,9 @@ import numpy as np
 
 import urlink
 from linkcore.handle import Handle
-from urlink.compat.rtde_control import RTDEControlInterface
-from urlink.compat.urx import Robot as UrxRobot
 from urlink.motion.teaching import Taught, TaughtPoint
+from urlink_compat.rtde_control import RTDEControlInterface
+from urlink_compat.urx import Robot as UrxRobot
 
 from .world import Ask
 

@@ -16,7 +16,7 @@ import pytest
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import ConnectionLife
 from linkcore.streaming.fanout import FanOut
-from linkcore.streaming.packet_queue import PacketQueue
+from linkcore.streaming.packet_queue import BoundedQueue
 from linkcore.streaming.subscription import InlineDelivery
 from rhdlink.drive import _Motions
 from rhdlink.replica import Replica
@@ -31,7 +31,7 @@ __all__ = ["ATTRIBUTES", "METHODS", "guards", "watching"]
 #: Attributes that are assigned only under a lock once their object was made: by class, the lock and the attributes.
 ATTRIBUTES: Mapping[type, tuple[str, frozenset[str]]] = {
     FanOut: ("_lock", frozenset({"_offers", "taps"})),
-    PacketQueue: ("_discarding", frozenset({"_discarded"})),
+    BoundedQueue: ("_discarding", frozenset({"_discarded"})),
     InlineDelivery: ("_closing", frozenset({"_is_closed"})),
     _Motions: ("_lock", frozenset({"_error", "_next"})),
     CommonTime: ("_lock", frozenset({"_local", "_time", "began", "rate"})),

@@ -24,10 +24,10 @@ from linkcore.streaming.connection import Connection
 from linkcore.streaming.fanout import FanOut
 from urlink.command.channel import CommandChannel
 from urlink.command.programs import Programs
+from urlink.motion.links.messages import MESSAGE_SIZE, STOP_MESSAGE, WAIT_MESSAGE
 from urlink.motion.links.register_link import RegisterLink
 from urlink.motion.links.reverse import ReverseLink
 from urlink.motion.servo.linked_program import LinkedProgram
-from urlink.motion.servo.setpoints import MESSAGE_SIZE, STOP_MESSAGE, WAIT_MESSAGE
 from urlink.protocol.primary.robot_state import RobotState
 from urlink.protocol.realtime.packets import RealtimeState
 from urlink.robot import Robot

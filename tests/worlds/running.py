@@ -25,10 +25,10 @@ from linkcore.handle import Handle
 from linkcore.pending_call import current_call
 from linkcore.simulated import Computer, Deadlock, Simulation, TimeLimit, simulated_time
 from urlink.aio import awaited
-from urlink.compat.rtde_control import RTDEControlInterface
-from urlink.compat.urx import Robot as UrxRobot
 from urlink.protocol.enums import ProgramState
 from urlink.simulator import Controller, Still
+from urlink_compat.rtde_control import RTDEControlInterface
+from urlink_compat.urx import Robot as UrxRobot
 
 from . import acting
 from .asked import BLOCK, CALL, DURING, MOTION, PENDANT_PROGRAM, UR_RTDE, URX
@@ -69,13 +69,13 @@ PREEMPTED = (
     "linkcore.threads",
     "urlink.aio",
     "urlink.command",
-    "urlink.compat",
     "urlink.motion.control",
     "urlink.group",
     "urlink.motion",
     "urlink.robot",
     "urlink.rtde",
     "rhdlink",
+    "urlink_compat",
 )
 #: Calls that neither move the arm nor keep others from moving it.
 _HARMLESS = ("output", "analog_output", "payload", "tcp", "registers", "outputs", "subscribe", "iterate", "wait_state")

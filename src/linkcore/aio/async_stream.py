@@ -1,4 +1,4 @@
-"""What programs that use asyncio hold of one interface of one peer; the counterparts of `Feed` and `Stream`."""
+"""`AsyncFeed` and `AsyncStream`: the packets of one interface, for programs that use asyncio."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from ..errors import LocalError
 from ..names import StrictAttributes
 from ..streaming.feed import Feed
-from ..streaming.packet_queue import Policy, is_older
+from ..streaming.packet_queue import BoundedQueue, Policy
 from ..streaming.statistics import SubscriptionStatistics
 from .loop_connection import LoopConnection
 
@@ -21,96 +21,42 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 
-class LoopQueue:
-    """Packets waiting for one task. Everything happens in the thread of the loop, so nothing is locked.
-
-    ``offered == taken + dropped + waiting``, always.
+class LoopQueue(BoundedQueue):
+    """Packets waiting for one task. Everything happens in the thread of the loop.
 
     Args:
-        policy: what to do when the task falls behind. Under `block` the loop reads no more from this peer when the
-            queue is full, until it is half empty. What was read in the same moment, at most 64 KiB, is still taken in,
-            so up to some 60 packets more than the limit can wait.
+        policy: what to do when the task falls behind. If it makes the reader wait, the loop reads no more from this
+            peer when the queue is full, until it is half empty. What was read in the same moment, at most 64 KiB, is
+            still taken in, so up to some 60 packets more than the limit can wait.
         connection: is read no more when the queue is full.
         lifespan: seconds after its arrival for which a packet can be taken; None for ever.
-
-    Attributes:
-        offered: packets that came here.
-        taken: packets that the task took.
-        dropped: packets thrown away: one too many, too old, or waiting when the queue was closed.
-        expired: those of them that were older than the lifespan when their turn came.
-        evicts: drops the oldest when it is full, rather than reading no more.
-        is_over: `next` has returned None because no more will come.
     """
 
-    #: A queue is never in the way of another, so it is served before the callbacks.
-    is_inline = False
-
     def __init__(self, policy: Policy, connection: LoopConnection, lifespan: float | None = None) -> None:
-        self.offered = self.taken = self.dropped = self.expired = 0
-        self._discarded = 0  # those of the dropped ones that were waiting when it was closed
-        self._lifespan = lifespan
-        self.evicts = policy.evicts
-        self.is_over = False
-        self._limit = policy.limit
+        super().__init__(policy, lifespan)
         self._connection = connection
-        self._packets: deque[Any] = deque()
-        self._is_ended = False
         self._waiter: asyncio.Future[None] | None = None
-
-    @property
-    def waiting(self) -> int:
-        """Packets in the queue."""
-        return len(self._packets)
-
-    @property
-    def overtaken(self) -> int:
-        """Packets among `dropped` that newer ones replaced, or that had expired: the task fell behind."""
-        return self.dropped - self._discarded
 
     def offer(self, packets: Sequence[Any]) -> None:
         """Hand packets over."""
-        if self._is_ended:
-            return
+        super().offer(packets)
+        # A full queue has to say so at once: what the loop reads next could not be refused.
+        if self.makes_reader_wait and len(self._packets) >= self._limit and not self._is_ended:
+            self._reader_sleeps = True
+            self._connection.hold(self)
+
+    def _wait_for_room(self, packets: Sequence[Any]) -> None:
         self.offered += len(packets)
         self._packets.extend(packets)
-        surplus = len(self._packets) - self._limit
-        if surplus > 0 and self.evicts:
-            for _ in range(surplus):
-                self._packets.popleft()
-            self.dropped += surplus
-        elif surplus >= 0 and not self.evicts:
-            self._connection.hold(self)
-        self._wake()
 
-    def _wake(self) -> None:
+    def _wake_consumer(self) -> None:
+        self._consumer_sleeps = False
         if self._waiter is not None and not self._waiter.done():
             self._waiter.set_result(None)
 
-    def end(self) -> None:
-        """No more will come; what waits can still be taken. Idempotent."""
-        self._is_ended = True
-        self._wake()
-
-    def close(self) -> None:
-        """Drop what waits, take nothing more; idempotent."""
-        self._discarded += len(self._packets)
-        self.dropped += len(self._packets)
-        self._packets.clear()
-        self.end()
+    def _wake_reader(self) -> None:
+        self._reader_sleeps = False
         self._connection.release(self)
-
-    def take(self) -> Any | None:
-        """A packet that has come, or None."""
-        while self._packets:
-            packet = self._packets.popleft()
-            if len(self._packets) <= self._limit // 2:
-                self._connection.release(self)
-            if self._lifespan is None or not is_older(packet, self._lifespan):
-                self.taken += 1
-                return packet
-            self.dropped += 1
-            self.expired += 1
-        return None
 
     async def next(self, timeout: float | None = None) -> Any | None:
         """Wait for a packet and take it; None when time is up, or when no more will come: `is_over` tells which.
@@ -125,7 +71,7 @@ class LoopQueue:
             nonlocal is_late
             self._connection.look()  # the loop may have been held up while packets came
             is_late = True
-            self._wake()
+            self._wake_consumer()
 
         if self._waiter is not None:
             raise LocalError("another task waits for packets of this iterator; give each task one of its own")
@@ -140,9 +86,11 @@ class LoopQueue:
                 if timeout is not None and timer is None:
                     timer = loop.call_later(timeout, time_is_up)
                 self._waiter = loop.create_future()
+                self._consumer_sleeps = True
                 await self._waiter
         finally:
             self._waiter = None
+            self._consumer_sleeps = False
             if timer is not None:
                 timer.cancel()
         return packet

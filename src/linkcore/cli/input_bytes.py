@@ -1,4 +1,4 @@
-"""Bytes that a person gives to a command: in a file, as hex text, or on stdin."""
+"""Input bytes of a command: from a file, as hex text, or from stdin."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A command of a program as one row: its name, its help, its arguments and the function that it runs."""
+"""Declaration of a command: its name, help, arguments and function; and the arguments that many commands share."""
 
 from __future__ import annotations
 
@@ -139,10 +139,39 @@ def positive_int(text: str) -> int:
     return int(text)
 
 
+def replay_rate(text: str) -> float:
+    """How many times as fast as it was recorded; 0 for ``max``, as fast as possible."""
+    if text == "max":
+        return 0.0
+    try:
+        return positive_number(text)
+    except argparse.ArgumentTypeError:
+        raise argparse.ArgumentTypeError(f"{text!r} is neither a positive number nor max") from None
+
+
 #: For how long a command runs.
 DURATION = argument("--duration", type=seconds, metavar="S", help="end after S seconds (never)")
 #: The file that a command reads.
 RECORDING = argument("file", metavar="FILE", help="a recording")
+
+
+_C = TypeVar("_C")
+
+
+def connected(connect: Callable[[str], _C], args: argparse.Namespace, address: str | None = None) -> _C:
+    """Connect to a robot, and show the progress.
+
+    Args:
+        connect: Connects to an address.
+        args: The arguments of a command that takes an address.
+        address: Address of the robot; None for the one in `args`.
+
+    Raises:
+        LinkError: See the `connect` of the package.
+    """
+    address = args.address if address is None else address
+    with ProgressBar(f"connecting to {address}", args.quiet):
+        return connect(address)
 
 
 class Exportable(Protocol):
@@ -173,6 +202,12 @@ class Load(Protocol[_T_co]):
     def __call__(self, path: str, /, *, progress: Progress | None = None) -> _T_co: ...
 
 
+def _formats() -> str:
+    from ..recording.table_files import format_list  # which most commands do without
+
+    return format_list()
+
+
 #: The command `export` of a package, made of a function that calls `export`.
 exporting = command(
     "export",
@@ -181,6 +216,7 @@ exporting = command(
     argument("to", metavar="OUT", help="file to write; its suffix says the format"),
     argument("fields", metavar="FIELD", nargs="*", trailing=True, help="write only these fields"),
     argument("--rate", type=positive_number, metavar="HZ", help="resample to so many rows a second"),
+    listing=_formats,
 )
 
 

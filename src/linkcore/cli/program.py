@@ -1,13 +1,10 @@
-"""What every program has: what surrounds its commands (parsing, logging, errors, exit status), and `completion`.
-
-`completion` prints what a shell reads to complete the commands of a program, their options and the names they take. It
-is made from the parsers of all commands; a shell that has read it starts no program to complete a word.
-"""
+"""A program of commands, and what surrounds them: parsing, logging, errors and exit status."""
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import functools
 import io
 import itertools
 import logging
@@ -16,32 +13,60 @@ import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib import import_module
+from typing import NamedTuple
 
-from .. import distribution
+from .. import NAME
 from ..errors import LinkError
+from ..names import missing_plugin, plugins
 from ..text import printable, similar
-from .options import Subcommand, argument, command, common_options, completed_words
+from .options import Subcommand, common_options
 from .terminal import Interrupted, raise_on_sigterm
 
 #: An option of every command.
 _COMMON = re.compile("-[qv]+|--quiet|--verbose")
 
 
+#: The end of the help of every program.
+_END_OF_HELP = """\
+exit status:
+  0 done, 1 an error of the robot, the file or the address (one line on stderr), 2 wrong usage,
+  130 ended by Ctrl-C, 143 by SIGTERM
+
+`{name} COMMAND --help` explains each command, with examples."""
+
+
+class Plugin(NamedTuple):
+    """A command that a distribution of its own brings.
+
+    Attributes:
+        distribution: which brings it, with its extra if that is needed.
+        summary: its line in the help of the program while it is not installed.
+    """
+
+    distribution: str
+    summary: str
+
+
 def program(
-    name: str, commands: Mapping[str, str], description: str, epilog: str, argv: Sequence[str] | None = None
+    name: str, commands: Mapping[str, str | Plugin], description: str, epilog: str, argv: Sequence[str] | None = None
 ) -> int:
     """Run the command line of the package `name`; returns the exit status and never raises.
 
     Args:
         name: of the package, and of the program.
         commands: each command -> the module in the package's `cli` that has it, in the order of the help. Only the
-            module of the given command is imported: importing all of them takes longer than most commands.
-        description, epilog: of the help.
+            module of the given command is imported: importing all of them takes longer than most commands. The module
+            of a `Plugin` is named by an entry point of the group `<name>.commands`, in which other distributions may
+            have further commands.
+        description, epilog: of the help, which ends with the exit status.
         argv: the arguments; those of the process by default.
     """
     argv = sys.argv[1:] if argv is None else argv
     parser = argparse.ArgumentParser(
-        prog=name, description=description, epilog=epilog, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog=name,
+        description=description,
+        epilog=f"{epilog}\n\n{_END_OF_HELP.format(name=name)}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and end")
     common_options(parser)
@@ -52,20 +77,37 @@ def program(
         argv = [argv[len(leading)], *leading, *argv[len(leading) + 1 :]]
     asked = next((word for word in argv if not word.startswith("-")), "")
 
+    installed = functools.cache(functools.partial(plugins, f"{name}.commands"))
+    known = commands.get(asked)
+    if isinstance(known, Plugin) and asked not in installed():
+        print(f"{name}: {missing_plugin(known.distribution, f'`{name} {asked}`')}", file=sys.stderr)
+        return 1
+
     def declare(names: Iterable[str]) -> argparse.ArgumentParser:
         for each in names:
-            where = commands[each]
-            found = vars(import_module(where if "." in where else f"{name}.cli.{where}")).values()
-            next(row for row in found if isinstance(row, Subcommand) and row.name == each).declare(subparsers)
+            where = commands.get(each)
+            if isinstance(where, str):
+                found = import_module(where if "." in where else f"{name}.cli.{where}")
+            elif each in installed():
+                found = installed()[each].load()
+            elif where is not None:
+                subparsers.add_parser(each, help=f"{where.summary} (pip install {where.distribution})")
+                continue
+            rows = (row for row in vars(found).values() if isinstance(row, Subcommand))
+            next(row for row in rows if row.name == each).declare(subparsers)
         return parser
 
-    declare([asked] if asked in commands else commands)
-    parser.set_defaults(all_commands=lambda: declare(each for each in commands if each != asked))
+    def every() -> list[str]:
+        return [*commands, *sorted(installed().keys() - commands.keys())]
+
+    names = [asked] if isinstance(known, str) else every()
+    declare([asked] if asked in names else names)
+    parser.set_defaults(all_commands=lambda: declare(each for each in every() if each != asked))
     try:
-        if asked and asked not in commands and argv[0] == asked:
-            parser.error(f"no command {asked!r}{similar(asked, commands) or ';'} there are {', '.join(commands)}")
-        if asked not in commands and argv and argv[0].startswith("--") and not "--version".startswith(argv[0]):
-            behind = next((word for word in argv if word in commands), None)
+        if asked and asked not in names and argv[0] == asked:
+            parser.error(f"no command {asked!r}{similar(asked, names) or ';'} there are {', '.join(names)}")
+        if asked not in names and argv and argv[0].startswith("--") and not "--version".startswith(argv[0]):
+            behind = next((word for word in argv if word in names), None)
             if behind is not None:
                 parser.error(f"options come after the command: {name} {behind} {argv[0]}")
         args, extra = parser.parse_known_args(argv)
@@ -114,7 +156,7 @@ class _Version(argparse.Action):
         import importlib.metadata
 
         try:
-            version = importlib.metadata.version(distribution.NAME)
+            version = importlib.metadata.version(NAME)
         except importlib.metadata.PackageNotFoundError:
             version = "(not installed)"
         print(parser.prog, version)
@@ -155,71 +197,3 @@ def _logging(name: str, verbose: int) -> Iterator[None]:
             logger.removeHandler(handler)
             logger.setLevel(old_level)
             logger.propagate = old_propagate
-
-
-#: zsh runs the functions of bash after this.
-_ZSH = "autoload -U +X compinit && compinit -u\nautoload -U +X bashcompinit && bashcompinit\n"
-
-
-@command(
-    "completion",
-    "complete words in bash and zsh",
-    argument("shell", choices=("bash", "zsh"), help="whose lines to print"),
-)
-def _complete(args: argparse.Namespace) -> int:
-    """Print the lines by which a shell completes commands, options, and the names that a command takes, such as RTDE
-    variables. They belong into the file that the shell reads when it starts.
-
-    examples:
-      {program} completion bash >> ~/.bashrc
-      {program} completion zsh >> ~/.zshrc
-      {program} completion bash > ~/.local/share/bash-completion/completions/{program}
-    """
-    parser: argparse.ArgumentParser = args.all_commands()
-    print((_ZSH if args.shell == "zsh" else "") + _script(parser), end="")
-    return 0
-
-
-def _script(parser: argparse.ArgumentParser) -> str:
-    """The function of bash that completes the commands of a program."""
-    commands = next(each.choices for each in parser._actions if isinstance(each, argparse._SubParsersAction))
-    function = "_" + re.sub(r"\W", "_", parser.prog)
-    lines = [
-        f"{function}() {{",
-        '  local word="${COMP_WORDS[COMP_CWORD]}" before="${COMP_WORDS[COMP_CWORD-1]}"',
-        '  local command="${COMP_WORDS[1]}" words=""',
-        f'  if [ "$COMP_CWORD" -eq 1 ]; then words="{_joined([*commands, "--help", "--version"])}"',
-        '  else case "$command $before" in',
-        *(f'    "{name} {option}") words="{_joined(choices)}" ;;' for name, option, choices in _values(commands)),
-        '    *) case "$command" in',
-        *(f'      {name}) words="{_joined(_words(each))}" ;;' for name, each in commands.items()),
-        "    esac ;;",
-        "  esac; fi",
-        '  COMPREPLY=($(compgen -W "$words" -- "$word"))',
-        "}",
-        f"complete -o default -F {function} {parser.prog}",
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def _joined(words: Iterable[str]) -> str:
-    """Words that a shell takes as they are; others, with blanks, are left out."""
-    return " ".join(word for word in words if re.fullmatch(r"[\w.:/=+-]+", word))
-
-
-def _values(commands: dict[str, argparse.ArgumentParser]) -> Iterator[tuple[str, str, list[str]]]:
-    """Command, option, and the values that the option takes; none for one that takes anything."""
-    for name, parser in commands.items():
-        for action in parser._actions:
-            if action.option_strings and action.nargs != 0:
-                for option in action.option_strings:
-                    yield name, option, list(completed_words(action))
-
-
-def _words(parser: argparse.ArgumentParser) -> Iterator[str]:
-    """The options of a command, and the words that its other arguments take."""
-    for action in parser._actions:
-        if action.option_strings:
-            yield from action.option_strings
-        else:
-            yield from completed_words(action)

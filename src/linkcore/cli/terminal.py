@@ -1,4 +1,4 @@
-"""What a command has of the terminal: signals that end it, and a view that is drawn again and again."""
+"""The terminal of a command: lines on stderr, signals that end it, and a view that is drawn repeatedly."""
 
 from __future__ import annotations
 
@@ -12,9 +12,15 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from .. import clock
+from ..text import printable
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
+
+
+def tell(program: str, text: str) -> None:
+    """One line on stderr, in the name of a program."""
+    print(f"{program}: {printable(text)}", file=sys.stderr)
 
 
 class Interrupted(KeyboardInterrupt):

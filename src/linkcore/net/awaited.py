@@ -1,4 +1,4 @@
-"""TCP connections for programs that use asyncio: made and ended while other things go on."""
+"""TCP connections for programs that use asyncio: opened and closed without blocking the event loop."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An outgoing TCP connection that is never waited for: its owner asks again, such as once in every cycle.
+"""An outgoing TCP connection that never blocks: its owner polls it, such as once in every cycle.
 
 For programs whose time is counted in cycles, where a thread or a wait would make the outcome depend on the machine.
 """

@@ -1,4 +1,4 @@
-"""Where bytes come from: a TCP connection with deadlines.
+"""Sources of bytes: a TCP connection with deadlines.
 
 A transport is opened, asked for bytes until it raises, closed, and opened again. What it raises is always of this
 library's error tree: errors of the operating system are mapped here and nowhere else.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from .. import clock
@@ -55,8 +55,17 @@ class Recorder(StrictAttributes, Closing):
         """
         writer = self._writer
         channel = writer.add_channel(info)
-        write = functools.partial(writer.add, channel)
-        subscription = stream._connection.subscribe(Traffic, write, policy=block, gather=_GATHER, owner=stream)
+        return self._subscribe(stream, Traffic, functools.partial(writer.add, channel), _GATHER)
+
+    def _kind_of(self, stream: Stream[Any]) -> type:
+        """The class of the states of a stream, for recorders that write states."""
+        return stream._kind
+
+    def _subscribe(
+        self, stream: Stream[Any], kind: type, write: Callable[[Any], object], gather: float
+    ) -> Subscription:
+        """Have `write` called with every packet of a class; recorders of other formats want another class."""
+        subscription = stream._connection.subscribe(kind, write, policy=block, gather=gather, owner=stream)
         self._subscriptions.append(subscription)
         return subscription
 

@@ -1,4 +1,4 @@
-"""Recorded packets as columns, with the times at which they came."""
+"""`Table`: recorded packets as columns, with the times at which they arrived."""
 
 from __future__ import annotations
 

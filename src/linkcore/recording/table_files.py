@@ -9,7 +9,7 @@ import csv
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,17 +27,17 @@ FileWriter = Callable[[Path, Mapping[str, Table], Mapping[str, str], Progress], 
 def export(
     path: str | os.PathLike[str],
     tables: Mapping[str, Table],
-    writers: Mapping[str, FileWriter],
     progress: Progress | None = None,
     about: Mapping[str, str] | None = None,
+    writers: Mapping[str, FileWriter] | None = None,
 ) -> Path:
     """Write tables to a file, which replaces one of the same name once it is complete.
 
     It is written under another name in the same directory, then renamed.
 
     Args:
-        writers: suffix -> function that writes such a file.
         about: what the file says of itself where its format has a place for that: robot, beginning, clocks.
+        writers: suffix -> function that writes such a file instead of `TableFormat.write`.
 
     Raises:
         BadValue: unknown suffix, or the format cannot hold these tables.
@@ -45,12 +45,13 @@ def export(
         LocalError: the package that writes the format is not installed.
     """
     path = Path(path)
-    writer = writers.get(path.suffix.lower())
-    if writer is None:
-        raise BadValue(f"{path}: no format has the suffix {path.suffix!r}; expected one of {', '.join(writers)}")
+    kind = format_of(path)
+    if kind is None:
+        raise BadValue(f"{path}: no format has the suffix {path.suffix!r}; expected one of {', '.join(TABLE_FORMATS)}")
+    write = (writers or {}).get(path.suffix.lower(), kind.write)
     unfinished = path.with_name(f".{path.name}.{os.getpid()}.unfinished")
     try:
-        writer(unfinished, tables, about or {}, progress or unseen)
+        write(unfinished, tables, about or {}, progress or unseen)
         os.replace(unfinished, path)
     except OSError as error:
         raise BadRecording(f"cannot write {path}: {error.strerror or error}") from error
@@ -200,14 +201,42 @@ def write_h5(path: Path, tables: Mapping[str, Table], about: Mapping[str, str], 
             progress((done + 1) / len(tables))
 
 
-#: The formats that hold one table.
-ONE_TABLE = frozenset({".csv", ".parquet"})
-#: Suffix and function that writes such a file. The messages and the help of the command lines list these formats.
-TABLE_WRITERS: Mapping[str, FileWriter] = {
-    ".csv": write_csv,
-    ".parquet": write_parquet,
-    ".mat": write_mat,
-    ".h5": write_h5,
-    ".hdf5": write_h5,
-    ".mcap": write_mcap,
+class TableFormat(NamedTuple):
+    """A format of files that tables can be written to.
+
+    Attributes:
+        write: Writes such a file.
+        programs: Programs that read it, for help texts.
+        holds_one: Whether a file holds one table only.
+        is_live: Whether a file can also be written while the packets arrive.
+    """
+
+    write: FileWriter
+    programs: str
+    holds_one: bool = False
+    is_live: bool = False
+
+
+_HDF5 = TableFormat(write_h5, "HDF5")
+#: suffix -> format
+TABLE_FORMATS: Mapping[str, TableFormat] = {
+    ".csv": TableFormat(write_csv, "spreadsheets", holds_one=True),
+    ".parquet": TableFormat(write_parquet, "pandas, Polars, DuckDB", holds_one=True),
+    ".mat": TableFormat(write_mat, "MATLAB"),
+    ".h5": _HDF5,
+    ".hdf5": _HDF5,
+    ".mcap": TableFormat(write_mcap, "Foxglove, ros2 bag", is_live=True),
 }
+
+
+def format_of(path: str | os.PathLike[str]) -> TableFormat | None:
+    """The format that the suffix of a path names; None for any other suffix, such as that of a recording."""
+    return TABLE_FORMATS.get(Path(path).suffix.lower())
+
+
+def format_list() -> str:
+    """The formats for a help text, one on a line."""
+    return "\n".join(
+        f"  {suffix:9} {each.programs}{', one table' if each.holds_one else ''}"
+        for suffix, each in TABLE_FORMATS.items()
+    )

@@ -1,13 +1,15 @@
-"""One connection of one peer, kept up: its life, its subscribers, and sending, whatever reads it.
+"""One connection of one peer, kept up: its life, its subscribers, sending, and the thread that reads it.
 
-What reads it is one of two: a thread (`linkcore.streaming.thread_connection`) or an event loop
-(`linkcore.aio.loop_connection`). The library holds connections; users hold a `Stream` or a `Feed`, which refer to one.
-What reads refers to its connection too, which therefore exists until it is closed.
+    transport -> receiver -> fan-out -> queues -> callbacks
+    [------ reader thread --------]   [own threads]
+
+The library holds connections; users hold a `Stream` or a `Feed`, which refer to one. What reads refers to its
+connection too, which therefore exists until it is closed. `linkcore.aio.loop_connection` has the same for an event
+loop: it replaces what is below "what reads it", and nothing else.
 """
 
 from __future__ import annotations
 
-import abc
 import logging
 import threading
 from collections.abc import Callable
@@ -20,7 +22,7 @@ from ..errors import Cancelled, Closed, ConnectionLost, LinkTimeout, LocalError,
 from ..net.transport import Finished, Transport
 from ..process import HomeProcess
 from ..text import printable
-from ..threads import alone, is_mine
+from ..threads import alone, is_mine, started
 from ..wire.framing import PacketProtocol
 from .connection_life import (
     STATES,
@@ -34,6 +36,7 @@ from .connection_life import (
 from .fanout import FanOut, Sink
 from .packet_queue import PacketQueue, Policy
 from .receiver import Receiver
+from .scheduling import urgent
 from .silence import SilenceMonitor
 from .statistics import StreamCounters
 from .subscription import InlineDelivery, Subscription, ThreadedDelivery
@@ -41,8 +44,8 @@ from .subscription import InlineDelivery, Subscription, ThreadedDelivery
 _log = logging.getLogger(__name__)
 
 
-class Connection(abc.ABC):
-    """A connection and its subscribers. Connects when first used.
+class Connection:
+    """A connection and its subscribers, read by a thread of its own. Connects when first used.
 
     Args:
         name: for messages and threads.
@@ -82,6 +85,7 @@ class Connection(abc.ABC):
         self._changed = threading.Condition(self._lock)
         self._life = ConnectionLife(name, backoff or Backoff())
         self._sending = threading.RLock()
+        self._reader: threading.Thread | None = None
 
     @property
     def state(self) -> ConnectionState:
@@ -99,45 +103,6 @@ class Connection(abc.ABC):
         """What ended the last connection, or kept the next one from being made: a copy, which may be raised."""
         error = self._life.error
         return None if error is None else unraised(error)
-
-    # -- what reads it ---------------------------------------------------------------------------
-
-    @property
-    @abc.abstractmethod
-    def is_running(self) -> bool:
-        """It is read, or is about to be."""
-
-    @abc.abstractmethod
-    def reads_here(self) -> bool:
-        """The current thread is the one that reads."""
-
-    @abc.abstractmethod
-    def refuse_to_wait(self, what: str) -> None:
-        """Raise where the current thread would wait for itself.
-
-        Raises:
-            LocalError: it is the one that reads.
-        """
-
-    @abc.abstractmethod
-    def look(self) -> None:
-        """Hand out what has come already, before anybody concludes that nothing has. In what reads."""
-
-    @abc.abstractmethod
-    def _launch(self) -> None:
-        """Start to read.
-
-        Raises:
-            LocalError: the system has no thread left, or the loop is closed.
-        """
-
-    @abc.abstractmethod
-    def _join_reader(self, timeout: float) -> bool:
-        """Wait until nothing is read any more; False when time is up."""
-
-    def _hang_up(self) -> None:
-        """Disconnect once what was sent is delivered, and wake what reads. After `_stop`."""
-        self._transport.close()
 
     # -- beginning and ending --------------------------------------------------------------------
 
@@ -386,7 +351,7 @@ class Connection(abc.ABC):
         expand = self.fan_out.expander(kind)
         return {"name": name, "expand": expand, "deadline": deadline, "on_deadline": on_deadline}
 
-    # -- what becomes of a connection, whatever reads it -----------------------------------------
+    # -- what becomes of it, whatever reads it ---------------------------------------------------
 
     def _connecting(self) -> None:
         """It is about to be made."""
@@ -481,3 +446,93 @@ class Connection(abc.ABC):
     def _tell(self, state: ConnectionState | None, error: Exception | None = None) -> None:
         if state is not None:
             self.fan_out.tell(ConnectionEvent(state, self.name, error, Stamp.now()))
+
+    # -- what reads it ---------------------------------------------------------------------------
+
+    @property
+    def is_running(self) -> bool:
+        """A reader has been started, and has not ended."""
+        reader = self._reader
+        return reader is not None and reader.is_alive()
+
+    def reads_here(self) -> bool:
+        """The current thread is the one that reads."""
+        return threading.current_thread() is self._reader
+
+    def refuse_to_wait(self, what: str) -> None:
+        """Raise where the current thread would wait for itself.
+
+        Raises:
+            LocalError: it is the one that reads.
+        """
+        if self.reads_here():
+            raise LocalError(
+                f"{what} would wait for ever: it was called in an inline callback, so by the thread that reads "
+                f"{self.name}, which reads nothing meanwhile; subscribe without inline=True, or wait in another thread"
+            )
+
+    def look(self) -> None:
+        """Hand out what has come already, before anybody concludes that nothing has; where the current thread reads.
+
+        Nothing to do here: the thread only reads, and waits for nothing else.
+        """
+
+    def _launch(self) -> None:
+        """Start to read.
+
+        Raises:
+            LocalError: the system has no thread left.
+        """
+        # Known before it starts, so that it finds itself there.
+        self._reader = threading.Thread(target=self._read, name=f"{self.name} reader", daemon=True)
+        try:
+            started(self._reader)
+        except LocalError:
+            self._reader = None
+            raise
+
+    def _join_reader(self, timeout: float) -> bool:
+        """Wait until nothing is read any more; False when time is up."""
+        reader = self._reader
+        if reader is None or self.reads_here():
+            return True
+        return clock.join(reader, timeout)
+
+    def _hang_up(self) -> None:
+        """Disconnect once what was sent is delivered, and wake what reads. After `_stop`."""
+        self._transport.close()
+
+    @urgent()
+    def _read(self) -> None:
+        while True:
+            try:
+                self._connect_and_receive()
+            except Exception as error:
+                wait = self._next_try(error)
+            else:
+                wait = self._next_try(None)
+            if wait is None:
+                return
+            with self._changed:
+                if clock.wait(partial(self._changed.wait_for, lambda: self._life.is_closed), wait):
+                    break
+        self._finish(None)
+
+    def _connect_and_receive(self) -> None:
+        """One connection, until the transport or the protocol raises, or it is closed."""
+        self._connecting()
+        self._transport.open(self._timeout)
+        if not self._life.is_closed:  # closed while connecting: that could not see this socket
+            self._receive(self._opened())
+
+    def _receive(self, receiver: Receiver) -> None:
+        """Hand out what comes, until the transport raises or the peer has been silent for too long."""
+        receive, take, silence = self._transport.receive, self._take, self.silence
+        silence.end(clock.now())
+        while True:
+            try:
+                data, stamp = receive(silence.wait)
+            except LinkTimeout:
+                silence.timed_out()
+            else:
+                take(receiver, data, stamp)

@@ -1,7 +1,6 @@
-"""Hands every packet of a stream to each queue and each inline callback that asked for its class.
+"""Distributes every packet of a stream to each queue and each inline callback that subscribed to its class.
 
-Called by the thread that reads, which meets no lock here: tuples are replaced and never changed. An asyncio shell can
-use it as it is, with queues of its own.
+Called by the thread that reads, which meets no lock here: tuples are replaced and never changed.
 """
 
 from __future__ import annotations
@@ -26,8 +25,8 @@ class Sink(Protocol):
 
     #: is served after the others, since it calls back at once
     is_inline: bool
-    #: keeps nothing for later that was promised to be delivered
-    evicts: bool
+    #: the reader waits for it, so that every packet is delivered
+    makes_reader_wait: bool
 
     @property
     def offered(self) -> int:
@@ -245,5 +244,5 @@ class FanOut:
         """Close what promised nothing, or the callers wait in themselves; or all of it."""
         callers = [delivery.sink for delivery in self.deliveries if delivery.runs_here()]
         for route in self._now():
-            if all or route.sink.evicts or route.sink in callers:
+            if all or not route.sink.makes_reader_wait or route.sink in callers:
                 route.sink.close()

@@ -1,4 +1,4 @@
-"""The packets of one class on a stream, as users hold them."""
+"""`Feed`: the packets of one class on a stream, for users."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How the clock of a peer goes beside this computer's, from the times in its packets and when they arrived.
+"""The clock of a peer compared with the clock of this computer, from the times in its packets and when they arrived.
 
 A packet has the time of the peer at which it was made, and arrives later. How long it was under way is unknown, but
 two things are: it was no less than nothing; and the quickest of many took no longer than the handshake of their TCP

@@ -1,4 +1,4 @@
-"""What the operating system and the interpreter can do for the threads that must not be late.
+"""Real-time scheduling: what the operating system and the interpreter can do for threads that must not be late.
 
 A thread that reads a robot, or leads one, needs little of a processor, but at once. Whether it gets that is up to the
 system's scheduler, to the memory that may have been swapped out, to the garbage collector, and to whichever thread of

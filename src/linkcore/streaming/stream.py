@@ -1,4 +1,4 @@
-"""What users hold of one interface of one peer."""
+"""`Stream`: one interface of one peer, for users."""
 
 from __future__ import annotations
 

@@ -244,8 +244,8 @@ class InlineDelivery(Delivery):
 
     #: After the queues, so that a slow inline callback does not delay subscribers with threads of their own.
     is_inline = True
-    #: What is given to it is called at once: there is nothing that could be delivered later, or dropped.
-    evicts = True
+    #: What is given to it is called at once: there is nothing that could be delivered later.
+    makes_reader_wait = False
     dropped = expired = waiting = 0
 
     def __init__(

@@ -14,8 +14,7 @@ Where the fields are known only at run time, a layout can be made of them alone:
 from __future__ import annotations
 
 import struct
-import weakref
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import groupby
 from typing import Any
@@ -27,9 +26,6 @@ from .fields import Field, Header, Mask64, Number, Raw, Shape, Version, version_
 
 WIRE_DOUBLE = np.dtype(">f8")
 NATIVE_DOUBLE = np.dtype("=f8")
-
-#: Doubles from which on numpy swaps a packet quicker than struct unpacks it.
-MANY_CELLS = 32
 
 
 class Place:
@@ -99,20 +95,14 @@ class Layout:
         names: of all fields that the packet has in any layout; by default those that this one has.
         first: the first version that has this layout.
         has_block: whether the optional fields are in it.
-        of_cells: see `is_of_cells`, which by default decides.
 
     Attributes:
         places: name -> `Place`, in wire order.
         fields: name and shape, in wire order: what makes two layouts the same.
         size: bytes of the packet, header included; with text in it, the least number of bytes.
         has_text: True if the number of bytes varies.
-        of_cells: the packet is swapped as a whole.
-        at: for each of `names` where its values are, None for what is not sent.
-        unpack: ``unpack(data) -> values``: of cells a read-only float64 array, otherwise a tuple of numbers and bytes.
-            `data` is one whole packet, header included, as `bytes`. Raises `PacketError`.
+        struct: what unpacks the whole packet, header left out; None where there is text.
     """
-
-    unpack: Callable[[bytes], Any]
 
     def __init__(
         self,
@@ -124,7 +114,6 @@ class Layout:
         names: Sequence[str] | None = None,
         first: Version = (0, 0),
         has_block: bool = False,
-        of_cells: bool | None = None,
     ) -> None:
         self.name = name
         self.header = header
@@ -136,13 +125,7 @@ class Layout:
         self.fields = tuple((field.name, shape) for field, shape in fields)
         self._arrange()
         self._count = sum(place.count or 1 for place in self.places.values())
-        self.at = [self.places[name].at if name in self.places else None for name in self.names]
-        self.of_cells = is_of_cells([shape for _, shape in fields]) if of_cells is None else of_cells
-        #: what unpacks the whole packet, header left out; None of cells, and where there is text
-        self.struct = None if self.has_text or self.of_cells else struct.Struct(self._codes)
-        self.unpack = (
-            self._text_unpacker() if self.has_text else self._cell_unpacker() if self.of_cells else self._unpacker()
-        )
+        self.struct = None if self.has_text else struct.Struct(self._codes)
 
     def _arrange(self) -> None:
         """Give every place its offset and its index among the unpacked values."""
@@ -164,7 +147,7 @@ class Layout:
                 offset += stride * (count - 1)
             code = "".join(place.number.code for place in run if place.number is not None)
             codes.append(f"{count}{code}" if len(run) == 1 else code * count)
-        for name, at in indices([(place.field, place.shape) for place in self.places.values()]).items():
+        for name, at in _indices([(place.field, place.shape) for place in self.places.values()]).items():
             self.places[name].at = at
         self.size = offset
         self.has_text = any(place.number is None for place in self.places.values())
@@ -187,55 +170,18 @@ class Layout:
             offset=len(data),
         )
 
-    def _cell_unpacker(self) -> Callable[[bytes], Any]:
-        """All 8-byte cells: swap the whole packet once; the fields are views of it."""
-        start = self.header.width
-        count = (self.size - start) // 8
-        frombuffer = np.frombuffer
-        layout = weakref.proxy(self)  # which holds the function
+    def unpack(self, data: bytes) -> tuple[Any, ...]:
+        """The numbers and bytes in one whole packet, header included.
 
-        def unpack(data: bytes) -> Any:
-            try:
-                cells = frombuffer(data, WIRE_DOUBLE, count, start).astype(NATIVE_DOUBLE)
-            except ValueError:
-                raise layout.too_short(data) from None
-            cells.setflags(False)  # type: ignore[call-arg]  # write; by keyword it takes longer
-            return cells
-
-        return unpack
-
-    def _unpacker(self) -> Callable[[bytes], Any]:
-        """Mixed widths: one precompiled struct for the whole packet."""
-        assert self.struct is not None
-        unpack_from = self.struct.unpack_from
-        layout = weakref.proxy(self)
-
-        def unpack(data: bytes) -> Any:
-            try:
-                return unpack_from(data)
-            except struct.error:
-                raise layout.too_short(data) from None
-
-        return unpack
-
-    def _text_unpacker(self) -> Callable[[bytes], Any]:
-        """Text in it: go from field to field."""
-        layout = weakref.proxy(self)
-
-        def unpack(data: bytes) -> Any:
-            return tuple(value for _, _, _, values in layout.stretches(data) for value in values)
-
-        return unpack
-
-    @cached_property
-    def as_doubles(self) -> Callable[[Sequence[float]], Any]:
-        """A function from the unpacked values to a read-only float64 array of them; only for numbers, not `of_cells`.
-
-        Through bytes it takes a third of the time that `np.array` takes.
+        Raises:
+            PacketError: it is too short.
         """
-        pack = struct.Struct(f"={self._count}d").pack
-        frombuffer = np.frombuffer
-        return lambda values: frombuffer(pack(*values))
+        if self.struct is None:
+            return tuple(value for _, _, _, values in self.stretches(data) for value in values)
+        try:
+            return self.struct.unpack_from(data)
+        except struct.error:
+            raise self.too_short(data) from None
 
     def stretches(self, data: bytes) -> Iterator[tuple[Place, int, int, Sequence[Any]]]:
         """Each place with the start and end of its bytes in `data` and the values in them, also where text varies.
@@ -297,33 +243,18 @@ class Layout:
         if not values.keys() <= set(self.names):
             unknown = ", ".join(sorted(values.keys() - set(self.names)))
             raise BadValue(f"{self.name} has no field {unknown}")
-        if self.of_cells:
-            body = self._encode_cells(values)
-        else:
-            body = self._encode_at_once(values) or self._encode_runs(values)
+        body = self._encode_at_once(values) or self._encode_runs(values)
         return self.header.pack(**{**self.constants, "size": self.header.width + len(body) + len(tail)}) + body + tail
 
-    def _encode_cells(self, values: Mapping[str, Any]) -> bytes:
-        cells = np.zeros((self.size - self.header.width) // 8)
-        for name, value in values.items():
-            place = self.places.get(name)
-            if place is None:
-                continue
-            try:
-                if place.shape is Mask64:
-                    cells.view(np.uint64)[place.at] = place.raw(value)[0]
-                elif place.count is None:
-                    cells[place.at] = place.raw(value)[0]
-                else:
-                    vector = np.asarray(value, np.float64)
-                    if vector.shape != (place.count,):
-                        raise BadValue(f"{name}: expected {place.count} elements, got {value!r}")
-                    cells[place.at] = vector
-            except BadValue:
-                raise
-            except (TypeError, ValueError, OverflowError) as error:
-                raise BadValue(f"{name}: {value!r} cannot be sent ({error})") from None
-        return bytes(cells.astype(WIRE_DOUBLE).tobytes())
+    def check_complete(self, names: Collection[str]) -> None:
+        """That no field of this layout would be zero only because nobody named it.
+
+        Raises:
+            BadValue: some are neither in `names` nor constants of the layout.
+        """
+        missing = [name for name in self.places if name not in names and name not in self.constants]
+        if missing:
+            raise BadValue(f"{self.name}: no value for {', '.join(missing)}")
 
     def _encode_at_once(self, values: Mapping[str, Any]) -> bytes | None:
         """All fields by one precompiled struct; None where that cannot be: text, or a value that does not fit.
@@ -377,6 +308,16 @@ class Layout:
 
     # -- many packets at once ------------------------------------------------------------------
 
+    @property
+    def of_cells(self) -> bool:
+        """Whether there is nothing but 8-byte cells, so that many packets are best swapped as a whole.
+
+        A 64-bit integer is not such a cell: read as a double it would lose its value. A mask is, since it is read by
+        its bits.
+        """
+        shapes = [shape for _, shape in self.fields]
+        return all(shape is Mask64 or (shape.number is not None and shape.number.code == "d") for shape in shapes)
+
     @cached_property
     def dtype(self) -> np.dtype[Any]:
         """The numpy dtype of the packet as it lies on the wire, header included.
@@ -405,7 +346,7 @@ class Layout:
         return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": self.size})
 
 
-def indices(fields: Sequence[tuple[Field, Shape]]) -> dict[str, int | slice]:
+def _indices(fields: Sequence[tuple[Field, Shape]]) -> dict[str, int | slice]:
     """name -> index, or slice of an array, of each field among the values that a packet is unpacked to."""
     found: dict[str, int | slice] = {}
     index = 0
@@ -421,16 +362,6 @@ def indices(fields: Sequence[tuple[Field, Shape]]) -> dict[str, int | slice]:
             # All of a group are as long as the first, and are sent element by element in turn.
             index += step * (group[0][1].count or 1)
     return found
-
-
-def is_of_cells(shapes: Sequence[Shape]) -> bool:
-    """Whether there is nothing but 8-byte cells, and so many of them that a packet is best swapped as a whole.
-
-    A 64-bit integer is not such a cell: read as a double it would lose its value. A mask is, since it is read by its
-    bits.
-    """
-    is_uniform = all(shape is Mask64 or (shape.number is not None and shape.number.code == "d") for shape in shapes)
-    return is_uniform and sum(shape.count or 1 for shape in shapes) >= MANY_CELLS
 
 
 def _zeros(place: Place) -> list[Any]:

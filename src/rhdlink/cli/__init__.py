@@ -1,4 +1,4 @@
-"""The `rhdlink` command: a module for each group of subcommands, and what they share."""
+"""The `rhdlink` command: one module per subcommand, and what they share."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ __all__ = ["main"]
 
 #: command -> the module of this folder that declares it
 _COMMANDS = {
-    "serve": "hosting",
-    "turtle": "hosting",
+    "serve": "serve",
+    "turtle": "turtle",
     "mission": "mission",
-    "vars": "values",
-    "get": "values",
-    "set": "values",
-    "watch": "values",
-    "record": "recordings",
-    "replay": "recordings",
-    "export": "recordings",
+    "vars": "vars",
+    "get": "get",
+    "set": "set",
+    "watch": "watch",
+    "record": "record",
+    "replay": "replay",
+    "export": "export",
     "dissect": "dissect",
-    "completion": "linkcore.cli.program",
+    "completion": "linkcore.cli.completion",
 }
 
 _DESCRIPTION = "Read, drive, host and simulate mobile robots that run the Robot Hardware Daemon (RHD)."
@@ -33,13 +33,7 @@ addresses:
 
 a first try, in two terminals:
   rhdlink turtle
-  rhdlink watch localhost
-
-exit status:
-  0 done, 1 an error of the robot, the file or the address (one line on stderr), 2 wrong usage,
-  130 ended by Ctrl-C, 143 by SIGTERM
-
-`rhdlink COMMAND --help` explains each command, with examples."""
+  rhdlink watch localhost"""
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -8,12 +8,13 @@ import operator
 from collections.abc import Iterator
 from typing import Any
 
-from linkcore.cli.input_bytes import input_bytes, named, text_hint
-from linkcore.cli.options import argument, command, positive_int
+from linkcore.cli.dissection import SHOWN, Shown, ascii_text, print_pieces
+from linkcore.cli.input_bytes import input_bytes, text_hint
+from linkcore.cli.options import argument, command
 from linkcore.cli.progress import ProgressBar
 from linkcore.errors import BadRecording
 from linkcore.recording.file import MAGIC, RecordingFile
-from linkcore.text import printable, strict_json
+from linkcore.text import printable
 
 from ..recording import received
 from ..wire.dissection import PackagePart, Piece, dissect, guess_sender, tables_in
@@ -26,8 +27,7 @@ from ..wire.dissection import PackagePart, Piece, dissect, guess_sender, tables_
     argument("--from", dest="sender", choices=("server", "client"), help="who sent them (guessed)"),
     argument("--tables", metavar="FILE", help="raw bytes or hex text of the server, for the bytes of its client"),
     argument("--width", type=int, choices=(2, 4), help="32-bit words of a time stamp (as found, or 2)"),
-    argument("--count", type=positive_int, metavar="N", help="only the first N packages"),
-    argument("--json", action="store_true", help="one JSON object a line, for each package"),
+    *SHOWN,
 )
 def run(args: argparse.Namespace) -> int:
     """Show every package in the bytes of one direction of a connection: offset, bytes in hex, meaning. FILE holds
@@ -43,22 +43,15 @@ def run(args: argparse.Namespace) -> int:
       rhdlink dissect client.bin --tables server.bin --count 3
       rhdlink dissect drive.urlog --json
     """
-    shown = read = 0
     # On a terminal this is shown only while no package is printed.
     with ProgressBar(f"dissecting {args.file}", args.quiet) as progress:
-        for piece in _pieces(args):
-            shown += 1
-            read += piece.error is None
-            progress(text=f"dissecting {args.file}, {shown} packages")
-            if args.json:
-                print(strict_json(_as_json(piece)))
-            else:
-                print("\n".join(lines(shown, piece)))
-            if shown == args.count:
-                break
-    if not shown:
-        raise BadRecording(f"{named(args.file)} holds no bytes")
-    return 0 if read else 1
+        return print_pieces(_shown(args, progress), args)
+
+
+def _shown(args: argparse.Namespace, progress: ProgressBar) -> Iterator[Shown]:
+    for number, piece in enumerate(_pieces(args), 1):
+        progress(text=f"dissecting {args.file}, {number} packages")
+        yield Shown(piece.error is None, _as_json(piece), "\n".join(lines(number, piece)))
 
 
 def _pieces(args: argparse.Namespace) -> Iterator[Piece]:
@@ -106,9 +99,5 @@ def _part_lines(part: PackagePart) -> Iterator[str]:
     width = 12 if part.meaning else 16
     for at in range(0, len(part.data), width):
         chunk = part.data[at : at + width]
-        beside = printable(part.meaning) if part.meaning and not at else _printed(chunk) if not part.meaning else ""
+        beside = printable(part.meaning) if part.meaning and not at else ascii_text(chunk) if not part.meaning else ""
         yield f"  {part.offset + at:6}  {chunk.hex(' '):{3 * width - 1}}  {beside}".rstrip()
-
-
-def _printed(chunk: bytes) -> str:
-    return "".join(chr(byte) if 0x20 <= byte < 0x7F else "." for byte in chunk)

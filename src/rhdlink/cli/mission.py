@@ -23,7 +23,8 @@ from ..smrcl.recipients import Said
 from ..smrcl.robot_conf import RobotConf, read_robot_conf
 from ..smrcl.robot_link import ClientLink, PluginLink, RobotLink
 from ..smrcl.server import PORT, MissionServer
-from .options import WORLD, connected, drawn, port, tell, world
+from .options import connected, port, tell
+from .turtle_world import WORLD, drawn, world
 
 #: Seconds between two updates of the progress.
 _VIEW = 0.2

@@ -1,4 +1,4 @@
-"""`rhdconfig.xml`: what the original daemon reads to know its period, its port and its plugins.
+"""`rhdconfig.xml`: the file from which the original daemon reads its period, its port and its plugins.
 
 The elements are those of docs/protocols/rhd.md, Configuration file::
 

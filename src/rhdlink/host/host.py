@@ -1,4 +1,4 @@
-"""A robot: plugins, the tick that drives them, and the server that programs connect to.
+"""`Host`: runs the plugins of a robot at each tick, and serves their variables to programs.
 
 One round, as in the original (docs/protocols/rhd.md, Server tick)::
 

@@ -1,23 +1,49 @@
-"""A part of a robot: declares its variables, and moves them on at each tick."""
+"""`Plugin`: a part of a robot that declares variables and updates them at each tick."""
 
 from __future__ import annotations
 
 import difflib
 import inspect
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any, Protocol
 
 from linkcore.errors import BadValue
 
+from ..variables.database import Database
 from ..variables.declarations import Declaration, Declarations, refuse_hiding
 from .config import Element
-
-if TYPE_CHECKING:
-    from .host import Host
 
 #: Methods that a host calls.
 _CALLED = ("init", "periodic", "terminate")
 #: Similarity, 0 to 1, from which on the name of a method is taken for a misspelt one of `Plugin`.
 _MISSPELT = 0.75
+
+
+class PluginHost(Protocol):
+    """What runs a plugin, as the plugin sees it: a `Host`, or a mission that runs plugins without one."""
+
+    @property
+    def database(self) -> Database:
+        """The variables of all plugins."""
+
+    @property
+    def period(self) -> float:
+        """Time from one tick to the next, in s."""
+
+    @property
+    def tick(self) -> int:
+        """Number of the round, as clients receive it."""
+
+    @property
+    def writers(self) -> int:
+        """How many clients may write: 0 when the robot has lost its master."""
+
+    @property
+    def plugins(self) -> Sequence[Plugin]:
+        """The plugins that it runs, in the order in which they are initialised."""
+
+    def stop(self) -> object:
+        """End in order, after the tick that is running."""
 
 
 class Plugin(Declarations):
@@ -48,7 +74,7 @@ class Plugin(Declarations):
     name: str = ""
     is_critical: bool = True
     safety: int = 0
-    host: Host
+    host: PluginHost
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)

@@ -14,8 +14,8 @@ from .motion.control import Standing
 from .motion.following import FollowLine, FollowWall, FollowWallTable
 from .motion.topoint import DriveToPoint
 from .motion.turning import ArcTurn, Clothoid, Turn
-from .odometry import PlanarPose
 from .plan import Outcome
+from .planar_pose import PlanarPose
 from .sensors import LineKind
 
 

@@ -1,4 +1,4 @@
-"""Expressions as Python functions.
+"""Compiler of expressions to Python functions.
 
 An expression is compiled once and evaluated many times: a condition in each cycle. A variable of the script is looked
 up by name each time, since the script may make it at any moment; a system variable is looked up once. Nothing is

@@ -1,4 +1,4 @@
-"""Where the robot is, from its counters: MRC's odometry, step for step.
+"""Odometry: the position of the robot from its counters, computed step for step as MRC does.
 
 A step adds the mean travel of both wheels along the heading that the robot has half-way through its turn. How far it
 turned comes from the wheels, from a heading (`Odometry.heading`), or from a curvature. A step in which a counter moves
@@ -11,33 +11,13 @@ are doubled in the configuration, so that the mean is right again.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from .arithmetic import cosine, divide, normalize_angle, sine
-
-if TYPE_CHECKING:
-    from .robot_conf import RobotConf
+from .planar_pose import PlanarPose
+from .robot_conf import RobotConf
 
 #: A difference beyond half of this is a counter of 30 bits that has wrapped.
 _COUNTER = 1 << 30
-
-
-@dataclass
-class PlanarPose:
-    """A place and a heading: m, m, rad."""
-
-    x: float = 0.0
-    y: float = 0.0
-    th: float = 0.0
-
-    def set(self, x: float, y: float, th: float) -> None:
-        """Go there."""
-        self.x, self.y, self.th = x, y, th
-
-    def copy(self) -> PlanarPose:
-        """Another one at the same place."""
-        return PlanarPose(self.x, self.y, self.th)
 
 
 class Odometry:

@@ -8,12 +8,12 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import Any, Protocol
 
 import numpy as np
 
 from linkcore import clock
-from linkcore.errors import BadValue
+from linkcore.errors import BadValue, Closed
 
 from ..client import Variables, connect
 from ..errors import AccessDenied, WrongVariables
@@ -23,9 +23,6 @@ from ..variables.database import Database, TimeStamp
 from ..variables.declarations import bind, create_variables
 from ..variables.value_types import wrapped
 from .robot_conf import SMR, VELOMEGA, RobotConf, read_robot_conf
-
-if TYPE_CHECKING:
-    from ..host.host import Host
 
 #: The words of read variables, by name.
 Words = Mapping[str, Sequence[int]]
@@ -121,7 +118,7 @@ def _listed(words: Any) -> list[int]:
 class PluginLink:
     """A robot in this process: its plugins, without a host, a port or a thread. For the attributes see `RobotLink`.
 
-    The plugins are called as a host calls them; they stand in for `plugin.host` as far as plugins need it.
+    The plugins are called as a host calls them; this is their `plugin.host`.
 
     Args:
         plugins: in the order in which they are initialised; they run in the reverse order.
@@ -151,7 +148,7 @@ class PluginLink:
         self.database.read.clock = self.database.write.clock = lambda: self._now
         for plugin in self._plugins:
             plugin.name = plugin.name or type(plugin).__name__.lower()
-            plugin.host = cast("Host", self)
+            plugin.host = self
             create_variables(type(plugin), self.database)
             bind(plugin, self.database)
             plugin.init(Element(plugin.name))
@@ -164,13 +161,20 @@ class PluginLink:
             row.name: self.database.write.value(place).tolist() for place, row in enumerate(self.database.write)
         }
         self._due = clock.now()
-        self._is_closed = False
+        self._is_closed = self._is_stopped = False
         self._call_plugins()
 
     def exchange(self, written: Words, timeout: float | None = None) -> Words:
-        """Write, and let a tick go by. The answer is what was known before the writing had its effect, as of a host."""
+        """Write, and let a tick go by. The answer is what was known before the writing had its effect, as of a host.
+
+        Raises:
+            BadValue: the link was closed.
+            Closed: a plugin has stopped the robot.
+        """
         if self._is_closed:
             raise BadValue(f"{self.name}: the link was closed")
+        if self._is_stopped:
+            raise Closed(f"{self.name}: a plugin has stopped the robot")
         if not self.is_lockstep:
             self._due = max(self._due + self.period, clock.now() - self.period)
             clock.sleep(self._due - clock.now())
@@ -188,6 +192,15 @@ class PluginLink:
         values = read.values.copy()
         self._call_plugins()
         return _Fetched(lambda name: _listed(values[self._places[name]]))
+
+    @property
+    def plugins(self) -> tuple[Plugin, ...]:
+        """The plugins, in the order in which they were given."""
+        return tuple(self._plugins)
+
+    def stop(self) -> None:
+        """End after the tick that is running, for plugins: the next `exchange` raises `Closed`."""
+        self._is_stopped = True
 
     def _call_plugins(self) -> None:
         for plugin in self._running:

@@ -1,4 +1,4 @@
-"""The server of a mission: a port to which programs connect that were written for MRC.
+"""The server of a mission: a port for programs that were written for MRC.
 
 MRC listens on port 31001, or with its option `-t N` on 31000 + N. What clients say is for `dialogue`; here are the
 sockets, served between the answer of the robot and the script of the same cycle, by the one thread that drives.

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from linkcore.errors import BadValue
 
+from .motion.control import MotionControl
+from .odometry import Covariance, Odometry
 from .profile import Profile
+from .sensors import InfraredSensors, LineSensor
 from .symbols import Symbols
-
-if TYPE_CHECKING:
-    from .vehicle import Vehicle
 
 _RESULTS = tuple(f"res{number}" for number in range(10))
 _LINES = tuple(f"line{number}" for number in range(8))
@@ -70,6 +70,16 @@ _GPS = {
 }
 
 
+class SensedState(Protocol):
+    """What the system variables are computed from: the state of a `Vehicle`."""
+
+    odometry: Odometry
+    covariance: Covariance
+    control: MotionControl
+    infrared: InfraredSensors
+    line_sensor: LineSensor
+
+
 class SystemVariables:
     """The values of the built-in system variables.
 
@@ -103,7 +113,7 @@ class SystemVariables:
                 raise BadValue(f"${name} is no built-in system variable")
             self.external[name] = float(value)
 
-    def update(self, vehicle: Vehicle, driven: float, cycles: int, time: float) -> None:
+    def update(self, vehicle: SensedState, driven: float, cycles: int, time: float) -> None:
         """Bring them up to date, as MRC does before each line and each test of conditions.
 
         Args:

@@ -20,7 +20,8 @@ from ..host.config import BadConfiguration
 from .control_functions import ControlFunctions
 from .motion.basic import FunctionGenerator, Stop
 from .motion.control import DriveKind, MotionControl
-from .odometry import Covariance, Odometry, PlanarPose
+from .odometry import Covariance, Odometry
+from .planar_pose import PlanarPose
 from .profile import Profile
 from .robot_conf import RobotConf
 from .sensors import InfraredSensors, LineKind, LineSensor

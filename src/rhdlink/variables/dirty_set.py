@@ -1,4 +1,4 @@
-"""Which variables changed and have not been sent yet: a dirty set for each peer that they are to be sent to."""
+"""Dirty sets: which variables have changed and are still to be sent, for each peer."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What users are shown of the variables: one at a moment, and what changed with a sync."""
+"""Variables as users see them: one variable at one moment, and what a sync has changed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a server and a client say to each other, as values, and the encoders that make bytes of it.
+"""The messages between server and client, as values, and their encoders.
 
 A batch is the unit of the conversation: packages up to an end package (docs/protocols/rhd.md, Encoding).
 """

@@ -302,7 +302,7 @@ async def _connected(options: ConnectOptions) -> AsyncRobot:
         )
         robot = threaded.assemble(options, place, source, controller, known)
         if threaded.owes(robot, place):
-            await workers.make(partial(threaded.take_back, robot, options.timeout))
+            await workers.make(partial(threaded.undo_abandoned, robot, options.timeout))
         return AsyncRobot(robot, workers)
     except BaseException:
         if robot is not None:

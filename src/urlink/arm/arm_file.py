@@ -1,4 +1,4 @@
-"""What was identified of one arm, as a file that the simulator takes: `sim://ur5e?like=arm.json`.
+"""Arm files: the identified properties of one arm, for the simulator (`sim://ur5e?like=arm.json`).
 
 The file is JSON. Each number has its value and the interval that holds it with 99 %; in place of what the recording
 does not show stands the motion that would show it, and the simulator takes what is known of the model.

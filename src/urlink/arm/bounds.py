@@ -1,4 +1,4 @@
-"""The largest values that anything asked of a tool or a joint may have, and the checks of poses and speeds of the tool.
+"""The largest values that a tool or a joint may be asked for, and checks of poses and tool speeds.
 
 A value beyond them has the wrong unit: millimetres or degrees. They hold for every arm; what one arm can do is less,
 and is checked where the arm is known (`urlink.models`, `urlink.kinematics`).

@@ -23,7 +23,7 @@ from .models import Model, model
 from .parameters import number, numbers, parameters
 from .vectors import FloatArray
 
-__all__ = ["FULL_SPEED", "Motors", "friction", "joint_sizes", "motors_of"]
+__all__ = ["FULL_SPEED", "Motors", "force_size", "friction", "joint_sizes", "motors_of"]
 
 #: rad/s up to which Coulomb friction grows with the speed.
 FULL_SPEED = number("friction_full_speed")
@@ -79,6 +79,12 @@ def joint_sizes(name: str) -> list[str]:
     return [
         f"size {size}" if len(size) == 1 else f"{size} Nm" for size in parameters()["joint_sizes", name].value.split()
     ]
+
+
+def force_size(name: str) -> str:
+    """The size of the base of an arm, of which the noise of its force is known: "size 4" for those that are larger."""
+    size = joint_sizes(name)[0]
+    return size if ("force_noise", size) in parameters() else "size 4"
 
 
 def motors_of(arm: Model | str) -> Motors:

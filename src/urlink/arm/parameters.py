@@ -1,4 +1,4 @@
-"""The numbers of robots that nobody publishes, each with what backs it: one table, `parameters.tsv`.
+"""Unpublished numbers of robots, each with its evidence: the table `parameters.tsv`.
 
 A row has the name, what it is of (an arm, a size of joint, or nothing in particular), the value, the interval in which
 it lies for all that is known, the unit, the evidence, the source as text, and the module that stands on it:

@@ -1,4 +1,4 @@
-"""Poses, rotations and what is done with them.
+"""Poses and rotations, and computing with them.
 
 A pose is what Universal Robots calls one: x, y, z in m and a rotation vector in rad, whose direction is the axis and
 whose length is the angle. It says where a frame stands in another one. All functions take one pose, (6,), or any number

@@ -1,4 +1,4 @@
-"""Rigid transforms as twelve numbers: what poses, kinematics and dynamics are computed with.
+"""Rigid transforms as twelve numbers, for poses, kinematics and dynamics.
 
 A transform is a tuple of twelve: the rows of the rotation matrix, then the position in m. Each of the twelve is either
 a float or an array of n floats, one for each of n transforms. The same formulas serve both: one transform costs no

@@ -4,36 +4,36 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from linkcore.cli.program import program
+from linkcore.cli.program import Plugin, program
 
 __all__ = ["main"]
 
-#: command -> the module of this folder that declares it, in the order of the help
-_COMMANDS = {
+#: command -> the module of this folder that declares it, or the package that brings it, in the order of the help
+_COMMANDS: dict[str, str | Plugin] = {
     "monitor": "monitor",
     "echo": "echo",
     "rtde": "rtde",
-    "hz": "echo",
+    "hz": "hz",
     "info": "info",
     "doctor": "doctor",
-    "accept": "accept",
-    "run": "sending",
-    "jog": "by_hand",
-    "teach": "by_hand",
-    "dashboard": "sending",
-    "record": "recordings",
-    "replay": "recordings",
-    "plot": "recordings",
-    "export": "recordings",
-    "exercise": "identify",
-    "identify": "identify",
-    "compare": "identify",
-    "foxglove": "view",
-    "view": "view",
+    "accept": Plugin("urlink-accept", "prove a controller, and leave evidence"),
+    "run": "run",
+    "jog": "jog",
+    "teach": "teach",
+    "dashboard": "dashboard",
+    "record": "record",
+    "replay": "replay",
+    "plot": "plot",
+    "export": "export",
+    "exercise": Plugin("urlink-accept", "a slow motion to record"),
+    "identify": Plugin("urlink-accept", "what a recording tells of its arm"),
+    "compare": Plugin("urlink-accept", "a recording beside the simulator"),
+    "foxglove": Plugin("urlink-view[foxglove]", "serve a robot to Foxglove"),
+    "view": Plugin("urlink-view", "show an arm in 3D in a browser"),
     "dissect": "dissect",
     "serve": "serve",
     "sim": "sim",
-    "completion": "linkcore.cli.program",
+    "completion": "linkcore.cli.completion",
 }
 
 _DESCRIPTION = """\
@@ -44,13 +44,7 @@ addresses:
   192.168.56.101                   a controller, by name or number
   ur://host?primary=40001          one on other ports
   sim://                           a simulated UR5e; sim://ur10?firmware=3.4 another
-  replay:///tmp/run.urlog?rate=2   a recording
-
-exit status:
-  0 done, 1 an error of the robot, the file or the address (one line on stderr), 2 wrong usage,
-  130 ended by Ctrl-C, 143 by SIGTERM
-
-`urlink COMMAND --help` explains each command, with examples."""
+  replay:///tmp/run.urlog?rate=2   a recording"""
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -11,16 +12,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from linkcore.cli.dissection import SHOWN, Shown, ascii_text, print_pieces
 from linkcore.cli.input_bytes import input_bytes, named, text_hint
-from linkcore.cli.options import argument, command, positive_int
+from linkcore.cli.options import argument, command
 from linkcore.cli.progress import ProgressBar
 from linkcore.errors import BadRecording, PacketError, WrongPeer
 from linkcore.recording.file import MAGIC, Kind, Progress, RecordingFile
-from linkcore.text import printable, strict_json
+from linkcore.text import printable
 from linkcore.wire.fields import version_text
 from linkcore.wire.framing import Framer
-from linkcore.wire.packet import State, plain
 from linkcore.wire.schema import Row, header_rows
+from linkcore.wire.state import State, plain
 
 from ..protocol.decoding import decode
 from ..protocol.firmware import Firmware, known_firmware
@@ -31,7 +33,7 @@ from ..protocol.primary.protocol import PackageBoundary
 from ..protocol.primary.robot_message import VersionMessage
 from ..protocol.primary.robot_state import RobotState
 from ..protocol.realtime.protocol import RealtimeBoundary
-from .values import as_text
+from .packet_fields import as_text
 
 _BOUNDARIES: dict[Interface, Callable[[], PackageBoundary | RealtimeBoundary]] = {
     "primary": PackageBoundary,
@@ -109,8 +111,7 @@ def _firmware(text: str) -> Firmware:
     argument("file", metavar="FILE", help="raw bytes, hex text or a recording; - for stdin"),
     argument("--interface", choices=INTERFACES, help="interface that the bytes come from (guessed)"),
     argument("--firmware", type=_firmware, metavar="X.Y", help="firmware that sent them (guessed)"),
-    argument("--count", type=positive_int, metavar="N", help="only the first N packets or stretches"),
-    argument("--json", action="store_true", help="one JSON object a line, for each packet or stretch"),
+    *SHOWN,
 )
 def run(args: argparse.Namespace) -> int:
     """Show every packet in a file, field by field: offset, bytes in hex, name, value, unit, meaning.
@@ -129,21 +130,14 @@ def run(args: argparse.Namespace) -> int:
       urlink dissect packet.bin --interface realtime --firmware 3.4 --json
       echo '00 00 00 05 10' | urlink dissect - --interface primary
     """
-    shown = read = 0
     # On a terminal this is shown only while no packet is printed.
     with ProgressBar(f"dissecting {args.file}", args.quiet) as progress:
-        for number, piece in enumerate(_pieces(args, progress), 1):
-            shown += 1
-            read += bool(piece.rows)
-            if args.json:
-                print(strict_json({"number": number, **piece.as_json()}))
-            else:
-                print("\n".join(piece.lines(number)), end="\n\n")
-            if shown == args.count:
-                break
-    if not shown:
-        raise BadRecording(f"{named(args.file)} holds no bytes" + (f" of {args.interface}" if args.interface else ""))
-    return 0 if read else 1
+        pieces = itertools.starmap(_shown, enumerate(_pieces(args, progress), 1))
+        return print_pieces(pieces, args, f" of {args.interface}" if args.interface else "")
+
+
+def _shown(number: int, piece: PacketPiece) -> Shown:
+    return Shown(bool(piece.rows), {"number": number, **piece.as_json()}, "\n".join([*piece.lines(number), ""]))
 
 
 def _pieces(args: argparse.Namespace, progress: Progress) -> Iterator[PacketPiece]:
@@ -371,5 +365,4 @@ def _field_lines(offset: int, data: bytes, name: str, value: str, unit: str, doc
 def _dump(data: bytes, start: int) -> Iterator[str]:
     for at in range(0, len(data), 16):
         part = data[at : at + 16]
-        text = "".join(chr(byte) if 0x20 <= byte < 0x7F else "." for byte in part)
-        yield f"  {start + at:6}  {part.hex(' '):47}  {text}"
+        yield f"  {start + at:6}  {part.hex(' '):47}  {ascii_text(part)}"

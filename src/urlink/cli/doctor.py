@@ -25,7 +25,8 @@ from ..protocol.realtime.packets import RealtimeState
 from ..robot import Robot, connect
 from ..rtde import OUTPUTS
 from ..session.address import RecordingAddress, RobotAddress, SimulatorAddress, parse_address
-from .options import ADDRESS, Tap
+from .options import ADDRESS
+from .packet_stream import Tap
 
 #: What each port is for, if it should be open.
 _PORTS = {
@@ -91,8 +92,9 @@ def _findings(address: str, timeout: float, duration: float, progress: ProgressB
     progress(text=f"connecting to {address}")
     if isinstance(place, SimulatorAddress):
         with connect(address, timeout=timeout) as robot:
-            ports = dict(robot.controller.ports)
-            yield from _expected(_ports(RobotAddress(robot.controller.host, ports), timeout, progress), robot)
+            served_at = parse_address(robot.controller.address)
+            assert isinstance(served_at, RobotAddress), "a simulator that has been started is at ports of this computer"
+            yield from _expected(_ports(served_at, timeout, progress), robot)
             yield from _of_robot(robot, duration, progress)
         return
     try:

@@ -1,4 +1,4 @@
-"""`urlink info`: which controller this is, and what is known of its firmware."""
+"""`urlink info`: identifies a controller, and shows what is known of its firmware."""
 
 from __future__ import annotations
 

@@ -21,12 +21,13 @@ from linkcore.streaming.stream import Stream
 from ..protocol.primary.robot_message import RobotMessage, UnnamedMessage12, VersionMessage
 from ..robot import Robot
 from ..session.address import RecordingAddress, SimulatorAddress, parse_address
-from .glance import Glance, Reading, StreamStatus, counted, line, read, status_of
+from .monitor_view import MonitorView, Reading, StreamStatus, line, read, status_of
 from .options import ADDRESS, connected, interface_of, tell
-from .values import as_text
+from .packet_fields import as_text
+from .packet_stream import counted
 
 if TYPE_CHECKING:
-    from .picture import Picture
+    from .monitor_panel import MonitorPanel
 
 
 @command(
@@ -54,45 +55,45 @@ def run(args: argparse.Namespace) -> int:
       urlink monitor 'replay:///tmp/run.urlog?rate=2' --plain
     """
     with connected(args, with_motion(args.address)) as robot:
-        glances = watch(robot, args.interface)
+        views = watch(robot, args.interface)
         with ProgressBar(f"connecting to {args.address}", args.quiet):
-            next(glances)  # connects: an error is printed before anything is drawn
+            next(views)  # connects: an error is printed before anything is drawn
         begun = clock.now()
-        with Interruption(args.duration) as interruption, drawing(args.plain, tell, _line, _picture) as (draw, pause):
-            _await_first(glances, interruption)
+        with Interruption(args.duration) as interruption, drawing(args.plain, tell, _line, _panel) as (draw, pause):
+            _await_first(views, interruption)
             while True:
                 # Once more at the end, so that the last values stay on the screen.
                 is_over = interruption.is_over
-                glance = next(glances)
-                draw(glance)
-                if is_over or glance.status is StreamStatus.ENDED:
+                view = next(views)
+                draw(view)
+                if is_over or view.status is StreamStatus.ENDED:
                     break
                 interruption.wait(pause)
-        if glance.reading is None and interruption.number is None:
+        if view.reading is None and interruption.number is None:
             raise LinkTimeout(
                 f"{args.address}: no state came"
                 + ("" if args.duration is None else f" within {args.duration:g} s")
-                + ("" if glance.trouble is None else f" ({glance.trouble})")
+                + ("" if view.trouble is None else f" ({view.trouble})")
             )
-        tell(summary(glance, clock.now() - begun))
-        tell(next_step(glance, args.address))
+        tell(summary(view, clock.now() - begun))
+        tell(next_step(view, args.address))
     return interruption.status
 
 
-def summary(glance: Glance, seconds: float) -> str:
+def summary(view: MonitorView, seconds: float) -> str:
     """What the monitor has received within so many seconds, as a line."""
-    stats = glance.stats
+    stats = view.stats
     rate = f", {stats.received / seconds:.1f} Hz on average" if seconds >= 1.0 else ""
     longest = f", longest gap {stats.longest_gap:.3f} s" if stats.gaps else ""
     return f"watched for {seconds:.1f} s{rate}; {counted(stats)}{longest}"
 
 
-def next_step(glance: Glance, address: str) -> str:
+def next_step(view: MonitorView, address: str) -> str:
     """A command that continues from what the monitor has shown, and what the command does."""
     place, quoted = parse_address(address), shlex.quote(address)
     if isinstance(place, RecordingAddress):
         return f"next: urlink replay {shlex.quote(str(place.path))} summarises the recording"
-    is_regular = glance.status is StreamStatus.CONNECTED and not glance.stats.missed and not glance.stats.reconnects
+    is_regular = view.status is StreamStatus.CONNECTED and not view.stats.missed and not view.stats.reconnects
     if not is_regular:
         return f"next: urlink doctor {quoted} looks for the cause of missing states"
     return f"next: urlink record {quoted} run.urlog records what the robot sends"
@@ -106,17 +107,17 @@ def with_motion(address: str) -> str:
     return f"{address}{'&' if '?' in address else '?'}motion=demo"
 
 
-def _await_first(glances: Iterator[Glance], interruption: Interruption) -> None:
+def _await_first(views: Iterator[MonitorView], interruption: Interruption) -> None:
     """Wait briefly for the first state, so that the first picture has values."""
     deadline = clock.now() + 0.5
     while clock.now() < deadline:
-        glance = next(glances)
-        if glance.reading is not None or glance.status is StreamStatus.ENDED or interruption.wait(0.01):
+        view = next(views)
+        if view.reading is not None or view.status is StreamStatus.ENDED or interruption.wait(0.01):
             break
 
 
-def watch(robot: Robot, interface: str) -> Iterator[Glance]:
-    """A glance at the robot each time the iterator is advanced, without end.
+def watch(robot: Robot, interface: str) -> Iterator[MonitorView]:
+    """A view of the robot each time the iterator is advanced, without end.
 
     Raises:
         RemoteError: the first connection could not be made, or the stream gave up.
@@ -154,7 +155,7 @@ def watch(robot: Robot, interface: str) -> Iterator[Glance]:
             since, counted = clock.now(), stats.reconnects
         # Less than a second is too short to measure a rate.
         rate = stats.rate if clock.now() - since > 1.1 else None
-        yield Glance(
+        yield MonitorView(
             robot=identity.after(stats.reconnects),
             address=f"{robot.address} {interface}",
             status=status_of(connection, state is not None, reading, rate, usual),
@@ -204,11 +205,11 @@ class _Name:
             self._text = f"{identity.model or 'UR'}  firmware {identity.firmware}"
 
 
-def _line(glance: Glance) -> str:
-    return line(glance, time.strftime("%H:%M:%S"))
+def _line(view: MonitorView) -> str:
+    return line(view, time.strftime("%H:%M:%S"))
 
 
-def _picture(glance: Glance) -> Picture:
-    from .picture import Picture  # it needs rich
+def _panel(view: MonitorView) -> MonitorPanel:
+    from .monitor_panel import MonitorPanel  # it needs rich
 
-    return Picture(glance)
+    return MonitorPanel(view)

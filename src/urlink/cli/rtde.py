@@ -1,4 +1,4 @@
-"""`urlink rtde`: variables of the controller by name."""
+"""`urlink rtde`: prints variables of the controller by name."""
 
 from __future__ import annotations
 
@@ -16,14 +16,15 @@ from linkcore.cli.options import DURATION, argument, command, one_of, positive_i
 from linkcore.cli.progress import ProgressBar
 from linkcore.errors import BadValue
 from linkcore.text import strict_json
-from linkcore.wire.packet import State, plain
+from linkcore.wire.state import State, plain
 
 from ..protocol.rtde.recipes import Outputs
 from ..robot import Robot
 from ..rtde import INPUTS, OUTPUTS, OutputStream, Variable
-from .echo import measure
-from .options import ADDRESS, Tap, connected, tell
-from .values import as_json, as_text
+from .options import ADDRESS, connected, tell
+from .packet_fields import as_json, as_text
+from .packet_stream import Tap
+from .rate_measurement import measure
 
 
 @command(

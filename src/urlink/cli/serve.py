@@ -1,10 +1,9 @@
-"""`urlink serve`: robots in a middleware, by adapters that are distributions of their own."""
+"""`urlink serve`: serves robots to a middleware, by adapters that are separate distributions."""
 
 from __future__ import annotations
 
 import argparse
 import contextlib
-import importlib.metadata
 import re
 from collections.abc import Iterable, Mapping
 from typing import Protocol, get_args
@@ -13,6 +12,7 @@ from linkcore.cli.options import DURATION, argument, command, seconds
 from linkcore.cli.progress import ProgressBar
 from linkcore.cli.terminal import Interruption
 from linkcore.errors import BadAddress, LocalError
+from linkcore.names import plugins
 
 from ..robot import Robot
 from ..session.address import RobotAddress, SimulatorAddress, parse_address
@@ -94,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
       urlink serve zenoh left=192.168.56.101 right=192.168.56.102 --connect tcp/fleet.local:7447
       urlink serve -v ros2 arm=sim://ur5e
     """
-    installed = {entry.name: entry for entry in importlib.metadata.entry_points(group=GROUP)}
+    installed = plugins(GROUP)
     if args.kind is None:
         print("\n".join(_listed(installed)))
         return 0

@@ -1,4 +1,4 @@
-"""`urlink sim`: a simulated controller in the foreground."""
+"""`urlink sim`: runs a simulated controller in the foreground."""
 
 from __future__ import annotations
 
@@ -33,8 +33,7 @@ def _faults() -> str:
         if takes is None:
             lines.append(f"  {name}")
         else:
-            _, meaning, optional = takes
-            lines.append(f"  {name}{'[=...]' if optional else '=...'}".ljust(28) + meaning)
+            lines.append(f"  {name}{'[=...]' if takes.is_optional else '=...'}".ljust(28) + takes.meaning)
     return "\n".join(lines)
 
 

@@ -1,4 +1,4 @@
-"""The only path by which text that can move the arm is sent.
+"""The command channel: the only path by which text that can move the arm is sent.
 
 The decision is made in the robot's critical section (`urlink.command.section`), and within the same section the
 bytes go to the kernel by a system call that does not wait: after a stop was received, nothing is sent. A text nearly
@@ -15,7 +15,7 @@ from collections.abc import Callable
 
 from linkcore import clock
 from linkcore.errors import ConnectionLost, LinkTimeout
-from linkcore.net.undo import Recall
+from linkcore.net.undo import PendingUndos
 from linkcore.pending_call import check_wanted, regardless
 from linkcore.streaming.connection import Connection
 
@@ -24,8 +24,8 @@ from .section import Section
 
 #: Seconds that the controller may take to accept text.
 SEND_TIMEOUT = 0.5
-#: Seconds for what was given up to be taken back, before what is newer supersedes it.
-_TAKE_BACK = 1.0
+#: Seconds for what was given up to be undone, before what is newer supersedes it.
+_UNDO_TIMEOUT = 1.0
 #: Seconds between two looks whether another thread has got rid of its text.
 _PAUSE = 0.001
 
@@ -38,7 +38,7 @@ class CommandChannel:
         monitor: asked before anything is sent.
         section: the critical section of the robot.
         clock: seconds that only grow.
-        recall: of the commands to this controller; None for one of its own.
+        undos: of the commands to this controller; None for one of its own.
     """
 
     def __init__(
@@ -47,9 +47,9 @@ class CommandChannel:
         monitor: SafetyMonitor,
         section: Section,
         clock: Callable[[], float] = clock.now,
-        recall: Recall | None = None,
+        undos: PendingUndos | None = None,
     ) -> None:
-        self._recall = Recall(connection.name) if recall is None else recall
+        self._undos = PendingUndos(connection.name) if undos is None else undos
         self._connection = connection
         self._monitor = monitor
         self._section = section
@@ -83,14 +83,14 @@ class CommandChannel:
     ) -> None:
         """Send URScript that may move the arm.
 
-        What was given up and may still be carried out is taken back before, where that can be done within a second.
+        What was given up and may still be carried out is undone before, where that can be done within a second.
 
         Args:
             text: whole lines; the last newline may be left out.
             is_stop: it can only bring the arm to rest. An arm that nobody has enabled can move all the same, by a
                 program that went on while nothing could be received from it, and can then be stopped.
-            replaces: it is a program that replaces the one that runs, and with it what was given up and was not taken
-                back.
+            replaces: it is a program that replaces the one that runs, and with it what was given up and was not
+                undone.
             claim: called in the section, whenever it has been decided that the text may leave; what it raises keeps
                 the text from leaving.
             wait: for what is not known yet of the robot, and for room; False sends now or not at all.
@@ -103,7 +103,7 @@ class CommandChannel:
         if wait:
             self._prepare(moves=True)
             if not is_stop and self._section.may_wait:
-                self._recall.settle(_TAKE_BACK)
+                self._undos.settle(_UNDO_TIMEOUT)
 
         def decide() -> None:
             self._monitor.require(is_stop)
@@ -111,7 +111,7 @@ class CommandChannel:
 
         self._send(text, decide, SEND_TIMEOUT if wait else 0.0)
         if replaces:
-            self._recall.drop()
+            self._undos.drop()
 
     def overtake(self, why: str) -> None:
         """Send no motion whose call was entered before this moment; `why` names the stop, for messages."""

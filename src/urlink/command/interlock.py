@@ -1,4 +1,4 @@
-"""The decision whether the arm may be moved, sans-IO.
+"""The interlock, sans-IO: decides whether the arm may be moved.
 
 The vendor defines each safety mode. That only NORMAL and REDUCED allow motions is this library's choice: in RECOVERY a
 person moves the arm slowly, at the pendant, out of a place where it may not be, and about safety modes that are in no

@@ -19,7 +19,7 @@ from linkcore.errors import Cancelled, Closed, ConnectionLost, LinkError, LinkTi
 from linkcore.handle import Lifecycle
 from linkcore.net.dialogue import Dialogue
 from linkcore.net.transport import TcpTransport
-from linkcore.net.undo import Recall, TakeBack
+from linkcore.net.undo import PendingUndos, Undo
 from linkcore.pending_call import starts_motion
 from linkcore.threads import CallbackThread
 from linkcore.wire.fields import Since
@@ -76,15 +76,15 @@ class Interpreter(Program):
         life: Lifecycle,
         dialogue: Dialogue,
         channel: CommandChannel,
-        recall: Recall,
-        take_back: TakeBack[Any],
+        undos: PendingUndos,
+        undo: Undo[Any],
         finish_timeout: float,
     ) -> None:
         super().__init__(life)
         self._dialogue = dialogue
         self._channel = channel
-        self._recall = recall
-        self._take_back = take_back
+        self._undos = undos
+        self._undo = undo
         self._finish_timeout = finish_timeout
         self._since_clear = 0
 
@@ -93,7 +93,7 @@ class Interpreter(Program):
         """Hand a statement over; it begins once those before it are over.
 
         If no answer comes, it **may still be carried out**, when a controller that hung goes on; the error says so. It
-        is taken back at the first contact: what moves then is aborted, and what was not begun is thrown away, which is
+        is undone at the first contact: what moves then is aborted, and what was not begun is thrown away, which is
         all that was handed over.
 
         Args:
@@ -109,7 +109,7 @@ class Interpreter(Program):
             StatementDiscarded: it does not compile, or the program is not in interpreter mode.
             SafetyStop, NotRunning: the arm may not be moved now; nothing was sent.
             LinkTimeout: with `wait`, it was not over in time; it goes on.
-            LinkTimeout, ConnectionLost: no answer came, see above; or what was given up before could not be taken back
+            LinkTimeout, ConnectionLost: no answer came, see above; or what was given up before could not be undone
                 yet, and this was not sent.
             LinkError: it could not be sent, or what has ended the program.
         """
@@ -118,7 +118,7 @@ class Interpreter(Program):
         if self._since_clear >= CLEAR_AFTER:
             self.wait_executed(self._finish_timeout)
             self.clear()
-        number = self._hand_over(line, take_back=self._take_back)
+        number = self._hand_over(line, undo=self._undo)
         if seconds:
             self.wait_executed(seconds)
         return number
@@ -212,12 +212,12 @@ class Interpreter(Program):
 
     # -- what is reported -----------------------------------------------------------------------------
 
-    def _hand_over(self, line: str, reason_within: float = _REASON, take_back: TakeBack[Any] | None = None) -> int:
+    def _hand_over(self, line: str, reason_within: float = _REASON, undo: Undo[Any] | None = None) -> int:
         """A statement, through the interlock; its number.
 
         Args:
             reason_within: seconds to wait for the reason where no program takes statements.
-            take_back: takes it back where it is given up.
+            undo: undoes it where it is given up.
         """
 
         def gate(send: Callable[[], object]) -> None:
@@ -228,7 +228,7 @@ class Interpreter(Program):
 
             self._channel.setpoint(send_if_wanted)
 
-        with self._recall.command("interpreter", _REPLY, take_back) as given_up:
+        with self._undos.command("interpreter", _REPLY, undo) as given_up:
             reply = parse_reply(self._dialogue.ask(line, _REPLY, gate=gate, given_up=given_up))
         if reply.word != "ack":
             if not reply.number:
@@ -256,7 +256,7 @@ class Interpreters:
         port: of its interpreter mode; None where it is not served.
         programs, channel, callbacks: of the robot.
         firmware: of the controller at present.
-        recall: of the commands to this controller.
+        undos: of the commands to this controller.
         timeout: seconds for a connection.
     """
 
@@ -268,7 +268,7 @@ class Interpreters:
         channel: CommandChannel,
         callbacks: CallbackThread,
         firmware: Callable[[], Firmware],
-        recall: Recall,
+        undos: PendingUndos,
         timeout: float,
     ) -> None:
         self._host = host
@@ -277,7 +277,7 @@ class Interpreters:
         self._channel = channel
         self._callbacks = callbacks
         self._firmware = firmware
-        self._recall = recall
+        self._undos = undos
         self._timeout = timeout
         #: the connections of those that were begun and not ended
         self._open: list[Dialogue] = []
@@ -309,8 +309,8 @@ class Interpreters:
         dialogue = connection()
         self._open = [each for each in self._open if not each.is_closed] + [dialogue]
         life = self._programs.life("interpreter mode")
-        take_back = TakeBack(connection, partial(_take_back, life))
-        interpreter = Interpreter(life, dialogue, self._channel, self._recall, take_back, finish_timeout)
+        undo = Undo(connection, partial(_undo_statements, life))
+        interpreter = Interpreter(life, dialogue, self._channel, self._undos, undo, finish_timeout)
         receive = interpreter._receiver(self._callbacks, on_text)
         try:
             # Refused before the arm's program is replaced, where the service is switched off.
@@ -346,7 +346,7 @@ def _connection(host: str, port: int, firmware: Callable[[], Firmware], timeout:
     return Dialogue(transport, InterpreterProtocol, f"interpreter mode at {transport.name}", timeout)
 
 
-def _take_back(life: Lifecycle, dialogue: Dialogue, is_wanted: Callable[[], bool]) -> None:
+def _undo_statements(life: Lifecycle, dialogue: Dialogue, is_wanted: Callable[[], bool]) -> None:
     """Abort what moves and throw away what has not begun; where the program was given up too, end it."""
     if is_wanted():
         dialogue.ask("statelastexecuted", _REPLY)  # the contact

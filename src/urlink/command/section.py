@@ -1,4 +1,4 @@
-"""The critical section of one robot: a decision made in it holds until its consequence has been carried out.
+"""The critical section of one robot: a decision made in it holds until its consequence has been executed.
 
 Python calls signal handlers in the main thread between any two instructions, so also between two within the section.
 A handler that stops the arm must get in: the lock is re-entrant. If the handler then waits for the stop to be done,

@@ -1,4 +1,4 @@
-"""The parts of a robot that motions use."""
+"""`MotionContext`: the parts of a robot that motions use."""
 
 from __future__ import annotations
 

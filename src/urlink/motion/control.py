@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from linkcore import clock
 from linkcore.errors import Closed, LocalError
-from linkcore.net.undo import Recall
+from linkcore.net.undo import PendingUndos
 from linkcore.streaming.stream import Stream
 from linkcore.threads import CallbackThread, MadeOnce
 from linkcore.wire.fields import Since
@@ -88,8 +88,8 @@ class Control:
         section = Section(slow.reads_here, fast.reads_here)
         interlock = Interlock(options.require_enable, options.stale_after)
         self._monitor = monitor = SafetyMonitor(slow, fast, interlock, section, callbacks)
-        self._recall = recall = Recall.of(peers[0], host, self, *peers[1:]) if peers else Recall(host)
-        channel = CommandChannel(slow, monitor, section, recall=recall)
+        self._undos = undos = PendingUndos.of(peers[0], host, self, *peers[1:]) if peers else PendingUndos(host)
+        channel = CommandChannel(slow, monitor, section, undos=undos)
         start_place = StartPlace(options.start_register, tuple(options.start_flags))
         self._programs = programs = Programs(
             slow,
@@ -106,7 +106,7 @@ class Control:
             known, api_port = lambda: who.identity.firmware, ports.get("robot_api")
             dashboard_port, on_stop = ports.get("dashboard"), monitor.overtake
             return Dashboard(
-                host, dashboard_port, known, api_port=api_port, timeout=timeout, recall=recall, on_stop=on_stop
+                host, dashboard_port, known, api_port=api_port, timeout=timeout, undos=undos, on_stop=on_stop
             )
 
         def is_remote() -> bool | None:
@@ -125,7 +125,7 @@ class Control:
         setting_channel = SettingChannel(channel, slow, section, inputs)
         self.settings = Settings(setting_channel, slow, fast, who, section, is_remote, start_place)
         self.interpreters = Interpreters(
-            host, ports.get("interpreter"), programs, channel, callbacks, lambda: who.identity.firmware, recall, timeout
+            host, ports.get("interpreter"), programs, channel, callbacks, lambda: who.identity.firmware, undos, timeout
         )
         self.io = IO(self.settings, primary, realtime)
         reverse = ReversePort(host, options.reverse_host, options.reverse_port, options.reverse_peer)
@@ -158,7 +158,7 @@ class Control:
             raise LocalError("the controller serves no gripper")
         hint = "a Robotiq gripper is served by the URCap that is installed for it"
         host, port = self._host, self._ports["gripper"]
-        make = partial(Gripper, host, port, timeout=self._timeout, refused=lambda: hint, recall=self._recall)
+        make = partial(Gripper, host, port, timeout=self._timeout, refused=lambda: hint, undos=self._undos)
         return self._once(self._gripper, make)
 
     @property
@@ -192,14 +192,14 @@ class Control:
         return part.keep(make())
 
     def settle(self, timeout: float) -> None:
-        """Wait until nothing is left that was given up and is to be taken back, for at most `timeout` seconds."""
-        self._recall.settle(timeout)
+        """Wait until nothing is left that was given up and is to be undone, for at most `timeout` seconds."""
+        self._undos.settle(timeout)
 
     def close(self, timeout: float) -> None:
         """End motions, programs, callbacks and the connections of dashboard and gripper, in `timeout` seconds."""
         until = clock.now() + timeout
         self._is_closed = True
-        self._recall.close(self)
+        self._undos.close(self)
         self._programs.close(timeout)
         self._monitor.close()
         if (dashboard := self._dashboard.made) is not None:

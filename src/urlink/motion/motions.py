@@ -21,8 +21,7 @@ from ..arm.vectors import FloatArray, Numbers, numbers, six
 from ..command.program_time import ProgramTimer, ScalingName, end_where_moved
 from ..protocol.firmware import Firmware
 from ..protocol.realtime.packets import RealtimeState
-from ..script import commands
-from ..script import force_control as yielding
+from ..script import commands, force_control
 from ..script.wrapping import HAS_REGISTERS
 from .context import MotionContext
 from .links.register_link import RegisterPort
@@ -33,7 +32,7 @@ from .servo.follower import Follower
 from .servo.following import Following, Tolerances, TrajectoryFeedback, stands
 from .servo.force_control import ContactMotion, ForceMode, Freedrive, Torque, axes_of, frame_of
 from .servo.impedance import Impedance
-from .servo.impedance_parameters import Softness
+from .servo.impedance_parameters import ImpedanceParameters
 from .servo.jerk_limited import joint_limits
 from .servo.jog import UNLED, FrameName, HeldSpeed, Jog
 from .servo.linked_program import Link, LinkedProgram
@@ -552,7 +551,7 @@ class Motions(StrictAttributes):
         if force is None and identity.firmware < _TOOL_CONTACT:
             force = _CONTACT_FORCE
         longest = check_number(distance, "distance", _LEAST, 10.0, "m")
-        body = yielding.until_contact(
+        body = force_control.until_contact(
             identity.firmware,
             (way / length).tolist(),
             TOOL_SPEED.check(speed, "speed", 1.0),
@@ -606,7 +605,7 @@ class Motions(StrictAttributes):
         Raises:
             LocalError: this firmware has no force mode, damping or gain.
         """
-        pressing = yielding.Pressing(
+        pressing = force_control.Pressing(
             frame_of(self._context, frame),
             axes_of(selection, "selection"),
             tuple(six(limits, "limits").tolist()),
@@ -704,10 +703,10 @@ class Motions(StrictAttributes):
             LocalError: this firmware has neither direct torque nor a force sensor; or the arm is not known.
         """
         check_choice(frame, "frame", get_args(FrameName))
-        softness = Softness(
+        parameters = ImpedanceParameters(
             frame, stiffness, damping, torque, speed, error, force, posture_stiffness, friction_compensation, watchdog
         )
-        return Impedance(self._context, softness, self._opener(link))
+        return Impedance(self._context, parameters, self._opener(link))
 
     def _freedrive(
         self, axes: Sequence[object] | None, frame: Numbers | str, watchdog: float, link: LinkName

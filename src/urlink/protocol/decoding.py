@@ -1,4 +1,4 @@
-"""Packets without a robot or a thread.
+"""Decoding of packets without a robot or a thread.
 
 `decode`: bytes to typed states. `schema`: what a firmware puts on the wire, as a construct schema.
 """

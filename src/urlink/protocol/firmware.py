@@ -1,4 +1,4 @@
-"""Which firmware puts what on the wire: the one table.
+"""The table of firmware releases: which release sends which packets and sizes.
 
 The layouts say what each field is and since when it is sent. This table says what sizes that must add up to, release by
 release, and what stands behind each row. A test holds the two against each other, so a release that appends fields is

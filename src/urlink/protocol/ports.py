@@ -35,7 +35,7 @@ Interface = Literal["realtime", "primary", "secondary"]
 INTERFACES: tuple[Interface, ...] = get_args(Interface)
 
 
-def interface(port: str) -> str:
+def interface_of(port: str) -> str:
     """The interface of a port: its own name; of a read-only port, that of its writable twin."""
     return port.removesuffix("_readonly")
 

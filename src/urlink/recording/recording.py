@@ -20,7 +20,7 @@ from linkcore.recording.index import RecordIndex
 from linkcore.recording.mcap_file import Topic, write_stretches
 from linkcore.recording.packets import Channel, read_channel
 from linkcore.recording.table import ClockColumn, Table
-from linkcore.recording.table_files import ONE_TABLE, TABLE_WRITERS, chosen, export
+from linkcore.recording.table_files import chosen, export, format_of
 from linkcore.wire.framing import PacketProtocol
 from linkcore.wire.packet import State
 
@@ -213,10 +213,10 @@ class Recording(StrictAttributes):
         """Write the recording to a file of another program. It replaces a file of the same name once it is complete.
 
         Args:
-            path: its suffix says the format: .csv or .parquet for one table, .mat, .h5 or .mcap for all of them.
+            path: its suffix names the format; `urlink export --help` lists the formats.
             fields: Names, such as ``["q_actual", "joint_data.T_motor", "rtde.actual_q"]``, or one name as a string;
-                ``"q_actual_3"`` is one joint. None for all; a .csv or .parquet file then holds the first table that was
-                recorded.
+                ``"q_actual_3"`` is one joint. None for all; a file of a format for one table then holds the
+                first table that was recorded.
             rate: rows per second to resample to; None for the packets as they came.
             progress: called with the fraction that is done, 0 to 1.
 
@@ -229,10 +229,11 @@ class Recording(StrictAttributes):
             LocalError: the package that writes the format is not installed; the message says how to install it.
         """
         tables = self.tables
-        if fields is None and Path(path).suffix.lower() in ONE_TABLE:
+        kind = format_of(path)
+        if fields is None and kind is not None and kind.holds_one:
             tables = dict(list(tables.items())[:1])
-        writers = {**TABLE_WRITERS, ".mcap": self._write_mcap}
-        return export(path, chosen(tables, fields, rate), writers, progress, self._about())
+        writers = {".mcap": self._write_mcap}
+        return export(path, chosen(tables, fields, rate), progress, self._about(), writers)
 
     def plot(self, *fields: str, start: float = 0.0, end: float = float("inf")) -> Plot:
         """Fields over time, one panel each. A notebook shows it; `Plot.save` writes it to a file.

@@ -1,4 +1,4 @@
-"""What was recorded of a robot as messages of ROS 2, with the definitions of their types.
+"""Recorded packets of a robot as messages of ROS 2, with the definitions of their types.
 
 Joint states, poses, twists, wrenches and logs have the standard types, which every viewer knows. Each packet as a whole
 also becomes a message, of a type that is defined by the fields of its stream.

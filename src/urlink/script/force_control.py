@@ -1,4 +1,4 @@
-"""The programs of an arm that yields: force mode, freedrive, direct torque, and a movement that ends at a contact.
+"""The programs of force control: force mode, freedrive, direct torque, and a movement that ends at a contact.
 
 The first three are loops by messages (`links.message_loop`): they go on as long as messages come, and end their mode
 and brake where none has come for the watchdog's time, where the link ends, or by the message that says so. Should the

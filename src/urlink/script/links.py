@@ -1,4 +1,4 @@
-"""Programs that are led from this computer, cycle by cycle: how messages reach them, and the loop that obeys them.
+"""The programs that this computer drives cycle by cycle: how messages reach them, and the loop that obeys them.
 
 A message is fourteen big-endian int32: six numbers in millionths (`SCALE`), six more, what to do: `STOP`, `FOLLOW` or
 `WAIT`, and a date. In `urlink.script.streaming` the numbers are positions of the joints, rad, and their speeds,

@@ -1,4 +1,4 @@
-"""The program that is handed a trajectory point by point and interpolates by itself; for 3.x and later.
+"""The program that receives a trajectory point by point and interpolates on its own; firmware 3.x and later.
 
 It asks for a point by its number, a line of text, and is answered with a list of floats in brackets. The line `BEAT`
 asks whether to go on, which ``(1)`` answers, and `ARRIVED` says that the last point is reached. After a pause the

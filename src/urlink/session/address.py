@@ -1,4 +1,4 @@
-"""Addresses: where a robot is, or what stands in for one."""
+"""Addresses of robots, of simulated arms and of recordings."""
 
 from __future__ import annotations
 

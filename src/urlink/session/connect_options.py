@@ -1,4 +1,4 @@
-"""What a user chooses when connecting: the arguments of `connect` and `connect_async`, checked, and made once."""
+"""The options of `connect` and `connect_async`: checked, and collected once."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A controller's clock beside this computer's: for data of other sensors, and for what has to happen at the same time.
+"""A controller's clock compared with this computer's: for data of other sensors, and for simultaneous events.
 
 What is measured, and how, is `linkcore.streaming.peer_clock`. What no packet shows is how long a controller takes from
 the time in a state until it sends it; that it is one cycle is a guess (`state_latency`).

@@ -1,4 +1,4 @@
-"""Where a robot's bytes come from: a controller on the network, or a recording."""
+"""Sources of a robot's bytes: a controller on the network, or a recording."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import Backoff
 from linkcore.streaming.fanout import FanOut
 from linkcore.streaming.stream import Stream
-from linkcore.streaming.thread_connection import ThreadConnection
 from linkcore.wire.framing import PacketProtocol
 from linkcore.wire.packet import State
 
@@ -53,7 +52,7 @@ class Source(NamedTuple):
     silence: float | None
     is_lossless: bool
     channel: Callable[[str], Mapping[str, Any]] | None = None
-    connection: Callable[..., Connection] = ThreadConnection
+    connection: Callable[..., Connection] = Connection
     rtde: Callable[[Any, Requests], RtdeTransport] | None = None
 
     def stream(self, interface: str, name: str, reconnected: Callable[[], object]) -> Stream[Any]:

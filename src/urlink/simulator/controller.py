@@ -1,4 +1,4 @@
-"""`Controller`: wires up state, programs, faults and ports, and serves or steps them."""
+"""`Controller`: wires up state, programs, faults and interfaces, and serves or steps them."""
 
 from __future__ import annotations
 
@@ -20,19 +20,21 @@ from urlink.arm.kinematics import Arm as Kinematics
 from urlink.arm.kinematics import DenavitHartenberg
 from urlink.arm.models import Model
 from urlink.protocol.firmware import NEWEST, RELEASES, Firmware
-from urlink.protocol.ports import PORTS, interface
+from urlink.protocol.ports import PORTS, interface_of
 from urlink.session.address import RobotAddress
 
 from .control_loop import ControlLoop, SteppedClock, passing
 from .faults import Faults, FaultSchedule, LinkFaults, ScheduledFault
 from .faults.schedule import checked
-from .interfaces.dashboard import DashboardPort
-from .interfaces.interface import Port, PortClient, ScriptReceiver
-from .interfaces.lines import GripperPort, InterpreterPort, SerialLinePort
-from .interfaces.primary import PrimaryPort, SecondaryPort, StatePackages
-from .interfaces.realtime import RealtimePort
-from .interfaces.robot_api import RobotApiPort
-from .interfaces.rtde import RtdePort
+from .interfaces.dashboard import DashboardInterface
+from .interfaces.gripper import GripperInterface
+from .interfaces.interface import Interface, InterfaceClient, ScriptReceiver
+from .interfaces.interpreter import InterpreterInterface
+from .interfaces.primary import PrimaryInterface, SecondaryInterface, StatePackages
+from .interfaces.realtime import RealtimeInterface
+from .interfaces.robot_api import RobotApiInterface
+from .interfaces.rtde import RtdeInterface
+from .interfaces.tool_serial import ToolSerialInterface
 from .programs.loader import LineAssembler, ProgramLoader
 from .programs.pendant import Pendant
 from .programs.program_world import Target
@@ -59,7 +61,7 @@ _NEWEST_CB3 = [row.since for row in RELEASES if row.since.major == 3][-1]
 _ALL_ADDRESSES = ("", "0.0.0.0", "::")
 # Addresses from which the system connects to loopback addresses.
 _FIRST_LOOPBACK = ("127.0.0.1", "::1")
-# The interfaces of a real controller's ports.
+# The number of each port of a real controller -> its name.
 _NAMES = {number: name for name, number in PORTS.items()}
 #: Most lines from clients, and robot messages of a stepped controller, that are kept.
 RECEIVED, KEPT_MESSAGES = 1000, 10_000
@@ -107,7 +109,7 @@ class Controller(StrictAttributes):
         host: address that it listens on.
         faults: faults to cause on demand.
         pendant: its saved programs, what it shows, and its buttons.
-        received: (name of the port, line of text) of the latest lines that clients sent.
+        received: (name of the interface, line of text) of the latest lines that clients sent.
         rtde: the RTDE interface: its connections, for a stepped controller; and which client holds an input.
         dashboard: answers the lines of dashboard clients.
         robot_api: answers the HTTP requests of PolyScope X; holds the operational mode.
@@ -172,34 +174,34 @@ class Controller(StrictAttributes):
         self._loader = ProgramLoader(state, self._runner)
         self.pendant = Pendant(state, self._runner, files or {})
         self._link = LinkFaults(lambda: state.cycle)
-        self.rtde = RtdePort(state, lambda text: self.received.append(("rtde", text)))
+        self.rtde = RtdeInterface(state, lambda text: self.received.append(("rtde", text)))
         self.faults = Faults(state, self._runner, self._link, self.rtde, seed=seed, call=self.call)
         self._schedule = FaultSchedule(self.faults)
         self._control = ControlLoop(state, self._runner, self._schedule)
         self._states = StatePackages(state)
-        self.dashboard = DashboardPort(state, self.pendant)
-        self.robot_api = RobotApiPort(state, self.dashboard, self.pendant)
+        self.dashboard = DashboardInterface(state, self.pendant)
+        self.robot_api = RobotApiInterface(state, self.dashboard, self.pendant)
         self._gripper = SimulatedGripper(lambda: state.time) if gripper else None
         device = None if self._gripper is None else ModbusGripper(self._gripper)
-        self.tool_serial = SerialLinePort(state, device)
-        self._realtime = RealtimePort(state, self._script_receiver)
-        self._ports: dict[str, Port] = {
-            "primary": PrimaryPort(state, self._states, self._script_receiver),
-            "secondary": SecondaryPort(state, self._states, self._script_receiver),
+        self.tool_serial = ToolSerialInterface(state, device)
+        self._realtime = RealtimeInterface(state, self._script_receiver)
+        self._interfaces: dict[str, Interface] = {
+            "primary": PrimaryInterface(state, self._states, self._script_receiver),
+            "secondary": SecondaryInterface(state, self._states, self._script_receiver),
             "realtime": self._realtime,
             "rtde": self.rtde,
             "dashboard": self.dashboard,
             "robot_api": self.robot_api,
-            "interpreter": InterpreterPort(state, self._runner),
-            "gripper": GripperPort(state, self._gripper),
+            "interpreter": InterpreterInterface(state, self._runner),
+            "gripper": GripperInterface(state, self._gripper),
             "tool_serial": self.tool_serial,
         }
         if scene is not None:
             self.world.scene = open_scene(scene, self)
 
-    def _script_receiver(self, port: str, client: PortClient) -> ScriptReceiver:
+    def _script_receiver(self, interface: str, client: InterfaceClient) -> ScriptReceiver:
         return ScriptReceiver(
-            client, self.counters, lambda line: self.received.append((port, line)), self._loader.open().put
+            client, self.counters, lambda line: self.received.append((interface, line)), self._loader.open().put
         )
 
     def _route(self, address: str, port: int) -> Target | None:
@@ -208,7 +210,8 @@ class Controller(StrictAttributes):
             own = _NAMES.get(port)
             if own is None:
                 return Target(address, port, _source(self.host, address))
-            return Target(self._own_host, self.ports[own]) if own in self.ports else None
+            number = self._all_ports.get(own)
+            return None if number is None else Target(self._own_host, number)
         peers = () if self._server is None else self._server.peers
         return Target(address, port) if address in self._reachable or address in peers else None
 
@@ -315,7 +318,7 @@ class Controller(StrictAttributes):
 
     @property
     def counters(self) -> Counters:
-        """Counters of events on the ports."""
+        """Counters of events on the interfaces."""
         return self._state.counters
 
     @property
@@ -486,25 +489,37 @@ class Controller(StrictAttributes):
 
     def greeting(self, port: str) -> list[bytes]:
         """The packets at the beginning of a connection to this port: none on the real-time ports."""
-        return self._ports[interface(port)].greeting()
+        return self._interfaces[interface_of(port)].greeting()
 
     # -- serving -------------------------------------------------------------------------------------
 
     @property
     def ports(self) -> dict[str, int]:
-        """Name of each port that is served -> its number; empty until started."""
+        """Name of each port that is served -> its number; empty until started.
+
+        Ports whose interface the present firmware does not have are left out. A reboot into another firmware may add or
+        remove some.
+        """
+        return {name: number for name, number in self._all_ports.items() if self._serves(name)}
+
+    @property
+    def _all_ports(self) -> dict[str, int]:
+        """`ports`, and those that refuse connections until the firmware has their interface."""
         return {} if self._server is None else self._server.numbers
+
+    def _serves(self, port: str) -> bool:
+        return self._interfaces[interface_of(port)].is_offered()
 
     @property
     def address(self) -> str:
-        """The address for `urlink.connect`.
+        """The address for `urlink.connect`. It has all ports, so that it stays valid when the firmware changes.
 
         Raises:
             LocalError: it has not been started.
         """
         if self._server is None:
             raise LocalError("a controller that has not been started has no address")
-        return str(RobotAddress(self._own_host, self.ports))
+        return str(RobotAddress(self._own_host, self._all_ports))
 
     @property
     def is_serving(self) -> bool:
@@ -535,7 +550,7 @@ class Controller(StrictAttributes):
             server = Server(
                 self._control,
                 self._state,
-                self._ports,
+                self._interfaces,
                 self._loader,
                 self._link,
                 host=self.host,

@@ -79,13 +79,15 @@ def safety_messages(state: ControllerState, cause: StopCause) -> list[bytes]:
         code, level, text = report
         if cause.reason:
             text = f"{text.partition(':')[0]}: {cause.reason}"
-        fields = {"code": code, "argument": 0, "report_level": level, "data_type": ReportDataType.NONE, "text": text}
+        fields = {"code": code, "report_level": level, "text": text, **_NO_DATA}
         messages.append(_message(state, RobotCommMessage, source=MessageSource.CONTROLLER, **fields))
     if not state.firmware.is_cb2:
-        messages.append(_message(state, SafetyModeMessage, safety_mode=mode))
+        messages.append(_message(state, SafetyModeMessage, code=0, safety_mode=mode, **_NO_DATA))
     return messages
 
 
+#: What a report has beside its code and text; that there is none is a guess.
+_NO_DATA = {"argument": 0, "data_type": ReportDataType.NONE, "data": 0}
 _REPORTS = {
     SafetyMode.PROTECTIVE_STOP: (153, ReportLevel.VIOLATION, "Protective stop: position deviates from path"),
     SafetyMode.ROBOT_EMERGENCY_STOP: (0, ReportLevel.WARNING, "Emergency stop"),
@@ -97,12 +99,12 @@ _BY_PROGRAM = (209, ReportLevel.WARNING, "Protective stop")
 
 def program_started(state: ControllerState, name: str) -> bytes:
     """The message for a program that begins."""
-    return _message(state, KeyMessage, title="PROGRAM_XXX_STARTED", text=name)
+    return _message(state, KeyMessage, code=0, argument=0, title="PROGRAM_XXX_STARTED", text=name)
 
 
 def program_stopped(state: ControllerState, name: str) -> bytes:
     """The message for a program that is over, for any reason."""
-    return _message(state, KeyMessage, title="PROGRAM_XXX_STOPPED", text=name)
+    return _message(state, KeyMessage, code=0, argument=0, title="PROGRAM_XXX_STOPPED", text=name)
 
 
 def text_message(state: ControllerState, text: str) -> bytes:
@@ -123,6 +125,7 @@ def popup_message(
     return _message(
         state,
         PopupMessage,
+        request_id=0,
         requested_type=RequestedType.NONE,
         is_warning=is_warning,
         is_error=is_error,
@@ -137,4 +140,6 @@ def _message(state: ControllerState, kind: type[RobotMessage], **fields: Any) ->
     common = {"timestamp": round(state.time * 1e6), "source": MessageSource.REALTIME_MACHINE}
     if "text" in fields:
         fields["text"] = fields["text"][:_LONGEST_TEXT]
-    return kind.LAYOUTS.of(state.firmware).encode({**common, **fields})
+    layout = kind.LAYOUTS.of(state.firmware)
+    layout.check_complete({**common, **fields})
+    return layout.encode({**common, **fields})

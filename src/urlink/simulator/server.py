@@ -1,10 +1,10 @@
-"""The controller's ports over TCP: one thread that keeps the clock and carries the bytes of every client.
+"""The controller's interfaces over TCP: one thread that keeps the clock and carries the bytes of every client.
 
 Deadlines are absolute: cycle k is due k periods after the start, however late the one before was. A thread without
 processor time catches up cycle by cycle, and the packets of these cycles are still sent, as by a network with a delay;
 packets that are more than `LATEST` late are counted instead, and with the next cycle that is sent come those that have
 become due meanwhile. After `ASLEEP` the clock is set again. So clients of a slow simulator see late and missing
-packets, but only one clock, and no port that is silent.
+packets, but only one clock, and no interface that is silent.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ import threading
 from collections.abc import Callable, Mapping
 
 from linkcore.net.loop import Connection, Handler, ListeningPort, SelectorLoop
-from urlink.protocol.ports import interface
+from urlink.protocol.ports import interface_of
 
 from .control_loop import ControlLoop, SteppedClock
 from .faults.link import LinkFaults, Segmenter
-from .interfaces.interface import Port, ReadOnlyReceiver
+from .interfaces.interface import Interface, ReadOnlyReceiver
 from .programs.loader import ProgramLoader
 from .state import ControllerState
 
@@ -40,15 +40,15 @@ LAST_REPLY = 2.0
 
 
 class _Client(Handler):
-    """One connection. What a port sends goes through the faults of the link."""
+    """One connection. What an interface sends goes through the faults of the link."""
 
-    def __init__(self, server: Server, name: str, port: Port, connection: Connection) -> None:
+    def __init__(self, server: Server, name: str, interface: Interface, connection: Connection) -> None:
         self.name = name
         self.connection = connection
         self.segmenter: Segmenter | None = None
         self._server = server
         is_read_only = name.endswith("_readonly")
-        self._receiver = ReadOnlyReceiver(server.counters) if is_read_only else port.receiver(self)
+        self._receiver = ReadOnlyReceiver(server.counters) if is_read_only else interface.receiver(self)
 
     @property
     def is_open(self) -> bool:
@@ -78,12 +78,12 @@ class _Client(Handler):
 
 
 class Server:
-    """Serves the ports of one controller from one thread, which owns the controller from then on.
+    """Serves the interfaces of one controller from one thread, which owns the controller from then on.
 
     Args:
         loop: advances the controller.
         state: of the controller.
-        ports: name of the interface -> its handler.
+        interfaces: name of the interface -> its handler.
         loader: of programs; compiles in another thread.
         link: the faults of the connections.
         host: address to listen on.
@@ -92,7 +92,7 @@ class Server:
         clock: seconds, monotonic; a test may have one of its own.
 
     Attributes:
-        counters: of events on the ports.
+        counters: of events on the interfaces.
         is_open: whether the ports are open; after a reboot a moment later than the controller is up.
 
     Raises:
@@ -103,7 +103,7 @@ class Server:
         self,
         loop: ControlLoop,
         state: ControllerState,
-        ports: Mapping[str, Port],
+        interfaces: Mapping[str, Interface],
         loader: ProgramLoader,
         link: LinkFaults,
         *,
@@ -118,7 +118,7 @@ class Server:
         self._control = loop
         self._state = state
         self.counters = state.counters
-        self._ports = ports
+        self._interfaces = interfaces
         self._loader = loader
         self._link = link
         self._sockets = SelectorLoop(clock)
@@ -141,7 +141,7 @@ class Server:
             for name, number in numbers.items():
                 self._listening[name] = self._bind(name, host, number, output_limit)
             for name, port in self._listening.items():
-                if ports[interface(name)].is_offered():
+                if interfaces[interface_of(name)].is_offered():
                     port.listen()
         except BaseException:
             self._sockets.close()
@@ -264,7 +264,7 @@ class Server:
         if self._loader.is_waiting:
             return cycle + 1
         for kind in self._watched:
-            wanted = self._ports[kind].next_cycle(cycle)
+            wanted = self._interfaces[kind].next_cycle(cycle)
             if wanted is not None and wanted < earliest:
                 earliest = wanted
         wanted = self._control.next_event(cycle)
@@ -277,12 +277,12 @@ class Server:
         self._settle()
         if not self._state.is_up:
             return
-        for kind, port in self._ports.items():
+        for kind, interface in self._interfaces.items():
             if kind in self._watched:
-                for packet in port.packets(cycle):
+                for packet in interface.packets(cycle):
                     self._broadcast(kind, packet)
             else:
-                port.skip()
+                interface.skip()
 
     def _broadcast(self, kind: str, packet: bytes) -> None:
         for name in (kind, f"{kind}_readonly"):
@@ -322,20 +322,20 @@ class Server:
             return None
         # The clock may be waiting for a later cycle: a new client gets no packets of the past.
         self.look_at_the_clock()
-        port = self._ports[interface(name)]
-        client = _Client(self, name, port, connection)
+        interface = self._interfaces[interface_of(name)]
+        client = _Client(self, name, interface, connection)
         client.segmenter = self._link.segmenter(name)
         self.counters.connections += 1
         self._clients[name].append(client)
-        self._watched.add(interface(name))
-        for packet in port.greeting():
+        self._watched.add(interface_of(name))
+        for packet in interface.greeting():
             self._put(client, self._link.lasting(name, packet))
         return client
 
     def forget(self, client: _Client) -> None:
         """Remove a client whose connection is over."""
         self._clients[client.name].remove(client)
-        kind = interface(client.name)
+        kind = interface_of(client.name)
         if not self._clients.get(kind) and not self._clients.get(f"{kind}_readonly"):
             self._watched.discard(kind)
 
@@ -358,7 +358,7 @@ class Server:
         if not is_up:
             self._loader.clear()
         for name, port in self._listening.items():
-            if is_up and self._ports[interface(name)].is_offered():
+            if is_up and self._interfaces[interface_of(name)].is_offered():
                 port.listen()
                 # Connected but silent: the kernel has made the connection, and there it waits.
                 if self._link.is_stalled(name):

@@ -1,6 +1,6 @@
-"""The state of a controller: everything that its ports show and its programs change, in one passive object.
+"""The state of a controller: everything that its interfaces show and its programs change, in one passive object.
 
-It does not depend on programs or ports. The control loop advances it; packets and messages are made from it.
+It does not depend on programs or interfaces. The control loop advances it; packets and messages are made from it.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ FLAGS = 32
 
 @dataclass
 class Counters:
-    """Counters of a controller's ports, since it was made.
+    """Counters of a controller's interfaces, since it was made.
 
     Attributes:
         connections: accepted.
@@ -155,7 +155,7 @@ class ControllerState:
         popup: text that the pendant shows, or None.
         loaded: path of the program that `play` runs, or None.
         log: lines that the dashboard has added.
-        counters: of events on the ports.
+        counters: of events on the interfaces.
         outbox: messages to be sent.
     """
 

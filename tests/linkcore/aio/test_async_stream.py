@@ -194,7 +194,7 @@ async def test_who_falls_behind_loses_the_oldest_and_is_told_how_many() -> None:
 async def test_under_block_nothing_is_read_while_the_task_is_behind() -> None:
     numbered = range(1000, 16_000)  # 75 kB, of which at most 64 KiB are read at a time
     async with listening() as peer, stream_to(peer, silence=0.3) as stream:
-        packets = stream.iterate(Policy(100, evicts=False))
+        packets = stream.iterate(Policy(100, drop=None))
         await packets.open()
         (await peer.accepted()).write(counts(*numbered))
         await come(lambda: packets.stats.waiting >= 100)
@@ -358,9 +358,9 @@ class _Connection:
     st.booleans(),
     st.lists(st.one_of(st.integers(1, 8), st.just("take"), st.just("close")), max_size=30),
 )
-def test_every_packet_of_a_queue_is_accounted_for(limit: int, evicts: bool, steps: list[int | str]) -> None:
+def test_every_packet_of_a_queue_is_accounted_for(limit: int, drops: bool, steps: list[int | str]) -> None:
     connection: Any = _Connection()
-    queue = LoopQueue(Policy(limit, evicts=evicts), connection)
+    queue = LoopQueue((drop_oldest(limit) if drops else Policy(limit, drop=None)), connection)
     given_number, is_closed, taken = 0, False, []
     for step in steps:
         if step == "take":
@@ -375,7 +375,7 @@ def test_every_packet_of_a_queue_is_accounted_for(limit: int, evicts: bool, step
             given_number += 0 if is_closed else step
         assert queue.offered == given_number == queue.taken + queue.dropped + queue.waiting
         assert taken == sorted(set(taken))
-        if evicts:
+        if drops:
             assert queue.waiting <= limit
             assert not connection.is_held
         else:

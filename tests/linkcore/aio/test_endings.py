@@ -41,7 +41,7 @@ async def test_closed_iterator_gets_nothing_more() -> None:
 @awaited
 async def test_stream_goes_on_when_a_full_iterator_is_closed() -> None:
     async with listening() as peer, stream_to(peer) as stream:
-        full, other = stream.iterate(Policy(2, evicts=False)), stream.iterate(drop_oldest(100))
+        full, other = stream.iterate(Policy(2, drop=None)), stream.iterate(drop_oldest(100))
         await full.open()
         await other.open()
         writer = await peer.accepted()

@@ -14,7 +14,7 @@ from linkcore.errors import Cancelled
 from linkcore.net.dialogue import Dialogue
 from linkcore.net.http_client import HttpClient
 from linkcore.net.transport import TcpTransport
-from linkcore.net.undo import Recall, TakeBack
+from linkcore.net.undo import PendingUndos, Undo
 from linkcore.pending_call import PendingCall
 from linkcore.wire.http import HttpRequest
 from tests.waiting import until
@@ -173,26 +173,26 @@ class Closeable:
 
 
 def test_answered_command_is_undone_if_nobody_has_the_result() -> None:
-    recall, undone, call = Recall("robot"), threading.Event(), PendingCall()
-    take_back = TakeBack(Closeable, lambda client, is_wanted: undone.set())
+    undos, undone, call = PendingUndos("robot"), threading.Event(), PendingCall()
+    undo = Undo(Closeable, lambda client, is_wanted: undone.set())
 
     def play() -> None:
-        with recall.command("play", TIMEOUT, take_back):
+        with undos.command("play", TIMEOUT, undo):
             pass
 
     call.make(play)
-    assert recall.pending == ()
+    assert undos.pending == ()
     call.give_up()
     assert undone.wait(TIMEOUT)
-    recall.close()
+    undos.close()
 
 
 def test_answered_command_is_undone_without_a_new_thread(monkeypatch: pytest.MonkeyPatch) -> None:
-    recall, undone, call = Recall("robot"), threading.Event(), PendingCall()
-    take_back = TakeBack(Closeable, lambda client, is_wanted: undone.set())
+    undos, undone, call = PendingUndos("robot"), threading.Event(), PendingCall()
+    undo = Undo(Closeable, lambda client, is_wanted: undone.set())
 
     def play() -> None:
-        with recall.command("play", TIMEOUT, take_back):
+        with undos.command("play", TIMEOUT, undo):
             pass
 
     def refuse(thread: threading.Thread) -> None:
@@ -202,20 +202,20 @@ def test_answered_command_is_undone_without_a_new_thread(monkeypatch: pytest.Mon
     monkeypatch.setattr(threading.Thread, "start", refuse)
     call.give_up()
     assert undone.is_set()
-    assert recall.pending == ()
-    recall.close()
+    assert undos.pending == ()
+    undos.close()
 
 
 def test_superseded_command_is_not_undone() -> None:
-    recall, call = Recall("robot"), PendingCall()
-    take_back = TakeBack(Closeable, lambda client, is_wanted: None)
+    undos, call = PendingUndos("robot"), PendingCall()
+    undo = Undo(Closeable, lambda client, is_wanted: None)
 
     def play() -> None:
-        with recall.command("play", TIMEOUT, take_back):
+        with undos.command("play", TIMEOUT, undo):
             pass
 
     call.make(play)
-    recall.drop()
+    undos.drop()
     call.give_up()
-    assert recall.pending == ()
-    recall.close()
+    assert undos.pending == ()
+    undos.close()

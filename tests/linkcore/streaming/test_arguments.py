@@ -15,11 +15,11 @@ import pytest
 from linkcore.arguments import Default, check_callable, check_number, check_overridden, check_seconds, check_wait
 from linkcore.errors import BadValue
 from linkcore.net.transport import Finished
+from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import ConnectionEvent, Traffic
 from linkcore.streaming.fanout import FanOut
 from linkcore.streaming.packet_queue import block, drop_oldest
 from linkcore.streaming.stream import Stream
-from linkcore.streaming.thread_connection import ThreadConnection
 from linkcore.wire.packet import State
 from tests.fakes.link import Count, CountProtocol, ScriptedTransport, counts, scripted
 
@@ -148,7 +148,7 @@ def test_a_kind_that_can_never_come_is_refused(stream: Stream[Count], transport:
 
 def test_a_kind_that_others_declare_can_come(transport: ScriptedTransport) -> None:
     fan_out = FanOut(Count, parts=lambda packet: (), others=(Other,))
-    stream = Stream(ThreadConnection("script", transport, CountProtocol, fan_out), Count)
+    stream = Stream(Connection("script", transport, CountProtocol, fan_out), Count)
     assert stream.of(Other)
 
 

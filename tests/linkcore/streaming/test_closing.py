@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 
 from linkcore.errors import BadValue, ConnectionLost, LinkTimeout
+from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import Backoff, ConnectionEvent, ConnectionPhase, ConnectionState
 from linkcore.streaming.fanout import FanOut
 from linkcore.streaming.packet_queue import PacketQueue, drop_oldest
 from linkcore.streaming.stream import Stream
-from linkcore.streaming.thread_connection import ThreadConnection
 from tests.contended import Contended
 from tests.fakes.link import Count, CountProtocol, ScriptedTransport, counts, scripted
 from tests.waiting import until
@@ -77,7 +77,7 @@ def test_close_ends_a_stream_that_waits_to_reconnect() -> None:
 def test_start_gives_up_on_a_transport_that_hangs() -> None:
     transport = Recorded()
     transport.may_open.clear()
-    connection = ThreadConnection("script", transport, CountProtocol, FanOut(Count), timeout=0.1)
+    connection = Connection("script", transport, CountProtocol, FanOut(Count), timeout=0.1)
     stream = Stream(connection, Count)
     try:
         with pytest.raises(LinkTimeout, match="no connection"):

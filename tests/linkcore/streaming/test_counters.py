@@ -249,7 +249,7 @@ class StreamMachine(RuleBasedStateMachine):
 
     @precondition(lambda self: len(self.made) < 6)
     @rule(
-        policy=st.sampled_from([None, latest, drop_oldest(3), block, Policy(64, evicts=False)]),
+        policy=st.sampled_from([None, latest, drop_oldest(3), block, Policy(64, drop=None)]),
         raises_at=st.integers(2, 5),
     )
     def subscribe(self, policy: Policy | None, raises_at: int) -> None:

@@ -50,17 +50,17 @@ class _Connection:
     st.lists(st.one_of(st.lists(st.sampled_from([0.0, 2 * LIFESPAN, None]), max_size=8), st.just("take")), max_size=30),
 )
 def test_every_packet_is_delivered_dropped_or_waits(
-    kind: str, limit: int, evicts: bool, steps: list[list[float | None] | str]
+    kind: str, limit: int, drops: bool, steps: list[list[float | None] | str]
 ) -> None:
     connection: Any = _Connection()
-    policy = Policy(limit, evicts=evicts)
+    policy = drop_oldest(limit) if drops else Policy(limit, drop=None)
     queue = PacketQueue(policy, LIFESPAN) if kind == "thread" else LoopQueue(policy, connection, LIFESPAN)
     model: list[tuple[int, bool]] = []
     offered = taken = evicted = expired = 0
     for step in steps:
         if isinstance(step, list):
-            # In one thread a queue that evicts nothing must not be offered more than it has room for.
-            ages = step if evicts else step[: limit - len(model)]
+            # In one thread a queue that drops nothing must not be offered more than it has room for.
+            ages = step if drops else step[: limit - len(model)]
             now = linkcore.clock.now()
             packets = [
                 Packet(number, None if age is None else Stamp(now - age, 0.0))

@@ -133,7 +133,7 @@ def test_block_makes_the_reader_wait_and_loses_nothing(stream: Stream[Count], tr
         assert gate.acquire(timeout=10)
         got.append(count.number)
 
-    subscription = stream.subscribe(slow, policy=Policy(3, evicts=False))
+    subscription = stream.subscribe(slow, policy=Policy(3, drop=None))
     transport.put(counts(*range(20)), counts(20), Finished())
     for _ in range(21):
         gate.release()
@@ -149,7 +149,7 @@ def test_close_frees_a_reader_that_waits_for_room(stream: Stream[Count], transpo
         asleep.set()
         wake.wait(10)
 
-    stream.subscribe(sleep, policy=Policy(1, evicts=False))
+    stream.subscribe(sleep, policy=Policy(1, drop=None))
     transport.put(counts(*range(50)))
     assert asleep.wait(10)
     began = linkcore.clock.now()

@@ -32,7 +32,7 @@ EQUIVALENT: tuple[Equivalent, ...] = (
     ),
     Equivalent(
         "urlink/motion/stream/stream_feed.py",
-        "_take_back",
+        "_undo_cut",
         "self._queue, self.mark = (deque(cut.queue), cut.mark); self._requests.appendleft(cut.request)",
         "swapped",
         "two attributes that nothing reads in between, under the section",
@@ -257,7 +257,7 @@ EQUIVALENT: tuple[Equivalent, ...] = (
     Equivalent(
         "urlink/motion/motions.py",
         "impedance",
-        "check_choice(frame, 'frame', get_args(FrameName)); softness = Softness(frame, stiffness, damping, torque, speed, error, force, posture_stiffness, frict",
+        "check_choice(frame, 'frame', get_args(FrameName)); parameters = ImpedanceParameters(frame, stiffness, damping, torque, speed, error, force, posture_sti",
         "swapped",
         "of two wrong arguments, the other one is reported first",
     ),

@@ -186,7 +186,7 @@ def test_limits_of_the_command_line_are_those_of_the_host(run: Run, monkeypatch:
         made.append(options)
         raise BadValue("made by the test")
 
-    monkeypatch.setattr("rhdlink.cli.hosting.Host", host)
+    monkeypatch.setattr("rhdlink.cli.turtle.Host", host)
     run("turtle", "--port", "0", "--limit", "words=1000", "--limit", "batch=5000")
     (options,) = made
     assert options["limits"] == rhdlink.variables.Limits(words=1000, batch=5000)

@@ -10,7 +10,7 @@ import rhdlink
 from linkcore.clock import Stamp
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from rhdlink import Host
-from rhdlink.cli.view import RateCounter
+from rhdlink.cli.watch_view import RateCounter
 from rhdlink.host.plugins.turtle import Turtle
 from rhdlink.variables import Change, TimeStamp, Update
 from tests.harm import strict
@@ -111,7 +111,7 @@ def test_a_lost_connection_is_told_until_it_is_back() -> None:
 
 @pytest.mark.simulated_time
 def test_old_values_say_so(address: str) -> None:
-    from rhdlink.cli.view import View
+    from rhdlink.cli.watch_view import View
 
     with rhdlink.connect(address) as robot:
         view = View("x\x1b", ConnectionState.LOST, 3.2, 10.0, {}, robot.variables[:1], 1, "gone\x07")

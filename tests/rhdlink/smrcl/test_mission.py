@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from rhdlink import BadMission, BadValue, Cancelled, LinkTimeout, Mission, MissionFailed, MissionLimit, Phase
+from rhdlink import BadMission, BadValue, Cancelled, Closed, LinkTimeout, Mission, MissionFailed, MissionLimit, Phase
 from rhdlink.errors import WrongVariables
 from rhdlink.host.config import BadConfiguration
 from rhdlink.host.plugins.turtle import SmrTurtle, Turtle
@@ -505,3 +505,23 @@ def test_a_timeout_is_a_number_of_seconds() -> None:
         Mission("wait 0.1\n", turtle()).run(timeout=True)
     with Mission("wait 0.1\n", turtle()).start() as run, pytest.raises(BadValue, match="timeout=True"):
         run.wait(timeout=True)
+
+
+class Stopping(Turtle):
+    """Stops the robot after two ticks."""
+
+    def periodic(self, tick: int) -> None:
+        super().periodic(tick)
+        if tick == 2:
+            self.host.stop()
+
+
+def test_plugin_link_ends_when_a_plugin_stops_it() -> None:
+    robot = Stopping(World(11.0))
+    link = PluginLink([robot])
+    assert link.plugins == (robot,)
+    link.exchange({})
+    link.exchange({})
+    with pytest.raises(Closed, match="a plugin has stopped the robot"):
+        link.exchange({})
+    link.close()

@@ -20,10 +20,10 @@ import urlink
 from linkcore import process
 from tests.urlink.afterwards import controller
 from urlink import Linear, Taught
-from urlink.compat import rtde_control, urx
 from urlink.motion import TaughtPoint
 from urlink.motion.moves.trajectory import Trajectory
 from urlink.robot import Robot
+from urlink_compat import rtde_control, urx
 
 #: rad; where the arm stands at first, and where a motion goes from there; it takes some 8 s.
 READY = np.array(controller.READY)

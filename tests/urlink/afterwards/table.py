@@ -33,7 +33,7 @@ HEADS = ("Ctrl-C while it waits", "its block is left", "`robot.close()`", "exit,
 
 #: The words of the cells.
 GOES_ON, BRAKES, ENDS = "goes on to its end", "brakes", "stops"
-NOT, BACK, LATE = "does not move", "is taken back", "**is carried out**"
+NOT, BACK, LATE = "does not move", "is undone", "**is carried out**"
 
 _DOCS = Path(__file__).resolve().parents[3] / "docs"
 _PAGE, _ENDS_PAGE = _DOCS / "reliability.md", _DOCS / "motion-ends.md"

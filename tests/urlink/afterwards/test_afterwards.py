@@ -38,7 +38,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pyte
 LONGER = 0.5
 #: s for which a motion that goes on may stand still, as at the corner of a path.
 RESTS = 0.1
-#: rad, and counts of the gripper, by which what is taken back may have begun to move.
+#: rad, and counts of the gripper, by which what is undone may have begun to move.
 BEGUN = 0.1, 60
 IS_WHOLE = os.environ.get("HYPOTHESIS_PROFILE") == "fuzz"
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.harm import HOSTILE, assert_harmless, strict
-from urlink.cli.options import Tap
+from urlink.cli.packet_stream import Tap
 from urlink.packets import RealtimeState
 from urlink.protocol.firmware import NEWEST
 from urlink.robot import connect

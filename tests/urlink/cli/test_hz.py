@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from linkcore.streaming.statistics import StreamStatistics
-from urlink.cli.echo import line
+from urlink.cli.rate_measurement import line
 from urlink.simulator import Controller
 
 from .conftest import Run, write

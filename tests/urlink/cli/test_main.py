@@ -2,15 +2,20 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import importlib.metadata
 import signal
 import socket
 import subprocess
+import sys
+import types
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from linkcore.cli.options import Subcommand
+import urlink.cli
+from linkcore.cli.options import Subcommand, command
+from linkcore.cli.program import Plugin
 from tests.listed import assert_listed
 from urlink.cli import info
 
@@ -128,6 +133,58 @@ def test_the_module_of_one_command_is_imported(run: Run, monkeypatch: pytest.Mon
     imported.clear()
     assert run("-q", "nothing")[0] == 2
     assert imported[:3] == ["urlink.cli.monitor", "urlink.cli.echo", "urlink.cli.rtde"]
+
+
+@pytest.mark.parametrize(
+    ("argv", "install"),
+    [
+        (("view", "sim://", "--plot", "qd_actual"), "urlink: `urlink view` needs the package urlink-view"),
+        (("accept", "sim://", "--stage", "0"), "pip install urlink-accept\n"),
+        (("foxglove", "--help"), "pip install 'urlink-view[foxglove]'\n"),
+    ],
+)
+def test_a_command_of_a_package_says_what_installs_it_when_it_is_not_installed(
+    run: Run, monkeypatch: pytest.MonkeyPatch, argv: tuple[str, ...], install: str
+) -> None:
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: ())
+    status, out, err = run(*argv)
+    assert (status, out, err.count("\n")) == (1, "", 1)
+    assert install in err
+
+
+_PLUGINS = [name for name, where in urlink.cli._COMMANDS.items() if isinstance(where, Plugin)]
+
+
+@pytest.mark.parametrize("name", _PLUGINS)
+def test_a_command_of_a_package_is_listed_as_the_package_has_it(name: str) -> None:
+    """The help shows this line while the package is not installed."""
+    listed = urlink.cli._COMMANDS[name]
+    assert isinstance(listed, Plugin)
+    (entry,) = importlib.metadata.entry_points(group="urlink.commands", name=name)
+    assert entry.dist is not None
+    assert entry.dist.name == listed.distribution.partition("[")[0]
+    (row,) = (each for each in vars(entry.load()).values() if isinstance(each, Subcommand) and each.name == name)
+    assert row.summary == listed.summary
+
+
+def test_help_says_which_package_has_a_command_when_it_is_not_installed(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: ())
+    status, out, _ = run("--help")
+    assert status == 0
+    assert "show an arm in 3D in a browser (pip install urlink-view)" in " ".join(out.split())
+
+
+def test_a_command_of_another_distribution_is_found(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    entry = importlib.metadata.EntryPoint("wave", "wave_module", "urlink.commands")
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: (entry,) if "commands" in group else ())
+    wave = types.ModuleType("wave_module")
+    vars(wave)["row"] = command("wave", "wave the arm")(lambda args: 7)
+    monkeypatch.setitem(sys.modules, "wave_module", wave)
+    assert run("wave")[0] == 7
+    assert "wave the arm" in run("--help")[1]
+    assert "did you mean 'wave'?" in run("wvae")[2]
 
 
 def test_version(run: Run) -> None:

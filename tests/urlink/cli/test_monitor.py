@@ -23,8 +23,8 @@ from linkcore.streaming.connection_life import ConnectionState
 from linkcore.streaming.statistics import StreamStatistics
 from tests.harm import HOSTILE, assert_harmless
 from urlink.cli import monitor
-from urlink.cli.glance import Glance, Reading, StreamStatus, age_text, line, read, status_of
-from urlink.cli.picture import Picture
+from urlink.cli.monitor_panel import MonitorPanel
+from urlink.cli.monitor_view import MonitorView, Reading, StreamStatus, age_text, line, read, status_of
 from urlink.protocol.firmware import RELEASES, Firmware
 from urlink.simulator import Controller
 
@@ -53,24 +53,24 @@ _STATS = StreamStatistics(
 Spawn = Callable[..., "subprocess.Popen[str]"]
 
 
-def painted(glance: Glance, width: int = 100, colour: bool = False) -> str:
+def painted(view: MonitorView, width: int = 100, colour: bool = False) -> str:
     console = Console(
         file=io.StringIO(), width=width, force_terminal=colour, color_system="truecolor" if colour else None
     )
-    console.print(Picture(glance))
+    console.print(MonitorPanel(view))
     assert isinstance(console.file, io.StringIO)
     return console.file.getvalue()
 
 
-def until(glances: Iterator[Glance], wanted: Callable[[Glance], bool]) -> Glance:
-    """The first glance that is wanted; within ten seconds."""
+def until(views: Iterator[MonitorView], wanted: Callable[[MonitorView], bool]) -> MonitorView:
+    """The first view that is wanted; within ten seconds."""
     deadline = linkcore.clock.now() + 10
-    for glance in glances:
-        if wanted(glance):
-            return glance
-        assert linkcore.clock.now() < deadline, f"still {glance}"
+    for view in views:
+        if wanted(view):
+            return view
+        assert linkcore.clock.now() < deadline, f"still {view}"
         time.sleep(0.005)
-    raise AssertionError("no more glances")
+    raise AssertionError("no more views")
 
 
 # -- lines ---------------------------------------------------------------------------------------------
@@ -138,15 +138,15 @@ def test_next_step_depends_on_what_was_shown(
     status: StreamStatus, counts: dict[str, int], address: str, step: str
 ) -> None:
     stats = replace(_STATS, **({"missed": 0, "reconnects": 0} | counts))
-    glance = Glance("UR5e", address, status, Reading(None), stats)
-    assert monitor.next_step(glance, address).startswith(f"next: {step} ")
+    view = MonitorView("UR5e", address, status, Reading(None), stats)
+    assert monitor.next_step(view, address).startswith(f"next: {step} ")
 
 
 def test_summary_counts_states_and_names_the_longest_gap() -> None:
-    glance = Glance("UR5e", "sim://", StreamStatus.CONNECTED, Reading(None), _STATS)
+    view = MonitorView("UR5e", "sim://", StreamStatus.CONNECTED, Reading(None), _STATS)
     counts = "received 7 missed 7 duplicates 4 failed 1 reconnects 2, longest gap 0.400 s"
-    assert monitor.summary(glance, 2.0) == f"watched for 2.0 s, 3.5 Hz on average; {counts}"
-    assert monitor.summary(glance, 0.5) == f"watched for 0.5 s; {counts}"
+    assert monitor.summary(view, 2.0) == f"watched for 2.0 s, 3.5 Hz on average; {counts}"
+    assert monitor.summary(view, 0.5) == f"watched for 0.5 s; {counts}"
 
 
 def test_nothing_ever_came(run: Run, silent_address: str) -> None:
@@ -171,16 +171,16 @@ def test_lost_connection_is_loud_and_its_data_old() -> None:
     with Controller("UR5e", "5.11") as controller:
         where = controller.address
         with urlink.connect(where, silence=0.7, backoff=urlink.Backoff(first=0.2, most=0.2)) as robot:
-            glances = monitor.watch(robot, "realtime")
-            fresh = until(glances, lambda glance: glance.status is StreamStatus.CONNECTED)
+            views = monitor.watch(robot, "realtime")
+            fresh = until(views, lambda view: view.status is StreamStatus.CONNECTED)
             assert fresh.is_fresh
             assert fresh.reading is not None
 
             controller.faults.stall(60)
-            silent = until(glances, lambda glance: glance.status is not StreamStatus.CONNECTED)
+            silent = until(views, lambda view: view.status is not StreamStatus.CONNECTED)
             assert silent.status is StreamStatus.SILENT
             assert not silent.is_fresh
-            lost = until(glances, lambda glance: glance.status is StreamStatus.LOST and glance.trouble is not None)
+            lost = until(views, lambda view: view.status is StreamStatus.LOST and view.trouble is not None)
             assert lost.reading is not None
             assert lost.reading.age > 0.5
             assert " LOST | " in line(lost, "12:00:00")
@@ -188,7 +188,7 @@ def test_lost_connection_is_loud_and_its_data_old() -> None:
             assert re.search(r"│  LOST   OLD DATA, [\d.]+ m?s ", painted(lost))
 
             controller.faults.heal()
-            again = until(glances, lambda glance: glance.status is StreamStatus.CONNECTED)
+            again = until(views, lambda view: view.status is StreamStatus.CONNECTED)
             assert again.stats.reconnects >= 1
             assert again.trouble is None
 
@@ -197,11 +197,11 @@ def test_controller_that_comes_back_with_other_firmware() -> None:
     with Controller("UR5e", "5.4") as controller:
         where = controller.address
         with urlink.connect(where, backoff=urlink.Backoff(first=0.05, most=0.1)) as robot:
-            glances = monitor.watch(robot, "realtime")
-            until(glances, lambda glance: glance.status is StreamStatus.CONNECTED)
+            views = monitor.watch(robot, "realtime")
+            until(views, lambda view: view.status is StreamStatus.CONNECTED)
             controller.faults.reboot("5.12", downtime=0.3)
-            glance = until(glances, lambda glance: "firmware 5.12" in glance.robot)
-            assert glance.stats.reconnects >= 1
+            view = until(views, lambda view: "firmware 5.12" in view.robot)
+            assert view.stats.reconnects >= 1
 
 
 @pytest.mark.parametrize(
@@ -238,18 +238,18 @@ def test_it_is_green_only_at_the_usual_rate(rate: float | None, usual: float | N
     reading = Reading(urlink.packets.Stamp.now(), q=[0.0] * 6)
     seen = status_of(ConnectionState.CONNECTED, True, reading, rate, usual)
     assert seen is status
-    glance = Glance("UR5e", "here", seen, reading, _STATS, rate, usual)
-    assert glance.is_fresh
+    view = MonitorView("UR5e", "here", seen, reading, _STATS, rate, usual)
+    assert view.is_fresh
     if status is StreamStatus.SLOW:
-        assert f"SLOW   {rate:.1f} of {usual:g} Hz" in painted(glance).replace("  SLOW ", "SLOW")
-        assert f" SLOW | UR5e | {rate:.1f} of {usual:g} Hz | " in line(glance, "12:00:00")
+        assert f"SLOW   {rate:.1f} of {usual:g} Hz" in painted(view).replace("  SLOW ", "SLOW")
+        assert f" SLOW | UR5e | {rate:.1f} of {usual:g} Hz | " in line(view, "12:00:00")
 
 
 @pytest.mark.slow
 def test_a_controller_that_leaves_out_states_is_not_green(address: str, controller: Controller) -> None:
     with urlink.connect(address) as robot:
-        glances = monitor.watch(robot, "realtime")
-        until(glances, lambda glance: glance.rate is not None)
+        views = monitor.watch(robot, "realtime")
+        until(views, lambda view: view.rate is not None)
         finished = threading.Event()
 
         def stall() -> None:
@@ -260,13 +260,13 @@ def test_a_controller_that_leaves_out_states_is_not_green(address: str, controll
         stalling = threading.Thread(target=stall)
         stalling.start()
         try:
-            glance = until(glances, lambda glance: glance.status is StreamStatus.SLOW)
+            view = until(views, lambda view: view.status is StreamStatus.SLOW)
         finally:
             finished.set()
             stalling.join()
             controller.faults.heal()
-        assert glance.usual == 500
-        assert glance.stats.missed
+        assert view.usual == 500
+        assert view.stats.missed
 
 
 def test_ages() -> None:
@@ -289,20 +289,20 @@ def test_every_firmware_can_be_read_and_painted(release: Any) -> None:
         assert reading.pose is not None
         assert len(reading.q) == len(reading.pose) == 6
         for width in (100, 80, 40):
-            text = painted(Glance("UR", "made", StreamStatus.CONNECTED, reading, _STATS), width)
+            text = painted(MonitorView("UR", "made", StreamStatus.CONNECTED, reading, _STATS), width)
             assert max(map(len, text.splitlines())) <= width
             assert "wrist 3" in text or width == 40
-        assert line(Glance("UR", "made", StreamStatus.CONNECTED, reading, _STATS), "12:00:00")
+        assert line(MonitorView("UR", "made", StreamStatus.CONNECTED, reading, _STATS), "12:00:00")
     assert read(realtime).q == pytest.approx(list(realtime.q_actual))
     assert read(primary).analog[-1].unit == "mA"
     assert read(primary).analog[-1].value == pytest.approx(4.0)
 
 
 def test_state_without_sub_packages_can_be_painted() -> None:
-    glance = Glance("UR", "made", StreamStatus.CONNECTED, read(urlink.packets.RobotState()), _STATS)
-    assert "joint" not in painted(glance)
-    assert "robot –" in painted(glance)
-    assert "no state" not in line(glance, "12:00:00")
+    view = MonitorView("UR", "made", StreamStatus.CONNECTED, read(urlink.packets.RobotState()), _STATS)
+    assert "joint" not in painted(view)
+    assert "robot –" in painted(view)
+    assert "no state" not in line(view, "12:00:00")
 
 
 # -- the picture ---------------------------------------------------------------------------------------
@@ -325,8 +325,8 @@ def test_picture_shows_it_all() -> None:
         program_state=4,
         speed_scaling=0.5,
     )
-    glance = Glance("UR5e  firmware 5.11", "made realtime", StreamStatus.CONNECTED, read(state), _STATS, 125.0)
-    text = painted(glance)
+    view = MonitorView("UR5e  firmware 5.11", "made realtime", StreamStatus.CONNECTED, read(state), _STATS, 125.0)
+    text = painted(view)
     for part in (
         "CONNECTED", "125.0 Hz", "180.00", "3.1416", "nan", "inf", "1.25", "41.5", "FAULT", "UNKNOWN_99", "0.2000",
         "0.12", "robot RUNNING", "safety PROTECTIVE_STOP", "program PAUSED", "speed 50%",
@@ -337,13 +337,13 @@ def test_picture_shows_it_all() -> None:
         assert part in text, part
     assert len(text.splitlines()) <= 24
     bold_white_on_red = "\x1b[1;37;41m"
-    assert f"{bold_white_on_red}PROTECTIVE_STOP" in painted(glance, colour=True)
+    assert f"{bold_white_on_red}PROTECTIVE_STOP" in painted(view, colour=True)
 
 
 def test_old_values_are_dim_and_never_green() -> None:
     state = urlink.packets.RealtimeState("5.11", robot_mode=7, safety_mode=1, safety_status=1, joint_modes=[253] * 6)
-    fresh = Glance("UR", "made", StreamStatus.CONNECTED, read(state), _STATS)
-    lost = Glance("UR", "made", StreamStatus.LOST, read(state), _STATS, trouble="cable")
+    fresh = MonitorView("UR", "made", StreamStatus.CONNECTED, read(state), _STATS)
+    lost = MonitorView("UR", "made", StreamStatus.LOST, read(state), _STATS, trouble="cable")
     green = "\x1b[32m"
     assert green in painted(fresh, colour=True)
     assert green not in painted(lost, colour=True)
@@ -351,17 +351,17 @@ def test_old_values_are_dim_and_never_green() -> None:
 
 
 def test_hostile_text_is_painted_harmlessly() -> None:
-    glance = Glance(HOSTILE, HOSTILE, StreamStatus.LOST, None, _STATS, trouble=HOSTILE, message=HOSTILE)
-    assert_harmless(painted(glance), line(glance, "12:00:00"))
-    assert "\\x1b[2J" in painted(glance)
+    view = MonitorView(HOSTILE, HOSTILE, StreamStatus.LOST, None, _STATS, trouble=HOSTILE, message=HOSTILE)
+    assert_harmless(painted(view), line(view, "12:00:00"))
+    assert "\\x1b[2J" in painted(view)
 
 
 def test_messages_of_the_controller_are_shown(recording: Path) -> None:
     with urlink.connect(f"replay://{str(recording).replace(' ', '%20')}?rate=max") as robot:
-        glances = monitor.watch(robot, "primary")
-        glance = until(glances, lambda glance: glance.message is not None and "TextMessage" in glance.message)
-    assert_harmless(painted(glance))
-    assert "message   TextMessage text='safe\\x1b[2J" in painted(glance)
+        views = monitor.watch(robot, "primary")
+        view = until(views, lambda view: view.message is not None and "TextMessage" in view.message)
+    assert_harmless(painted(view))
+    assert "message   TextMessage text='safe\\x1b[2J" in painted(view)
 
 
 def test_hostile_recording(run: Run, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""`urlink serve`, with an adapter that is no distribution. The real ones are tested in adapters/*/tests."""
+"""`urlink serve`, with an adapter that is no distribution. The real ones are tested in packages/*/tests."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from collections.abc import Callable
 import pytest
 
 from linkcore.errors import Cancelled, ConnectionLost, LinkTimeout
-from linkcore.net.undo import Recall
+from linkcore.net.undo import PendingUndos
 from linkcore.pending_call import PendingCall, check_wanted
 from tests.fakes.line import Desk, give_up, slow
 from urlink.command.channel import CommandChannel
@@ -293,7 +293,7 @@ def test_over_another_connection(desk: Desk) -> None:
 @pytest.mark.parametrize(
     ("options", "may_wait", "order", "pending"),
     [
-        ({}, True, ["taken back", "sent"], ()),
+        ({}, True, ["undone", "sent"], ()),
         ({"is_stop": True}, True, ["sent"], ("play",)),
         ({"wait": False}, True, ["sent"], ("play",)),
         ({}, False, ["sent"], ("play",)),
@@ -304,32 +304,32 @@ def test_what_was_given_up_is_taken_back_before_a_motion(
     options: dict[str, bool], may_wait: bool, order: list[str], pending: tuple[str, ...]
 ) -> None:
     """Not before a stop, nor by who cannot wait; a program that replaces the one that runs supersedes it."""
-    desk, recall, seen = Desk(may_wait=may_wait), Recall("controller"), list[str]()
+    desk, undos, seen = Desk(may_wait=may_wait), PendingUndos("controller"), list[str]()
     desk.clear()
-    channel = CommandChannel(desk.channel._connection, desk.monitor, desk.section, desk.clock, recall)
+    channel = CommandChannel(desk.channel._connection, desk.monitor, desk.section, desk.clock, undos)
 
-    def take_back(client: object, is_wanted: Callable[[], bool]) -> None:
+    def undo(client: object, is_wanted: Callable[[], bool]) -> None:
         time.sleep(0.3)
         if is_wanted():
-            seen.append("taken back")
+            seen.append("undone")
 
-    give_up(recall, "play", take_back)
+    give_up(undos, "play", undo)
     channel.motion(TEXT, claim=lambda: seen.append("sent"), **options)
-    assert (seen, recall.pending) == (order, pending)
-    recall.close()
+    assert (seen, undos.pending) == (order, pending)
+    undos.close()
 
 
 def test_a_second_for_what_cannot_be_taken_back() -> None:
-    desk, recall = Desk(may_wait=True), Recall("controller")
+    desk, undos = Desk(may_wait=True), PendingUndos("controller")
     desk.clear()
-    channel = CommandChannel(desk.channel._connection, desk.monitor, desk.section, desk.clock, recall)
+    channel = CommandChannel(desk.channel._connection, desk.monitor, desk.section, desk.clock, undos)
 
-    def take_back(client: object, is_wanted: Callable[[], bool]) -> None:
+    def undo(client: object, is_wanted: Callable[[], bool]) -> None:
         raise ConnectionLost("it is away")
 
-    give_up(recall, "play", take_back)
+    give_up(undos, "play", undo)
     begin = time.monotonic()
     channel.motion(TEXT)
     assert time.monotonic() - begin == pytest.approx(1.0, abs=0.05)
-    assert (desk.sent, recall.pending) == ([TEXT + "\n"], ("play",))
-    recall.close()
+    assert (desk.sent, undos.pending) == ([TEXT + "\n"], ("play",))
+    undos.close()

@@ -20,7 +20,7 @@ from linkcore.handle import Lifecycle, Phase
 from linkcore.net.dialogue import Dialogue
 from tests.fakes.line import Desk
 from tests.waiting import until
-from urlink.command.interpreter import CLEAR_AFTER, _take_back
+from urlink.command.interpreter import CLEAR_AFTER, _undo_statements
 from urlink.protocol.interpreter import LONGEST_REPLY, WORDS, InterpreterProtocol, parse_reply, statement_line
 from urlink.simulator import Controller, Still
 from urlink.simulator.urscript.statements import MOST
@@ -166,7 +166,7 @@ def test_a_statement_that_was_given_up_is_taken_back(
         controller.faults.stall(1.0, "interpreter")
         with pytest.raises(LinkTimeout, match="it may still be carried out"):
             interpreter.execute(movej(AWAY, 0.2))
-        assert robot._commanded()._recall.settle(TIMEOUT)
+        assert robot._commanded()._undos.settle(TIMEOUT)
         until(lambda: max(map(abs, controller.arm.setpoint.qd)) == 0.0)
         assert turned(robot) < 1.0
         # What is handed over after that is carried out.
@@ -179,13 +179,13 @@ def test_a_statement_that_was_given_up_is_taken_back(
 @pytest.mark.parametrize("until_done", range(5))
 def test_what_takes_a_statement_back(is_over: bool, until_done: int) -> None:
     """First it is asked whether the controller answers; the mode ends where its program was given up too. What is
-    superseded meanwhile is taken back no further."""
+    superseded meanwhile is undone no further."""
     asked: list[str] = []
     life = Lifecycle("interpreter mode", Desk().callbacks)
     if is_over:
         life.fail(LinkTimeout("no answer"))
     dialogue = cast(Dialogue, SimpleNamespace(ask=lambda line, timeout: asked.append(line)))
-    _take_back(life, dialogue, lambda: len(asked) < until_done)
+    _undo_statements(life, dialogue, lambda: len(asked) < until_done)
     lines = ["statelastexecuted", "skipbuffer", "abort", *["end_interpreter()"] * is_over]
     assert asked == lines[:until_done]
 

@@ -475,16 +475,16 @@ def test_it_is_known_when_the_last_one_ended(desk: Programming) -> None:
 def test_what_replaces_the_running_program_supersedes_what_was_given_up(
     desk: Programming, begin: Callable[[Programming], Run], pending: tuple[str, ...]
 ) -> None:
-    """It need not be taken back any more. Neither a stop nor a program beside replaces it."""
+    """It need not be undone any more. Neither a stop nor a program beside replaces it."""
 
     def undo(client: object, is_wanted: Callable[[], bool]) -> None:
         raise ConnectionLost("it is away")
 
-    recall = desk.channel._recall
-    give_up(recall, "play", undo)
+    undos = desk.channel._undos
+    give_up(undos, "play", undo)
     begin(desk)
-    assert recall.pending == pending
-    recall.close()
+    assert undos.pending == pending
+    undos.close()
 
 
 def test_what_is_sent_while_a_stop_waits_for_news_is_not_stopped(

@@ -19,7 +19,7 @@ from linkcore.errors import (
     RemoteError,
 )
 from linkcore.net.dialogue import Dialogue
-from linkcore.net.undo import Recall, TakeBack
+from linkcore.net.undo import PendingUndos, Undo
 from tests.fakes.line import Programming, slow
 from urlink.command import interpreter as module
 from urlink.command.interpreter import Interpreter, Interpreters, InterpreterState
@@ -78,13 +78,13 @@ class Mode(Programming):
         self.clock.replace(module, monkeypatch)
         self.life = self.programs.life("interpreter mode")
         dialogue = cast(Dialogue, self.peer)
-        self.recall = Recall("robot")
+        self.undos = PendingUndos("robot")
 
         def client() -> Dialogue:
             raise AssertionError("nothing was given up")
 
-        take_back = TakeBack(client, lambda client, is_wanted: None)
-        self.interpreter = Interpreter(self.life, dialogue, self.channel, self.recall, take_back, 42.0)
+        undo = Undo(client, lambda client, is_wanted: None)
+        self.interpreter = Interpreter(self.life, dialogue, self.channel, self.undos, undo, 42.0)
 
 
 @pytest.fixture
@@ -314,7 +314,7 @@ class Beginning(Mode):
 
     def interpreters(self, firmware: str = "5.10", port: int | None = 30020) -> Interpreters:
         asked = Firmware.parse(firmware)
-        return Interpreters("robot", port, self.programs, self.channel, self.callbacks, lambda: asked, self.recall, 3.0)
+        return Interpreters("robot", port, self.programs, self.channel, self.callbacks, lambda: asked, self.undos, 3.0)
 
 
 @pytest.fixture

@@ -11,9 +11,10 @@ import numpy as np
 from tests.fakes.rehearsal import HOME
 from urlink.arm.kinematics import Arm
 from urlink.arm.models import model
+from urlink.motion.links.messages import MESSAGE_SIZE, WAIT_MESSAGE, dated, read_message
 from urlink.motion.moves.speed_limit import largest_speeds
-from urlink.motion.servo.resampling import PacedSetpoints, PacedSource
-from urlink.motion.servo.setpoints import MESSAGE_SIZE, WAIT_MESSAGE, Servoing, dated, read_message
+from urlink.motion.servo.resampling import ResampledSetpoints, ResampledSource
+from urlink.motion.servo.setpoints import Servoing
 from urlink.protocol.enums import ProgramState
 from urlink.protocol.firmware import Firmware
 from urlink.protocol.realtime.packets import RealtimeState
@@ -158,10 +159,10 @@ class Led:
 
     BEGIN = 50.0
 
-    def __init__(self, firmware: Firmware, source: PacedSource) -> None:
+    def __init__(self, firmware: Firmware, source: ResampledSource) -> None:
         arm = model("UR5e" if firmware.is_e_series else "UR5")
         servoing = Servoing(firmware, largest_speeds(arm), 0.1, 0.03, 300.0)
-        self.paced = PacedSetpoints(servoing, source)
+        self.resampled = ResampledSetpoints(servoing, source)
         self.bench = Bench(servoing.body(ReverseSocket("10.0.0.1", 50001, 7)), firmware)
         self.sent: list[list[float]] = []
 
@@ -181,7 +182,7 @@ class Led:
         """So many cycles, of which the first few pass without a state."""
         for i in range(cycles):
             if i >= missed:
-                message = self.paced.answer(self.state(), 1000.0 + self.time)
+                message = self.resampled.answer(self.state(), 1000.0 + self.time)
                 self.bench.say(message)
                 if message and message != WAIT_MESSAGE:
                     self.sent.append(read_message(message)[0])

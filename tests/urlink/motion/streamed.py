@@ -15,9 +15,9 @@ from tests.urlink.motion.bench import Bench
 from urlink.arm.kinematics import Arm
 from urlink.arm.models import model
 from urlink.arm.vectors import FloatArray
+from urlink.motion.links.messages import dated
 from urlink.motion.moves.speed_limit import largest_speeds
 from urlink.motion.servo.jerk_limited import joint_limits
-from urlink.motion.servo.setpoints import dated
 from urlink.motion.stream.stream_feed import StreamFeed
 from urlink.motion.stream.stream_points import PointReader, Points
 from urlink.motion.stream.stream_steps import Bounds, Handed

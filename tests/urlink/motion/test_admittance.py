@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 import urlink
+from tests.urlink.motion.test_force_control_programs import LINK
 from tests.urlink.motion.test_impedance import READY
 from tests.urlink.motion.test_tool_impedance import STIFFNESS, SoftTool, place
-from tests.urlink.motion.test_yielding_programs import LINK
 from urlink.arm import poses
 from urlink.script.springs import ToolSprings, admittance
 from urlink.script.wrapping import program
 from urlink.simulator import Controller, Plane, Still
 
 
-class Yielding(SoftTool):
+class Admittance(SoftTool):
     """An arm without direct torque, whose tool is on springs."""
 
     def __init__(
@@ -45,7 +45,7 @@ class Yielding(SoftTool):
 @pytest.mark.slow
 @pytest.mark.parametrize(("axis", "in_tool"), [(axis, bool(axis % 2)) for axis in range(6)])
 def test_a_wrench_moves_the_tool_by_force_over_stiffness(axis: int, in_tool: bool) -> None:
-    soft = Yielding(in_tool=in_tool)
+    soft = Admittance(in_tool=in_tool)
     start = soft.pose
     axes = poses.rotvec_to_matrix(start[3:]) if in_tool else np.eye(3)
     wrench = np.zeros(6)
@@ -61,7 +61,7 @@ def test_a_wrench_moves_the_tool_by_force_over_stiffness(axis: int, in_tool: boo
 @pytest.mark.slow
 @pytest.mark.parametrize("firmware", ["5.10", "10.7"])
 def test_it_goes_where_it_is_led_and_rests_after_its_end(firmware: str) -> None:
-    soft = Yielding(firmware)
+    soft = Admittance(firmware)
     goal = place(soft.pose, 0.1, -0.05, 0.05, 0.0, 0.2, 0.5)
     soft.lead(goal)
     fastest = np.zeros(6)
@@ -80,7 +80,7 @@ def test_it_goes_where_it_is_led_and_rests_after_its_end(firmware: str) -> None:
 
 @pytest.mark.parametrize("stiffness", [2e4, *(pytest.param(each, marks=pytest.mark.slow) for each in (5e3, 1e5))])
 def test_it_rests_on_what_it_is_led_into_and_ends_there_without_a_leap(stiffness: float) -> None:
-    soft = Yielding(stiffness=(1000.0,) * 3 + (50.0,) * 3)
+    soft = Admittance(stiffness=(1000.0,) * 3 + (50.0,) * 3)
     x, y, z = soft.pose[:3]
     soft.controller.world.add(Plane((x, y, z), stiffness=stiffness))
     goal = soft.pose
@@ -106,7 +106,7 @@ def test_it_rests_on_what_it_is_led_into_and_ends_there_without_a_leap(stiffness
 
 @pytest.mark.slow
 def test_it_ends_without_messages() -> None:
-    soft = Yielding()
+    soft = Admittance()
     soft.lead(place(soft.pose, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0), 0.2)
     soft.silent(0.4)
     running = [soft.is_running]

@@ -21,13 +21,13 @@ from urlink.arm.models import model
 from urlink.arm.vectors import FloatArray, Numbers
 from urlink.errors import NoContact, ProgramStopped
 from urlink.motion.motions import LinkName
-from urlink.motion.servo.block_motion import LinkedBlock
+from urlink.motion.servo.block_motion import BlockMotion
 from urlink.motion.servo.force_control import ForceMode
 
 pytestmark = pytest.mark.simulated_time
 
 DOWN = [0, 0, -10.0, 0, 0, 0.5]
-B = TypeVar("B", bound=LinkedBlock)
+B = TypeVar("B", bound=BlockMotion)
 
 
 @contextmanager
@@ -156,7 +156,7 @@ def test_torques_within_limits_of_ones_own(rehearsal: Callable[..., Rehearsal]) 
                 torque.send(values)
 
 
-def each_block(robot: Rehearsal) -> dict[str, Callable[[], LinkedBlock]]:
+def each_block(robot: Rehearsal) -> dict[str, Callable[[], BlockMotion]]:
     return {
         "force_mode": lambda: press(robot),
         "freedrive": lambda: robot.motion._freedrive(None, "base", 0.5, "reverse"),

@@ -18,11 +18,12 @@ from tests.urlink.motion.bench import PLAYING, Bench
 from urlink.arm.models import Model, model
 from urlink.command.program_time import ControllerTimer, ProgramTimer
 from urlink.errors import ToleranceExceeded
+from urlink.motion.links.messages import MESSAGE_SIZE, setpoint
 from urlink.motion.moves.speed_limit import EARLY, largest_speeds
 from urlink.motion.moves.trajectory import Trajectory
 from urlink.motion.servo.follower import Follower
 from urlink.motion.servo.following import Tolerances, stands
-from urlink.motion.servo.setpoints import MESSAGE_SIZE, Servoing, setpoint
+from urlink.motion.servo.setpoints import Servoing
 from urlink.protocol.firmware import Firmware
 from urlink.protocol.realtime.packets import RealtimeState
 from urlink.script.links import ReverseSocket, missable

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.urlink.motion.test_yielding_programs import LINK, Bench
+from tests.urlink.motion.test_force_control_programs import LINK, Bench
 from tests.urlink.simulator.test_impedance import HORIZONTAL
 from tests.urlink.simulator.test_impedance import program as circle
 from urlink.arm.models import model

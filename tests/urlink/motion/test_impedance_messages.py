@@ -11,9 +11,9 @@ from tests.fakes.rehearsal import HOME, TIMEOUT, Rehearsal
 from tests.urlink.motion.test_servo import Beside
 from urlink.arm.models import model
 from urlink.errors import ProgramStopped
+from urlink.motion.links.messages import read_message
 from urlink.motion.moves.path import check_joint_positions
 from urlink.motion.servo.impedance import _Messages
-from urlink.motion.servo.setpoints import read_message
 from urlink.protocol.realtime.packets import RealtimeState
 from urlink.script.links import FOLLOW
 from urlink.script.springs import GAINS, POSTURE

@@ -21,8 +21,8 @@ from urlink.arm.models import model
 from urlink.arm.poses import rotvec_to_matrix
 from urlink.errors import ProgramStopped, SafetyStop
 from urlink.motion import Jog
+from urlink.motion.links.messages import STOP_MESSAGE, WAIT_MESSAGE, read_message, setpoint
 from urlink.motion.servo.jog import FULL_SPEED, FrameName, _Holding
-from urlink.motion.servo.setpoints import STOP_MESSAGE, WAIT_MESSAGE, read_message, setpoint
 from urlink.protocol.enums import SafetyMode
 from urlink.protocol.firmware import Firmware
 from urlink.protocol.realtime.packets import RealtimeState

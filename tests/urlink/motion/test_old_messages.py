@@ -15,7 +15,7 @@ from linkcore.errors import ConnectionLost
 from linkcore.simulated import Computer, Simulation, simulated_time
 from tests.fakes.rehearsal import turned
 from tests.urlink.motion.bench import Bench
-from urlink.motion.servo.setpoints import WAIT_MESSAGE, dated, setpoint
+from urlink.motion.links.messages import WAIT_MESSAGE, dated, setpoint
 from urlink.protocol.firmware import Firmware
 from urlink.robot import Robot
 from urlink.script.force_control import Pressing, force_mode, freedrive
@@ -130,7 +130,7 @@ def test_a_program_that_is_told_nothing_at_first_ends_too(watchdog: float) -> No
     assert bench.execution.is_over
 
 
-class Yielding(Bench):
+class Compliant(Bench):
     """Notes in which mode the arm yields, which takes no arm."""
 
     modes: tuple[str, ...] = ()
@@ -142,7 +142,7 @@ class Yielding(Bench):
     def freedrive(self, axes: object, frame: object) -> None:
         self.modes = (*self.modes, "freedrive")
 
-    def end_yielding(self) -> None:
+    def end_compliance(self) -> None:
         self.modes = (*self.modes, "end")
 
     def set_force_damping(self, damping: float) -> None:
@@ -161,7 +161,7 @@ def test_a_mode_with_old_messages_ends_as_one_without(version: str, kind: str) -
         body = force_mode(firmware, LINK, pressing, watchdog=WATCHDOG)
     else:
         body = freedrive(firmware, LINK, None, STILL, watchdog=WATCHDOG)
-    bench = Yielding(body, firmware)
+    bench = Compliant(body, firmware)
     message = setpoint([0.0, 0.0, -10.0, 0.0, 0.0, 0.0], STILL)
     bench.run(5, lambda: bench.say(WAIT_MESSAGE))
     bench.run(firmware.rate, lambda: bench.say(message))

@@ -18,9 +18,10 @@ from tests.waiting import until
 from urlink.arm.models import model
 from urlink.arm.vectors import FloatArray
 from urlink.errors import ProgramStopped, SafetyStop, ToleranceExceeded
+from urlink.motion.links.messages import dated, setpoint
 from urlink.motion.moves.speed_limit import largest_speeds
 from urlink.motion.moves.trajectory import Trajectory
-from urlink.motion.servo.setpoints import Servoing, dated, setpoint
+from urlink.motion.servo.setpoints import Servoing
 from urlink.protocol.enums import ProgramState
 from urlink.protocol.firmware import Firmware
 from urlink.protocol.primary.robot_state import RobotModeData

@@ -13,9 +13,9 @@ from linkcore.errors import ConnectFailed, ConnectionLost
 from tests.urlink.motion.streamed import Streamed
 from tests.urlink.motion.test_register_link import FIRMWARES, Inputs, write
 from tests.urlink.motion.test_stream import BESIDE, E_SERIES, wave, waves
+from urlink.motion.links.messages import dated
 from urlink.motion.links.register_link import POINT_INPUTS, POINT_OUTPUTS, PointLinks, PointRegisterLink
 from urlink.motion.moves.trajectory import Trajectory
-from urlink.motion.servo.setpoints import dated
 from urlink.motion.stream.stream_feed import StreamFeed
 from urlink.protocol.firmware import Firmware
 from urlink.script import links

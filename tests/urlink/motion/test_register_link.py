@@ -12,9 +12,9 @@ import pytest
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout
 from tests.fakes.rehearsal import HOME, turned
 from tests.urlink.motion.bench import Bench
+from urlink.motion.links.messages import STOP_MESSAGE, WAIT_MESSAGE, dated, setpoint
 from urlink.motion.links.register_link import SETPOINT_INPUTS, RegisterLink, RegisterPort
 from urlink.motion.moves.trajectory import Trajectory
-from urlink.motion.servo.setpoints import STOP_MESSAGE, WAIT_MESSAGE, dated, setpoint
 from urlink.protocol.firmware import Firmware
 from urlink.script import links
 from urlink.script.streaming import streaming

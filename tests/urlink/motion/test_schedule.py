@@ -20,12 +20,12 @@ from urlink import Circular, Joint, Linear
 from urlink.arm.kinematics import Arm, Unreachable
 from urlink.arm.models import model
 from urlink.arm.poses import compose, invert
+from urlink.motion.links.messages import read_message, setpoint
 from urlink.motion.moves.trajectory import Trajectory
 from urlink.motion.servo.follower import Follower
 from urlink.motion.servo.following import Tolerances
 from urlink.motion.servo.resampling import Schedule
 from urlink.motion.servo.servo_delay import measure
-from urlink.motion.servo.setpoints import read_message, setpoint
 from urlink.protocol.firmware import Firmware
 from urlink.protocol.realtime.packets import RealtimeState
 
@@ -133,7 +133,7 @@ def test_a_trajectory_is_followed_without_the_lag() -> None:
     for delay in (None, delay_of(firmware)):
         led = Scheduled(firmware, 0.0)
         tolerances = Tolerances(path=None, goal=0.001, goal_time=1.0, start=0.05)
-        servoing = led.paced._stream._servoing
+        servoing = led.resampled._stream._servoing
         follower = Follower(path, tolerances, servoing, delay)
         errors = []
         led.bench.run(2)
@@ -383,11 +383,11 @@ class TestServo:
 
         with opened(robot) as servo:
             with monkeypatch.context() as patched:
-                patched.setattr("urlink.motion.servo.servo.PacedSetpoints", interrupt)
+                patched.setattr("urlink.motion.servo.servo.ResampledSetpoints", interrupt)
                 with pytest.raises(KeyboardInterrupt):
                     servo.schedule(HOME, at=robot.time + 1)
             assert servo.schedule(HOME, at=robot.time + 1) is not None
-            assert servo._dialogue.paced is not None
+            assert servo._dialogue.resampled is not None
 
     def test_one_way_or_the_other(self, rehearsal: Callable[..., Rehearsal]) -> None:
         for options, message in (({}, "either send or schedule"), ({"target_filter": "jerk_limited"}, "by send")):

@@ -19,11 +19,12 @@ from tests.waiting import until
 from urlink.arm.models import model
 from urlink.errors import ProgramStopped, SafetyStop
 from urlink.motion import Servo, ServoStatistics
+from urlink.motion.links.messages import WAIT_MESSAGE
 from urlink.motion.moves.speed_limit import largest_speeds
 from urlink.motion.moves.trajectory import Trajectory
-from urlink.motion.servo.resampling import PacedSetpoints
+from urlink.motion.servo.resampling import ResampledSetpoints
 from urlink.motion.servo.servo import _Leading
-from urlink.motion.servo.setpoints import WAIT_MESSAGE, Servoing
+from urlink.motion.servo.setpoints import Servoing
 from urlink.protocol.enums import SafetyMode
 from urlink.protocol.firmware import Firmware
 from urlink.protocol.realtime.packets import RealtimeState
@@ -199,8 +200,8 @@ def test_speeds_are_of_the_last_set_points_only(robot: Rehearsal, monkeypatch: p
     assert speeds((0.0, 0.0), (0.125, 0.0), (0.5, 0.3)) == pytest.approx([0.0, 0.0, 0.3 / 0.375])
 
 
-def leading(paced: PacedSetpoints | None = None) -> _Leading:
-    return _Leading(Servoing(Firmware.parse("5.11"), largest_speeds(model("UR5e")), 0.1, 0.03, 300.0), paced)
+def leading(resampled: ResampledSetpoints | None = None) -> _Leading:
+    return _Leading(Servoing(Firmware.parse("5.11"), largest_speeds(model("UR5e")), 0.1, 0.03, 300.0), resampled)
 
 
 def seen(time: float, scaling: float = 1.0, q: float = 0.0) -> RealtimeState:
@@ -249,8 +250,8 @@ def test_after_a_pause_the_time_of_the_program_begins_slowly() -> None:
 
 def test_what_makes_the_set_points_is_told_of_a_pause() -> None:
     resumed: list[RealtimeState] = []
-    paced = SimpleNamespace(resume=resumed.append)
-    servo, state = leading(cast(PacedSetpoints, paced)), seen(60.0)
+    resampled = SimpleNamespace(resume=resumed.append)
+    servo, state = leading(cast(ResampledSetpoints, resampled)), seen(60.0)
     servo.has_begun = True
     servo.resume(state)
     assert resumed == [state]

@@ -12,18 +12,11 @@ import pytest
 from linkcore.errors import LinkTimeout
 from tests.urlink.motion.bench import PLAYING
 from urlink.arm.models import model
+from urlink.motion.links.messages import STOP_MESSAGE, WAIT_MESSAGE, dated, read_message, setpoint
 from urlink.motion.moves.speed_limit import EARLY, largest_speeds
 from urlink.motion.servo.jerk_limited import TargetFilter, joint_limits
-from urlink.motion.servo.resampling import FilteredTargets, PacedSetpoints
-from urlink.motion.servo.setpoints import (
-    STOP_MESSAGE,
-    WAIT_MESSAGE,
-    Servoing,
-    SetpointStream,
-    dated,
-    read_message,
-    setpoint,
-)
+from urlink.motion.servo.resampling import FilteredTargets, ResampledSetpoints
+from urlink.motion.servo.setpoints import Servoing, SetpointStream
 from urlink.protocol.firmware import Firmware
 from urlink.protocol.realtime.packets import RealtimeState
 from urlink.script.links import STOP, WAIT
@@ -142,12 +135,12 @@ class Fed:
 
     def __init__(self) -> None:
         self.source = Source()
-        self.paced = PacedSetpoints(SERVOING, self.source)
+        self.resampled = ResampledSetpoints(SERVOING, self.source)
 
     def state(self, passed: float, *, now: float | None = None, speed: float = 0.0) -> bytes:
         joints, speeds = np.zeros(6), np.array(at(speed))
         state = SimpleNamespace(time=50.0 + passed, q_target=joints, q_actual=joints, qd_target=speeds, **PLAYING)
-        return self.paced.answer(cast(RealtimeState, state), 1000.0 + (passed if now is None else now))
+        return self.resampled.answer(cast(RealtimeState, state), 1000.0 + (passed if now is None else now))
 
     def led(self, passed: float, *, now: float | None = None) -> tuple[float, float]:
         """Where wrist 3 is led, and how fast the program goes on."""
@@ -224,20 +217,20 @@ def test_after_a_pause_the_source_begins_anew_where_the_arm_stands(fed: Fed) -> 
     assert fed.led(6 * CYCLE)[0] > 0.0
     fed.source.called.clear()
     state = SimpleNamespace(time=60.0, q_target=np.array(at(0.3)))
-    fed.paced.resume(cast(RealtimeState, state))
+    fed.resampled.resume(cast(RealtimeState, state))
     assert fed.source.called == [("restart", 60.0, at(0.3), REST)]
     fed.source.called.clear()
     fed.source.speed = 0.3 / (7 * CYCLE)
     q, _ = fed.led(7 * CYCLE)
     assert q == pytest.approx(0.3)  # it is not too far from where the arm stands, nor beside it by a gap
-    assert fed.paced._timer.rate == 0.0
+    assert fed.resampled._timer.rate == 0.0
 
 
 def test_a_pause_before_it_has_begun_restarts_nothing() -> None:
     fed = Fed()
     fed.source.has_targets = False
     fed.state(0.0)
-    fed.paced.resume(cast(RealtimeState, SimpleNamespace(time=60.0, q_target=np.array(at(0.3)))))
+    fed.resampled.resume(cast(RealtimeState, SimpleNamespace(time=60.0, q_target=np.array(at(0.3)))))
     assert fed.source.called == []
     fed.source.has_targets = True
     fed.state(CYCLE)

@@ -501,7 +501,7 @@ def test_what_is_answered_or_only_asks_is_not_taken_back(opened: Opened) -> None
     assert "carried out" not in str(lost.value)
     with pytest.raises(ConnectionLost, match="it may still be carried out"):
         dashboard.brake_release()
-    assert dashboard._recall.pending == ()
+    assert dashboard._undos.pending == ()
     assert desk.lines == ["play", "running", "brake release"]
 
 

@@ -273,7 +273,7 @@ def test_fingers_of_a_command_that_was_given_up_are_stopped(
     with pytest.raises(LinkTimeout, match="'gripper' was given up before"):
         gripper.set(SPE=9)
     replies.update({"SET GTO 0": b"ack\n", "SET SPE 9": b"ack\n"})
-    assert gripper._recall.settle(10.0)
+    assert gripper._undos.settle(10.0)
     gripper.set(SPE=9)
 
 

@@ -252,12 +252,13 @@ def test_10_11_loads_by_another_request_and_10_7_serves_nothing() -> None:
             assert robot.dashboard.program_state() == ProgramStatus(ProgramState.PLAYING, None)
             with pytest.raises(LocalError):
                 robot.dashboard.loaded_program()
-        with pytest.raises(ConnectionRefusedError):
-            socket.create_connection((controller.host, controller.ports["dashboard"]), 5)
+        assert "dashboard" not in controller.ports
+        robot_api = controller.ports["robot_api"]
         controller.faults.reboot("10.7", 0.1)
         until(lambda: controller.is_up and controller.firmware == X7)
+        assert "robot_api" not in controller.ports
         with pytest.raises(ConnectionRefusedError):
-            socket.create_connection((controller.host, controller.ports["robot_api"]), 5)
+            socket.create_connection((controller.host, robot_api), 5)
 
 
 def test_10_14_has_popups_the_log_and_who_it_is() -> None:

@@ -171,7 +171,7 @@ def test_what_cannot_be_written_leaves_nothing_and_harms_nothing(recording: urli
         raise OSError(28, "No space left on device")
 
     with pytest.raises(urlink.BadRecording, match="No space left"):
-        export(path, recording.tables, {".csv": fail})
+        export(path, recording.tables, writers={".csv": fail})
     assert path.read_text() == "precious"
     assert [each.name for each in tmp_path.iterdir()] == ["run.csv"]
     with pytest.raises(urlink.BadRecording, match="cannot write"):

@@ -29,10 +29,12 @@ from urlink.protocol.primary.robot_state import (
     SubPackage,
 )
 from urlink.protocol.realtime.packets import RealtimeState
-from urlink.simulator import Controller, Demonstration
+from urlink.simulator import Controller, Demonstration, messages
 from urlink.simulator.interfaces.interface import Form
 from urlink.simulator.interfaces.primary import _CHANGING, _UNCHANGING
 from urlink.simulator.interfaces.realtime import _fields
+from urlink.simulator.state import StopCause
+from urlink.simulator.urscript import ProgramError
 
 
 def suits(release: Release, name: str) -> bool:
@@ -256,3 +258,38 @@ def test_wrong_arguments_are_local_errors() -> None:
         Controller("UR5", "2.0")
     with pytest.raises(BadValue, match="ports are"):
         Controller(ports={"modbus": 0})
+
+
+# -- every field is named ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("release", "name"), COMBINATIONS)
+def test_every_packet_of_the_simulator_names_each_field_of_its_layout(release: Release, name: str) -> None:
+    """So none is zero only because nobody thought of it."""
+    state = Controller(name, release.since)._state
+    RealtimeState.LAYOUTS.of(release.since).check_complete(_fields(state))
+    for part in parts(Controller(name, release.since).state_package(first=True)).values():
+        fields = (_CHANGING | _UNCHANGING)[part[4]](state)
+        type(decoded(part, release.since))(release.since)._layout.check_complete(fields)
+
+
+@pytest.mark.parametrize("release", RELEASES, ids=lambda release: str(release.since))
+def test_every_message_of_the_simulator_names_each_field_of_its_layout(release: Release) -> None:
+    state = Controller("UR5e" if release.since.is_e_series else "UR5", release.since)._state
+    # Each raises `BadValue` where a field is not named.
+    messages.greeting(state, "primary")
+    for stop in (state.modes.protective_stop, state.modes.emergency_stop):
+        stop()
+        for cause in (StopCause(), StopCause(by_program=True, reason="because")):
+            assert messages.safety_messages(state, cause)
+    messages.program_started(state, "name")
+    messages.program_stopped(state, "name")
+    messages.text_message(state, "text")
+    messages.runtime_exception(state, ProgramError(1, 1, "wrong"), is_running=False)
+    messages.popup_message(state, "text", "title", False, False, False)
+
+
+def test_a_form_refuses_a_first_packet_without_a_value_for_each_field() -> None:
+    form = Form(RealtimeState.LAYOUTS.of("1.5"))
+    with pytest.raises(BadValue, match=r"RealtimeState: no value for time, q_target, .*, unused"):
+        form.pack({"qd_target": [0.0] * 6})

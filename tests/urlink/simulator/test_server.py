@@ -22,6 +22,7 @@ from urlink.protocol.enums import SafetyMode
 from urlink.protocol.firmware import NEWEST, release_of
 from urlink.protocol.primary.robot_message import RobotCommMessage, SafetyModeMessage, VersionMessage
 from urlink.protocol.realtime.packets import RealtimeState
+from urlink.session.address import RobotAddress, parse_address
 from urlink.simulator import PORTS, Controller, Reaction, Setpoint, Still
 from urlink.simulator.interfaces.interface import LONGEST_LINE
 from urlink.simulator.robot.signals import ToolCommunication
@@ -536,14 +537,17 @@ def test_a_reboot_ends_rtde_connections_and_frees_their_inputs(connect: Connect,
 
 def test_firmware_without_rtde_refuses_connections(connect: Connect, eventually: Eventually) -> None:
     with Controller("UR5", "1.8") as controller:
+        assert "rtde" not in controller.ports
+        place = parse_address(controller.address)
+        assert isinstance(place, RobotAddress)
         with pytest.raises(ConnectionRefusedError):
-            connect(controller, "rtde")
+            socket.create_connection((place.host, place.ports["rtde"]), 5)
         controller.faults.reboot("3.15", downtime=0.05)
 
         def is_there() -> bool:
             try:
                 started(connect(controller, "rtde"))
-            except ConnectionRefusedError:
+            except (KeyError, ConnectionRefusedError):
                 return False
             return True
 

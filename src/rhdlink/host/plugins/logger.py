@@ -1,4 +1,4 @@
-"""Writes down every variable at each tick: as a table for other programs, or as a recording of the wire."""
+"""`Logger`: a plugin that writes every variable at each tick, as a table or as a recording of the wire."""
 
 from __future__ import annotations
 

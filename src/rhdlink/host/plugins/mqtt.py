@@ -1,4 +1,4 @@
-"""Robots over MQTT: what DTU's robots of today tell a broker, as variables of RHD, and a turtle that plays one of them.
+"""Robots over MQTT: what DTU's current robots publish to a broker, as RHD variables, and a turtle that acts as one.
 
 Known of these robots: they talk to the broker mosquitto, on topics such as ``robobot/drive/T0/pose``; a payload is
 ASCII, numbers with blanks between them, the time first; there is one master, which keeps itself alive by messages;

@@ -1,4 +1,4 @@
-"""A robot in a walled square, so that everything can be tried without hardware.
+"""`Turtle`: a simulated robot in a walled square, for trying everything without hardware.
 
 `Turtle` is driven as a velocity-omega robot, `SmrTurtle` as an SMR, by the speeds of its wheels; variables and scales
 are those that MRC expects. Both stop when their last writer goes away, which the original leaves to each plugin, and do

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from ..arithmetic import NAN, normalize_angle, sign
-from ..odometry import PlanarPose
+from ..planar_pose import PlanarPose
 from ..profile import Profile
 
 

@@ -1,11 +1,11 @@
-"""`followline`, `followwall` and `followwall2`."""
+"""The motions that follow a line or a wall: `followline`, `followwall` and `followwall2`."""
 
 from __future__ import annotations
 
 import math
 
 from ..arithmetic import cosine, divide, normalize_angle, sine
-from ..odometry import PlanarPose
+from ..planar_pose import PlanarPose
 from .control import ControlledMotion, MotionControl, limited
 
 

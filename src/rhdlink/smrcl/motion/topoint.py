@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from ..arithmetic import cosine, sine
-from ..odometry import PlanarPose
+from ..planar_pose import PlanarPose
 from .basic import FollowDirection, Forward
 from .control import ControlledMotion, MotionControl
 from .turning import ArcTurn

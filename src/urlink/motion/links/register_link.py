@@ -23,7 +23,7 @@ from linkcore.threads import alone
 
 from ...script.buffering import MESSAGE, REPORTED, PointRegisters
 from ...script.links import TOKENS, InputRegisters
-from ..servo.setpoints import LARGEST, MESSAGE_SIZE, read_message
+from .messages import LARGEST, MESSAGE_SIZE, read_message
 
 #: Number of the first float register and of the first integer register of set-points: the last twelve and the last four
 #: of all are used, so that others from 24 on are left to users, and those below 24 to fieldbuses. From 3.9 and 5.3 on.

@@ -1,4 +1,4 @@
-"""How fast set-points may lead an arm: each joint has a budget of time, which its movements use up.
+"""The speed limit of set-points: each joint has a budget of time, which its movements use up.
 
 A controller answers a set-point that a joint cannot reach in time with a protective stop, so every set-point is checked
 here, wherever it was computed. To lead a joint by x rad uses x / (its largest speed) seconds of its budget, and each

@@ -20,8 +20,9 @@ from linkcore.streaming.scheduling import urgent
 from ...protocol.realtime.packets import RealtimeState
 from ...script.links import Writer
 from ..context import MotionContext
+from ..links.messages import WAIT_MESSAGE, setpoint
 from .linked_program import Link, LinkedProgram
-from .setpoints import WAIT_MESSAGE, LinkDialogue, setpoint
+from .setpoints import LinkDialogue
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -35,7 +36,7 @@ _REASON = 1.5
 _END_TIMEOUT = 10.0
 
 
-class LinkedBlock(Motion):
+class BlockMotion(Motion):
     """The base of the motions that last for one ``with`` block, such as a servo and a jog.
 
     Args:

@@ -22,9 +22,10 @@ from collections.abc import Sequence
 from ...command.program_time import ProgramTimer
 from ...errors import ToleranceExceeded
 from ...protocol.realtime.packets import RealtimeState
+from ..links.messages import WAIT_MESSAGE
 from ..moves.trajectory import Trajectory
 from .following import AHEAD, Following, Tolerances
-from .setpoints import WAIT_MESSAGE, Servoing, SetpointStream
+from .setpoints import Servoing, SetpointStream
 
 #: rad/s, at most, of the correction from the position of the arm to the trajectory.
 _FADE_SPEED = 0.25

@@ -1,4 +1,4 @@
-"""Motions in which the arm yields, or presses: force mode, freedrive, direct torque; and one that ends at a contact."""
+"""Force control: force mode, freedrive, direct torque, and motions that end at a contact."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from ...arm.bounds import POSITION, TOOL_SPEED, TOOL_TURN, TURN, check_pose
 from ...arm.vectors import JOINTS, FloatArray, Numbers, six
 from ...errors import NoContact
 from ...protocol.firmware import Firmware
-from ...script import force_control as yielding
+from ...script import force_control
 from ...script.force_control import Pressing
 from ..context import MotionContext
 from ..slider import SliderEffect, slider
-from .block_motion import KeptMessage, LinkedBlock, message
+from .block_motion import BlockMotion, KeptMessage, message
 from .linked_program import Link
 
 #: N and Nm; no arm exerts more.
@@ -89,7 +89,7 @@ def _check_pressing(pressing: Pressing, firmware: Firmware) -> None:
 
 
 @slider(force_mode=SliderEffect.UNSCALED)
-class ForceMode(LinkedBlock):
+class ForceMode(BlockMotion):
     """Force mode while a ``with`` block is open; made by `robot.motion.force_mode`."""
 
     def __init__(
@@ -103,7 +103,7 @@ class ForceMode(LinkedBlock):
         firmware = context.who.identity.firmware
         _check_pressing(pressing, firmware)
         seconds = check_number(watchdog, "watchdog", 0.05, 10.0)
-        body = partial(yielding.force_mode, firmware, pressing=pressing, watchdog=seconds)
+        body = partial(force_control.force_mode, firmware, pressing=pressing, watchdog=seconds)
         self._message = KeptMessage(body, _wrench(wrench).tolist())
         super().__init__(context, "force_mode", self._message, open_link)
 
@@ -138,7 +138,7 @@ _FREEDRIVE, _SOME_AXES = Firmware(3, 0), Firmware(5, 10)
 
 
 @slider(freedrive=SliderEffect.UNSCALED)
-class Freedrive(LinkedBlock):
+class Freedrive(BlockMotion):
     """Freedrive while a ``with`` block is open; made by `robot.freedrive`.
 
     Args:
@@ -169,7 +169,7 @@ class Freedrive(LinkedBlock):
         if axes is not None and firmware < _SOME_AXES:
             raise LocalError(f"firmware {firmware} frees all axes or none; {_SOME_AXES} is the first that takes axes")
         seconds = check_number(watchdog, "watchdog", 0.05, 10.0)
-        body = partial(yielding.freedrive, firmware, axes=axes, frame=frame, watchdog=seconds)
+        body = partial(force_control.freedrive, firmware, axes=axes, frame=frame, watchdog=seconds)
         super().__init__(context, "freedrive", KeptMessage(body, _NOTHING), open_link)
 
 
@@ -178,7 +178,7 @@ DIRECT_TORQUE = Since("5.23/10.11")
 
 
 @slider(torque=SliderEffect.UNSCALED)
-class Torque(LinkedBlock):
+class Torque(BlockMotion):
     """Sends the torques of a loop; made by `robot.motion.torque`, and open within a ``with`` block.
 
     Args:
@@ -212,7 +212,7 @@ class Torque(LinkedBlock):
                 check_number(limit, f"limits[{joint}] ({JOINTS[joint]})", 0.0, largest)
         self._watchdog = check_number(watchdog, "watchdog", 0.01, 1.0)
         compensates = bool(friction_compensation)
-        body = partial(yielding.torque, firmware, friction_compensation=compensates, watchdog=self._watchdog)
+        body = partial(force_control.torque, firmware, friction_compensation=compensates, watchdog=self._watchdog)
         self._message = KeptMessage(body)
         super().__init__(context, "torque", self._message, open_link)
 
@@ -272,10 +272,10 @@ class ContactMotion(Motion):
 
     def _on_text(self, text: str) -> None:
         """Handle a line of text from the program."""
-        if text.startswith(yielding.NO_CONTACT):
+        if text.startswith(force_control.NO_CONTACT):
             self._life.fail(NoContact(f"nothing was touched within {self._distance:g} m"))
             return
-        q = yielding.contact_of(text)
+        q = force_control.contact_of(text)
         if q is not None:
             joints = six(q, "q")
             self._contact = Contact(joints, self._pose_at(joints))

@@ -19,13 +19,14 @@ from ...protocol.realtime.packets import RealtimeState
 from ...script.links import FOLLOW, Writer
 from ...script.springs import GAINS, POSTURE
 from ..context import MotionContext
+from ..links.messages import packed
 from ..moves.path import check_joint_positions, shown_tcp
 from ..slider import SliderEffect, slider
-from .block_motion import LinkedBlock
-from .impedance_parameters import Softness, damping_of, stiffness_of
+from .block_motion import BlockMotion
+from .impedance_parameters import ImpedanceParameters, damping_of, stiffness_of
 from .jog import FrameName
 from .linked_program import Link
-from .setpoints import LinkDialogue, packed
+from .setpoints import LinkDialogue
 
 #: One message of so many has the gains or the posture. No simple fraction: a program that takes each n-th message meets
 #: them all the same.
@@ -33,12 +34,12 @@ _GOLDEN, _GAINS_SHARE = 0.6180339887, 0.25
 
 
 @slider(impedance=SliderEffect.SCALED)
-class Impedance(LinkedBlock):
+class Impedance(BlockMotion):
     """Draws the arm to a target by springs and dampers; made by `robot.motion.impedance`.
 
     Args:
         context: the robot.
-        softness: what it was asked for.
+        parameters: what it was asked for.
         open_link: opens the link to the program.
 
     Raises:
@@ -48,11 +49,11 @@ class Impedance(LinkedBlock):
         frame: "joints", or of the axes of the springs of the tool: "base" or "tool".
     """
 
-    def __init__(self, context: MotionContext, softness: Softness, open_link: Callable[[], Link]) -> None:
+    def __init__(self, context: MotionContext, parameters: ImpedanceParameters, open_link: Callable[[], Link]) -> None:
         firmware, model = context.who.identity.firmware, context.who.identity.arm
-        body, stiffness, has_posture = softness.program(firmware, model)
-        damping = damping_of(softness.frame, softness.damping).tolist()
-        self.frame: FrameName = softness.frame
+        body, stiffness, has_posture = parameters.program(firmware, model)
+        damping = damping_of(parameters.frame, parameters.damping).tolist()
+        self.frame: FrameName = parameters.frame
         self._tcp: FloatArray | None = None
         self._messages = _Messages(body, stiffness.tolist(), damping, has_posture=has_posture)
         super().__init__(context, "impedance", self._messages, open_link)

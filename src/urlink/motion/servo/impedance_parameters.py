@@ -1,4 +1,4 @@
-"""What an impedance is asked for: its numbers within their ranges, and the program that has them.
+"""The parameters of an impedance: their ranges, and the program that has them.
 
 Numbers that are out of range, or that have no effect with this frame or this firmware, are refused.
 """
@@ -55,7 +55,7 @@ _ENDLESS = 1e6
 
 
 @dataclass(frozen=True)
-class Softness:
+class ImpedanceParameters:
     """The numbers of `Motions.impedance`, as they were given.
 
     Attributes:

@@ -1,4 +1,4 @@
-"""From any state of a joint to rest at a target, as fast as limits of speed, acceleration and jerk allow.
+"""Jerk-limited motion of a joint from any state to rest, as fast as limits of speed, acceleration and jerk allow.
 
 For one joint, with position x, speed v and acceleration a: if it brakes as hard as the limits allow, it comes to rest
 at some position. If the target lies beyond that, the joint is pushed towards it for a while, with the largest jerk

@@ -17,11 +17,12 @@ from ...protocol.realtime.packets import RealtimeState
 from ...script.links import Writer
 from ...script.streaming import jogging
 from ..context import MotionContext
+from ..links.messages import WAIT_MESSAGE
 from ..moves.speed_limit import check_joint_speeds
 from ..slider import SliderEffect, slider
-from .block_motion import LinkedBlock, message
+from .block_motion import BlockMotion, message
 from .linked_program import Link, LinkedProgram
-from .setpoints import WAIT_MESSAGE, LinkDialogue
+from .setpoints import LinkDialogue
 
 #: The frame of the six speeds.
 FrameName = Literal["joints", "base", "tool"]
@@ -70,7 +71,7 @@ class _Jogging(LinkDialogue):
 
 
 @slider(jog=SliderEffect.SCALED)
-class Jog(LinkedBlock):
+class Jog(BlockMotion):
     """Speeds by hand; made by `robot.motion.jog`, and open within a ``with`` block. Leaving the block stops the arm.
 
     Attributes:

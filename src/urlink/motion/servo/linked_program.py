@@ -23,8 +23,9 @@ from ...errors import ProgramStopped, ToleranceExceeded
 from ...protocol.realtime.packets import RealtimeState
 from ...script import links
 from ..context import MotionContext
+from ..links.messages import dated
 from .following import stands
-from .setpoints import LinkDialogue, dated
+from .setpoints import LinkDialogue
 
 #: Seconds within which the program must connect.
 CONNECT_TIMEOUT = 5.0

@@ -1,4 +1,4 @@
-"""Set-points of a target filter or of a schedule, one for each cycle of the controller.
+"""Resampling of targets or of a schedule to set-points, one for each cycle of the controller.
 
 Each real-time state that arrives is answered with the next set-point, so the controller's clock sets the pace, whenever
 targets come. While set-points are missed, the program on the robot coasts (`urlink.motion.servo.setpoints`). Usually
@@ -19,10 +19,11 @@ from linkcore.errors import BadValue
 from ...arm.models import Model
 from ...command.program_time import ProgramTimer
 from ...protocol.realtime.packets import RealtimeState
+from ..links.messages import WAIT_MESSAGE
 from ..moves.trajectory import Trajectory
 from .following import Rest
 from .jerk_limited import JointLimit, TargetFilter
-from .setpoints import WAIT_MESSAGE, Servoing, SetpointStream
+from .setpoints import Servoing, SetpointStream
 
 #: rad and rad/s, in any joint; a larger gap is not faded out. Chosen: at 1 rad/s it is the gap after 20 ms without
 #: set-points, with the default watchdog.
@@ -32,7 +33,7 @@ _WIDEST_GAP, _LARGEST_CHANGE = 0.005, 0.2
 _SETTLING = 0.1
 
 
-class PacedSource(Protocol):
+class ResampledSource(Protocol):
     """A source of set-points. Times are those of states, on the controller's clock; `rate` is that of the program."""
 
     @property
@@ -59,7 +60,7 @@ class PacedSource(Protocol):
         """The set-point of this time was sent."""
 
 
-class PacedSetpoints:
+class ResampledSetpoints:
     """Answers states with set-points.
 
     Args:
@@ -67,7 +68,7 @@ class PacedSetpoints:
         source: makes the set-points.
     """
 
-    def __init__(self, servoing: Servoing, source: PacedSource) -> None:
+    def __init__(self, servoing: Servoing, source: ResampledSource) -> None:
         self._source = source
         self._stream = SetpointStream(servoing)
         self._timer = ProgramTimer(self._stream.cycle)

@@ -1,4 +1,4 @@
-"""Closed loops: set-points or targets from the user's own loop."""
+"""Servo loops: set-points or targets from the user's own loop."""
 
 from __future__ import annotations
 
@@ -16,17 +16,18 @@ from ...command.program_time import ProgramTimer, reported_scaling
 from ...protocol.realtime.packets import RealtimeState
 from ...script.text import integer
 from ..context import MotionContext
+from ..links.messages import WAIT_MESSAGE, setpoint
 from ..moves.path import Joint, Linear, Waypoint, check_joint_positions, shown_tcp
 from ..moves.speed_limit import LONGEST_PERIOD, SpeedLimit
 from ..moves.trajectory import LEAP
 from ..slider import SliderEffect, slider_by_use
-from .block_motion import LinkedBlock
+from .block_motion import BlockMotion
 from .following import AHEAD
 from .jerk_limited import JointLimit
 from .linked_program import Link
-from .resampling import FilteredTargets, PacedSetpoints, Schedule
+from .resampling import FilteredTargets, ResampledSetpoints, Schedule
 from .servo_delay import measure
-from .setpoints import WAIT_MESSAGE, LinkDialogue, Servoing, setpoint
+from .setpoints import LinkDialogue, Servoing
 
 #: Intervals that the statistics keep: a minute and a half at 500 Hz.
 _REMEMBERED = 50_000
@@ -62,14 +63,14 @@ class _Leading(LinkDialogue):
 
     Args:
         servoing: how set-points are followed.
-        paced: makes the set-points; None if the loop sends its own.
+        resampled: makes the set-points; None if the loop sends its own.
     """
 
-    def __init__(self, servoing: Servoing, paced: PacedSetpoints | None) -> None:
+    def __init__(self, servoing: Servoing, resampled: ResampledSetpoints | None) -> None:
         super().__init__(servoing.body)
         self.watchdog = servoing.watchdog
         #: set once, by any thread
-        self.paced = paced
+        self.resampled = resampled
         self._timer = ProgramTimer(1.0 / servoing.firmware.rate)
         #: s by which the program is behind the controller's clock, and when that was measured, monotonic s
         self._behind = self._at = 0.0
@@ -82,8 +83,8 @@ class _Leading(LinkDialogue):
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
         passed, scaled = self._timer.passed(state, now)
         self._behind, self._at = self._behind + passed - scaled, now
-        if self.paced is not None:
-            return self.paced.answer(state, now)
+        if self.resampled is not None:
+            return self.resampled.answer(state, now)
         if self.has_begun:
             return b""
         self.here = state.q_target.tolist()
@@ -95,8 +96,8 @@ class _Leading(LinkDialogue):
 
     def resume(self, state: RealtimeState) -> None:
         self._timer.restart()
-        if self.paced is not None:
-            self.paced.resume(state)
+        if self.resampled is not None:
+            self.resampled.resume(state)
         else:
             self.here, self.begins_anew = state.q_target.tolist(), self.has_begun
 
@@ -109,7 +110,7 @@ class _Leading(LinkDialogue):
         "servo, schedule": SliderEffect.KEPT_UNTIL_0,
     }
 )
-class Servo(LinkedBlock):
+class Servo(BlockMotion):
     """Sends the set-points of a loop; made by `robot.motion.servo`, and open within a ``with`` block.
 
     Send a set-point in each of the controller's cycles, or in each of your own; with a target filter, a target whenever
@@ -134,7 +135,9 @@ class Servo(LinkedBlock):
         self._schedule: Schedule | None = None
         self._delay = AHEAD * cycle if delay is None else delay
         self._targets = None if limits is None else FilteredTargets(limits, cycle)
-        self._dialogue = _Leading(servoing, None if self._targets is None else PacedSetpoints(servoing, self._targets))
+        self._dialogue = _Leading(
+            servoing, None if self._targets is None else ResampledSetpoints(servoing, self._targets)
+        )
         super().__init__(context, "servo", self._dialogue, open_link)
         self.rate = rate
         self._last: list[float] | None = None
@@ -212,7 +215,7 @@ class Servo(LinkedBlock):
         state = self._context.state()
         if self._schedule is None:
             schedule = Schedule(self._model, self._cycle, self._delay, self._context.section.lock)
-            self._dialogue.paced = PacedSetpoints(self._servoing, schedule)
+            self._dialogue.resampled = ResampledSetpoints(self._servoing, schedule)
             # Last: one that an interruption left without its set-points would lead nothing.
             self._schedule = schedule
         schedule = self._schedule

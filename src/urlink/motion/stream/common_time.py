@@ -1,4 +1,4 @@
-"""One time for several arms: it begins for all at once, and passes as slowly as for the slowest.
+"""A common time for several arms: it begins for all at once, and passes as slowly as for the slowest arm.
 
 Of trajectories, whose set-points are made here, it is a function of this computer's clock. Each arm's states have a
 time of its own controller, which `RobotClock` converts, so it does not matter how long they took to arrive. A

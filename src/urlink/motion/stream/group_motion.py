@@ -1,4 +1,4 @@
-"""What several arms do as one: its handle, and streams of points on one time base."""
+"""Motions of a group of arms: the handle, and streams of points on one time base."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from ...protocol.firmware import Firmware
 from ...script.buffering import buffering
 from ..context import MotionContext
 from ..moves.path import shown_tcp
-from ..servo.block_motion import LinkedBlock
+from ..servo.block_motion import BlockMotion
 from ..servo.jerk_limited import JointLimit
 from ..servo.linked_program import Link
 from ..servo.setpoints import Servoing
@@ -40,7 +40,7 @@ T = TypeVar("T")
 
 
 @slider(stream=SliderEffect.SCALED)
-class PointStream(LinkedBlock):
+class PointStream(BlockMotion):
     """Moves through points that are appended while it runs; made by `robot.motion.stream`, open in a ``with`` block.
 
     A program on the robot holds the next points. Where none is left the arm brakes, and goes on with the next ones.

@@ -1,4 +1,4 @@
-"""The dialogue with a program that holds points (`urlink.script.buffering`): what it is sent, and where it is.
+"""The dialogue with the buffering program (`urlink.script.buffering`): points that are sent, and its position.
 
 There are two curves. That of the points begins where the arm rests, and each point is reached at its own time. The
 arm is on it, but where the points came too late, or were replaced: then a path leads from where it is to a moment of
@@ -39,8 +39,9 @@ from ...script.buffering import (
     PointRegisters,
 )
 from ...script.links import SCALE, STOP, WAIT
+from ..links.messages import LARGEST
 from ..servo.following import Rest
-from ..servo.setpoints import LARGEST, LinkDialogue
+from ..servo.setpoints import LinkDialogue
 from .common_time import MemberPace
 from .feed_life import FeedEvent, FeedLife, FeedPhase
 from .program_pace import ProgramPace
@@ -425,7 +426,7 @@ class StreamFeed(LinkDialogue):
                 if cut.request is not None:
                     cut.request.done.set_result(cut.request.since)
             else:
-                self._take_back(cut)
+                self._undo_cut(cut)
         while self._steps and self._steps[0].number <= report.base:
             self._last = self._steps.popleft()
         if has_moved and 0.0 < here - self._here <= self._unseen:
@@ -459,7 +460,7 @@ class StreamFeed(LinkDialogue):
             elif self._brake.length > self._cycle and not is_cleared:
                 self.starved += 1
 
-    def _take_back(self, cut: _Cut) -> None:
+    def _undo_cut(self, cut: _Cut) -> None:
         """The cut came too late."""
         self._life.fire(FeedEvent.REFUSE)
         self._reach_later()

@@ -1,4 +1,4 @@
-"""The points of a stream as they are given, and what of them is refused."""
+"""The points of a stream as they are given, and which of them are rejected."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ from linkcore.names import StrictAttributes
 from linkcore.net.dialogue import Dialogue
 from linkcore.net.http_client import HttpClient
 from linkcore.net.transport import TcpTransport
-from linkcore.net.undo import Recall, TakeBack
+from linkcore.net.undo import PendingUndos, Undo
 from linkcore.threads import Closing
 from linkcore.wire.fields import version_text
 
@@ -71,9 +71,9 @@ class Dashboard(StrictAttributes, Closing):
     thread waits for its reply, `stop`, `pause` and `power_off` use a second connection, and do not wait.
 
     **A command that failed so may still be carried out**, when a controller that hung goes on; the error says so. Of
-    these, `play` is taken back, by `stop`, at the first contact and before another command is sent, unless another
+    these, `play` is undone, by `stop`, at the first contact and before another command is sent, unless another
     program has been sent since. That is owed for the life of the process: after `close` the next `Dashboard` or robot
-    of `connect` at this controller takes it back. Nothing else is: power, brakes and what was loaded are as the
+    of `connect` at this controller undoes it. Nothing else is: power, brakes and what was loaded are as the
     controller leaves them.
 
     All methods that talk to the controller raise
@@ -81,7 +81,7 @@ class Dashboard(StrictAttributes, Closing):
     - `LocalError` where the firmware does not have the command, and `BadValue` for an argument that cannot be sent;
       nothing has been sent then;
     - `DashboardRefused` where the controller does not carry it out, as an e-Series does in local mode;
-    - `LinkTimeout` where it does not answer in time, or where a `play` that was given up could not be taken back yet;
+    - `LinkTimeout` where it does not answer in time, or where a `play` that was given up could not be undone yet;
       `ConnectFailed` and `ConnectionLost` where it is not there,
       `WrongPeer` where another service is, and `PacketError` where an answer cannot be read;
     - `Closed` after `close`;
@@ -94,7 +94,7 @@ class Dashboard(StrictAttributes, Closing):
         api_port: of the Robot API, 80 on a real controller; None where it is not served.
         timeout: seconds to connect, and for the reply to a command. Those that take longer have more: `COMMANDS` says
             how much.
-        recall: of the commands to this controller; None to share that of everything in this process that commands it.
+        undos: of the commands to this controller; None to share that of everything in this process that commands it.
         on_stop: Called before each command that stops or pauses the arm, with the reason, for messages.
 
     Raises:
@@ -109,7 +109,7 @@ class Dashboard(StrictAttributes, Closing):
         *,
         api_port: int | None = PORTS["robot_api"],
         timeout: float = 5.0,
-        recall: Recall | None = None,
+        undos: PendingUndos | None = None,
         on_stop: Callable[[str], object] = lambda why: None,
     ) -> None:
         self._on_stop = on_stop
@@ -130,9 +130,9 @@ class Dashboard(StrictAttributes, Closing):
         # Another connection for what must not wait for the reply to another command; made if it is needed.
         stopping = TcpTransport(host, port or 0, silence=timeout, refused=refused)
         self._stopping = Dialogue(stopping, DashboardProtocol, self._name, timeout)
-        self._shares_recall = recall is None
+        self._shares_undos = undos is None
         service = service_of(host, (api_port or 0) if port is None else port)
-        self._recall = Recall.of(service, self._name, self) if recall is None else recall
+        self._undos = PendingUndos.of(service, self._name, self) if undos is None else undos
         self._switched_off = -math.inf
 
     # -- power ---------------------------------------------------------------------------------------
@@ -185,7 +185,7 @@ class Dashboard(StrictAttributes, Closing):
     def brake_release(self) -> None:
         """Begin to release the brakes. **The arm may move.** Powers it on first if it is off.
 
-        If no answer comes, it may still be carried out, and is not taken back.
+        If no answer comes, it may still be carried out, and is not undone.
         """
         self._do("brake release")
 
@@ -400,8 +400,8 @@ class Dashboard(StrictAttributes, Closing):
 
     def close(self) -> None:
         """Disconnect for good; a command of another thread that waits for its reply ends with `Closed`. Idempotent."""
-        if self._shares_recall:
-            self._recall.close(self)
+        if self._shares_undos:
+            self._undos.close(self)
         self._http.close()
         self._dialogue.close()
         self._stopping.close()
@@ -463,13 +463,13 @@ class Dashboard(StrictAttributes, Closing):
         """Around a command; the context is what to call if it was sent and given up, None for a question."""
         if only_asks:
             return contextlib.nullcontext()
-        take_back = None
+        undo = None
         if name == "play":
-            recall = Recall(self._name)  # with it, `stop` waits for nothing that is to be taken back
+            undos = PendingUndos(self._name)  # with it, `stop` waits for nothing that is to be undone
             host, port, api = self._host, self._port, self._api_port
-            another = partial(Dashboard, host, port, self._firmware, api_port=api, timeout=self._timeout, recall=recall)
-            take_back = TakeBack(another, _stop_what_plays)
-        return self._recall.command(name, self._timeout, take_back)
+            another = partial(Dashboard, host, port, self._firmware, api_port=api, timeout=self._timeout, undos=undos)
+            undo = Undo(another, _stop_what_plays)
+        return self._undos.command(name, self._timeout, undo)
 
 
 def _stop_what_plays(dashboard: Dashboard, is_wanted: Callable[[], bool]) -> None:

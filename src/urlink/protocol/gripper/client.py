@@ -12,7 +12,7 @@ from linkcore.errors import BadValue, LinkTimeout, RemoteError
 from linkcore.names import StrictAttributes
 from linkcore.net.dialogue import Dialogue
 from linkcore.net.transport import TcpTransport
-from linkcore.net.undo import Recall, TakeBack
+from linkcore.net.undo import PendingUndos, Undo
 from linkcore.wire.fields import OpenInt
 
 from ..ports import service_of
@@ -123,7 +123,7 @@ class Gripper(StrictAttributes):
         port: 63352 on a real one.
         timeout: seconds to connect, and for each reply.
         refused: returns a hint for the error where the connection is refused.
-        recall: of the commands to this controller; None to share that of everything in this process that commands it.
+        undos: of the commands to this controller; None to share that of everything in this process that commands it.
     """
 
     def __init__(
@@ -133,7 +133,7 @@ class Gripper(StrictAttributes):
         *,
         timeout: float = 5.0,
         refused: Callable[[], str] = str,
-        recall: Recall | None = None,
+        undos: PendingUndos | None = None,
     ) -> None:
         self._timeout = check_seconds(timeout, "timeout", positive=True, finite=True)
 
@@ -144,9 +144,9 @@ class Gripper(StrictAttributes):
         self._connect = dialogue
         self._dialogue = dialogue()
         self._name = f"{host}:{port}"
-        self._shares_recall = recall is None
+        self._shares_undos = undos is None
         name = f"the gripper at {self._name}"
-        self._recall = Recall.of(service_of(host, port), name, self) if recall is None else recall
+        self._undos = PendingUndos.of(service_of(host, port), name, self) if undos is None else undos
 
     # -- activation ------------------------------------------------------------------------------------
 
@@ -275,8 +275,8 @@ class Gripper(StrictAttributes):
         self._set(set_line(values), moves="POS" in values or values.get("GTO") == 1)
 
     def _set(self, line: str, moves: bool) -> None:
-        take_back = TakeBack(self._connect, partial(_stop_fingers, self._timeout)) if moves else None
-        with self._recall.command("gripper", self._timeout, take_back) as given_up:
+        undo = Undo(self._connect, partial(_stop_fingers, self._timeout)) if moves else None
+        with self._undos.command("gripper", self._timeout, undo) as given_up:
             reply = self._dialogue.ask(line, self._timeout, given_up=given_up)
         if reply.casefold() != "ack":
             raise GripperFault(f"{line!r}: the gripper answered {reply[:80]!r}")
@@ -296,8 +296,8 @@ class Gripper(StrictAttributes):
 
     def _disconnect(self) -> None:
         """Disconnect for good."""
-        if self._shares_recall:
-            self._recall.close(self)
+        if self._shares_undos:
+            self._undos.close(self)
         self._dialogue.close()
 
     def __repr__(self) -> str:

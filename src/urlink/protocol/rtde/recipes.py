@@ -138,8 +138,7 @@ class Recipe(StrictAttributes):
         for place, name in zip(self.layout.places.values(), self.names, strict=True):
             value, read = values[place.at], place.shape.read
             if place.count is not None:
-                elements = value.tolist() if self.layout.of_cells else value
-                found[name] = tuple(elements if read is None else map(read, elements))
+                found[name] = value if read is None else tuple(map(read, value))
             else:
                 found[name] = value if read is None else read(value)
         return found

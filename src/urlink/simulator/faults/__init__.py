@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from .faults import Faults
+from .faults import FAULTS, Faults
 from .link import LinkFaults
-from .schedule import FAULTS, FaultSchedule, ScheduledFault, parse_fault
+from .schedule import FaultSchedule, ScheduledFault, parse_fault
 
 __all__ = ["FAULTS", "FaultSchedule", "Faults", "LinkFaults", "ScheduledFault", "parse_fault"]

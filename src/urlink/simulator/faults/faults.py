@@ -1,4 +1,4 @@
-"""The faults, as methods, and the checks of their arguments, which a command line shares.
+"""`Faults`, whose methods are the faults of a controller, and `FAULTS`, the list of those that a text can name.
 
 Faults of the arm change its modes, as on a real controller. Faults of the link change bytes or connections, while the
 controller itself runs on. All methods may be called from any thread; the fault has happened when they return.
@@ -9,17 +9,17 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 from linkcore.errors import BadValue
 from linkcore.names import StrictAttributes
 from urlink.protocol.firmware import Firmware
-from urlink.protocol.ports import PORTS, interface
+from urlink.protocol.ports import PORTS, interface_of
 from urlink.protocol.rtde.packets import MessageLevel
 
 from ..interfaces.interface import package
-from ..interfaces.rtde import Disturbance, RtdePort, RtdeSession
+from ..interfaces.rtde import Disturbance, RtdeInterface, RtdeSession
 from ..programs.runner import ProgramRunner
 from ..state import ControllerState, firmware_for
 from .link import LinkFaults
@@ -44,7 +44,7 @@ def package_ports(port: str | None) -> tuple[str, ...]:
     Raises:
         BadValue: none of them.
     """
-    names = tuple(name for name in port_names(port) if interface(name) in ("primary", "secondary"))
+    names = tuple(name for name in port_names(port) if interface_of(name) in ("primary", "secondary"))
     if not names:
         raise BadValue(f"{port} has no packages with types")
     return names
@@ -94,6 +94,64 @@ def checked_sizes(sizes: Sequence[int]) -> tuple[int, ...]:
     return tuple(sizes)
 
 
+@dataclass(frozen=True)
+class FaultArgument:
+    """The argument of a fault in a text such as ``"stall=2.5@10"``.
+
+    Attributes:
+        read: makes the value of its text.
+        meaning: what it is, for messages and help.
+        is_optional: whether it can be left out.
+    """
+
+    read: Callable[[str], Any]
+    meaning: str
+    is_optional: bool
+
+
+#: The faults that a text can name -> the argument of each; None for a fault that takes none.
+FAULTS: dict[str, FaultArgument | None] = {}
+
+_Method = TypeVar("_Method", bound=Callable[..., None])
+
+
+def _listed(
+    read: Callable[[str], Any] | None = None, meaning: str = "", *, optional: bool = False
+) -> Callable[[_Method], _Method]:
+    """Add a method of `Faults` to `FAULTS`, and how its argument is read."""
+
+    def add(method: _Method) -> _Method:
+        FAULTS[method.__name__] = None if read is None else FaultArgument(read, meaning, optional)
+        return method
+
+    return add
+
+
+def _seconds(text: str) -> float:
+    return checked_seconds(float(text))
+
+
+def _size(text: str) -> int:
+    return checked_sizes([int(text)])[0]
+
+
+def _sizes(text: str) -> tuple[int, ...]:
+    return checked_sizes([int(part) for part in text.split("+")])
+
+
+def _port(text: str) -> str:
+    return port_names(text)[0]
+
+
+def _type(text: str) -> int:
+    return type_byte(int(text))
+
+
+def _request(text: str) -> str:
+    request_byte(text)
+    return text
+
+
 class Faults(StrictAttributes):
     """The faults of one controller.
 
@@ -114,7 +172,7 @@ class Faults(StrictAttributes):
         state: ControllerState,
         runner: ProgramRunner,
         link: LinkFaults,
-        rtde: RtdePort,
+        rtde: RtdeInterface,
         *,
         seed: int,
         call: Callable[[Callable[[], object]], None],
@@ -128,10 +186,12 @@ class Faults(StrictAttributes):
 
     # -- the arm -----------------------------------------------------------------------------------
 
+    @_listed()
     def protective_stop(self) -> None:
         """The arm brakes and stands still with its motors on; its program pauses. Ends with `clear`."""
         self._do(lambda: self._state.modes.protective_stop())
 
+    @_listed()
     def safeguard_stop(self, resumes: bool = True) -> None:
         """The arm brakes and stands still with its motors on; its program pauses. Ends with `clear`.
 
@@ -146,25 +206,30 @@ class Faults(StrictAttributes):
 
         self._do(stop)
 
+    @_listed()
     def emergency_stop(self) -> None:
         """The arm brakes, stands still and loses its power; its program stops. Ends with `clear`, then `power_on`."""
         self._do(lambda: self._state.modes.emergency_stop())
 
+    @_listed()
     def clear(self) -> None:
         """Unlock a protective stop, or end a safeguard stop, after which the motion goes on from rest; or release the
         emergency stop button, after which the power is still off."""
         self._do(lambda: self._state.modes.clear())
 
+    @_listed()
     def power_off(self) -> None:
         """The arm brakes, stands still and loses its power."""
         self._do(lambda: self._state.modes.power_off())
 
+    @_listed()
     def power_on(self) -> None:
         """Power the arm up and release its brakes; the motion begins again. No effect in an emergency stop."""
         self._do(lambda: self._state.modes.power_on())
 
     # -- connections ---------------------------------------------------------------------------------
 
+    @_listed(Firmware.parse, "the firmware to come back with", optional=True)
     def reboot(self, firmware: Firmware | str | None = None, downtime: float = 1.0) -> None:
         """Reset all connections, refuse new ones for `downtime` seconds, then come back with the time at 0.
 
@@ -185,11 +250,13 @@ class Faults(StrictAttributes):
         self._runner.close()
         self._state.go_down(firmware, downtime)
 
+    @_listed(_port, "the port", optional=True)
     def cut(self, port: str | None = None) -> None:
         """Reset the connections; new ones are accepted at once."""
         names = port_names(port)
         self._do(lambda: self._link.cut(names))
 
+    @_listed(_seconds, "seconds")
     def stall(self, seconds: float, port: str | None = None) -> None:
         """Stay connected and silent for this time. Packets of that time are lost; new clients wait.
 
@@ -201,6 +268,7 @@ class Faults(StrictAttributes):
 
     # -- segments ------------------------------------------------------------------------------------
 
+    @_listed(_sizes, "sizes of segments, such as 100+200")
     def split(self, sizes: Sequence[int] | int, port: str | None = None) -> None:
         """Cut the stream of each connection into segments of these sizes, in turn, until `heal`.
 
@@ -214,6 +282,7 @@ class Faults(StrictAttributes):
         checked = checked_sizes([sizes] if isinstance(sizes, int) else list(sizes))
         self._segment(port, checked, 1)
 
+    @_listed(_size, "packets per segment")
     def merge(self, count: int, port: str | None = None) -> None:
         """Send `count` packets at a time as one segment, until `heal`.
 
@@ -228,6 +297,7 @@ class Faults(StrictAttributes):
 
     # -- bytes ---------------------------------------------------------------------------------------
 
+    @_listed(_size, "number of bytes")
     def garbage(self, data: bytes | int, port: str | None = None, *, inside: bool = False) -> None:
         """Send bytes that belong to no packet, once: before the next packet of a port, or in the middle of it.
 
@@ -241,6 +311,7 @@ class Faults(StrictAttributes):
         garbage, names = self._bytes(data), port_names(port)
         self._do(lambda: self._link.insert(names, garbage, inside))
 
+    @_listed(_size, "number of bytes")
     def append(self, tail: bytes | int, port: str | None = None) -> None:
         """Append bytes that no known layout explains to packets, as a newer release does; until `heal`.
 
@@ -257,6 +328,7 @@ class Faults(StrictAttributes):
         appended, names = self._bytes(tail), port_names(port)
         self._do(lambda: self._link.append(names, appended))
 
+    @_listed(_type, "the type", optional=True)
     def unknown_package(self, kind: int = 99, payload: bytes = b"unknown", port: str | None = None) -> None:
         """Send a package of this type once, on the primary and secondary ports.
 
@@ -266,6 +338,7 @@ class Faults(StrictAttributes):
         made, names = package(type_byte(kind), payload), package_ports(port)
         self._do(lambda: self._link.insert(names, made))
 
+    @_listed(_type, "the type", optional=True)
     def unknown_sub_package(self, kind: int = 77, payload: bytes = b"unknown", port: str | None = None) -> None:
         """Let robot states end in a sub-package of this type, until `heal`.
 
@@ -274,15 +347,6 @@ class Faults(StrictAttributes):
         """
         byte, names = type_byte(kind), package_ports(port)
         self._do(lambda: self._link.add_sub_package(names, byte, payload))
-
-    def heal(self) -> None:
-        """End all faults of the link (stalls, segments, garbage, tails, unknown sub-packages) and of RTDE."""
-
-        def heal() -> None:
-            self._link.heal()
-            self._rtde.disturbance = Disturbance()
-
-        self._do(heal)
 
     # -- RTDE ----------------------------------------------------------------------------------------
 
@@ -296,6 +360,7 @@ class Faults(StrictAttributes):
         """
         self._do(lambda: self._rtde.send_text(text, source, MessageLevel(level)))
 
+    @_listed()
     def rtde_hello(self, text: str = "SafetySetup has not been confirmed yet") -> None:
         """Begin each RTDE connection with a text, as a PolyScope X whose safety was not confirmed; until `heal`.
 
@@ -303,10 +368,12 @@ class Faults(StrictAttributes):
         """
         self._disturb(hello=text)
 
+    @_listed()
     def rtde_refuse_protocol_2(self) -> None:
         """Accept protocol 1 alone; until `heal`."""
         self._disturb(protocols=(1,))
 
+    @_listed(_request, "the letter of the request", optional=True)
     def rtde_text_before_reply(self, request: str = "S", text: str = "a text before the reply") -> None:
         """Send a text before each reply to one kind of request; until `heal`.
 
@@ -320,6 +387,7 @@ class Faults(StrictAttributes):
         kind = request_byte(request)
         self._do(lambda: self._rtde.disturbance.text_before.update({kind: text}))
 
+    @_listed(_request, "the letter of the request", optional=True)
     def rtde_text_instead_of_reply(self, request: str = "S", text: str = "a text in place of the reply") -> None:
         """Answer the next request of one kind with a text, once; the reply is not sent.
 
@@ -328,18 +396,22 @@ class Faults(StrictAttributes):
         """
         self._instead(request, lambda session: session.send_text(text))
 
+    @_listed()
     def rtde_data_before_start(self) -> None:
         """Send a data package before each reply to a start, as PolyScope X sometimes does; until `heal`."""
         self._disturb(data_before_start=True)
 
+    @_listed()
     def rtde_refuse_start(self) -> None:
         """Refuse to start; until `heal`."""
         self._disturb(refuses_start=True)
 
+    @_listed()
     def rtde_no_data(self) -> None:
         """Accept a start, but send no data packages; until `heal`."""
         self._disturb(sends_no_data=True)
 
+    @_listed(_seconds, "seconds")
     def rtde_late_data(self, seconds: float) -> None:
         """Send data packages this much later than they were made; until `heal`.
 
@@ -348,6 +420,7 @@ class Faults(StrictAttributes):
         """
         self._disturb(late=self._cycles(seconds))
 
+    @_listed(_seconds, "seconds")
     def rtde_stale_inputs(self, seconds: float) -> None:
         """Keep the inputs of connections that end held for this time, as real controllers do; until `heal`.
 
@@ -356,6 +429,7 @@ class Faults(StrictAttributes):
         """
         self._disturb(stale=self._cycles(seconds))
 
+    @_listed(_request, "the letter of the request", optional=True)
     def rtde_reboot_at_request(self, request: str = "O", downtime: float = 1.0) -> None:
         """Reboot instead of answering the next request of one kind: in the middle of a handshake.
 
@@ -364,6 +438,18 @@ class Faults(StrictAttributes):
         """
         wait = checked_seconds(downtime)
         self._instead(request, lambda session: self._reboot(None, wait))
+
+    # -- the end of faults ----------------------------------------------------------------------------
+
+    @_listed()
+    def heal(self) -> None:
+        """End all faults of the link (stalls, segments, garbage, tails, unknown sub-packages) and of RTDE."""
+
+        def heal() -> None:
+            self._link.heal()
+            self._rtde.disturbance = Disturbance()
+
+        self._do(heal)
 
     def _bytes(self, data: bytes | int) -> bytes:
         return self._random.randbytes(checked_sizes([data])[0]) if isinstance(data, int) else data

@@ -1,4 +1,4 @@
-"""The present faults of the connections: silence, cut connections, segments, and bytes that should not be there.
+"""Faults of the connections: silence, cut connections, segments, and bytes that should not be there.
 
 The server gets from it what a port sends instead of each packet; the bytes look like those of a newer controller, of a
 broken one, or of a bad network. The controller itself runs on.
@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from itertools import cycle
 
-from ...protocol.ports import PORTS, interface
+from ...protocol.ports import PORTS, interface_of
 from ..interfaces.interface import package
 
 #: How many pieces of garbage wait for the next packet of a port; the newest ones.
@@ -170,9 +170,9 @@ class LinkFaults:
     def lasting(self, port: str, packet: bytes) -> bytes:
         """A packet with the faults that last: tails and unknown sub-packages."""
         tail = self._tails.get(port)
-        if interface(port) == "realtime":
+        if interface_of(port) == "realtime":
             return packet if tail is None else with_tail(packet, tail)
-        if interface(port) not in ("primary", "secondary") or packet[4] != 16:
+        if interface_of(port) not in ("primary", "secondary") or packet[4] != 16:
             return packet
         if tail is not None:
             packet = with_tails(packet, tail)

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
 from linkcore.errors import BadValue, LocalError
 from urlink.arm.models import Model
-from urlink.protocol.firmware import Firmware
 
 from ..state import firmware_for
-from .faults import Faults, checked_seconds, checked_sizes, port_names, request_byte, type_byte
+from .faults import FAULTS, Faults, checked_seconds
 
 _log = logging.getLogger("urlink.simulator")
 
@@ -37,54 +36,6 @@ class ScheduledFault:
         getattr(faults, self.name)(*self.arguments)
 
 
-def _number(text: str) -> float:
-    return checked_seconds(float(text))
-
-
-def _size(text: str) -> int:
-    return checked_sizes([int(text)])[0]
-
-
-def _sizes(text: str) -> tuple[int, ...]:
-    return checked_sizes([int(part) for part in text.split("+")])
-
-
-def _request(text: str) -> str:
-    request_byte(text)
-    return text
-
-
-#: name -> how its argument is read and what it is, or None where it has none, and whether it can be left out
-FAULTS: dict[str, tuple[Callable[[str], Any], str, bool] | None] = {
-    "protective_stop": None,
-    "safeguard_stop": None,
-    "emergency_stop": None,
-    "clear": None,
-    "power_off": None,
-    "power_on": None,
-    "reboot": (Firmware.parse, "the firmware to come back with", True),
-    "cut": (lambda text: port_names(text)[0], "the port", True),
-    "stall": (_number, "seconds", False),
-    "split": (_sizes, "sizes of segments, such as 100+200", False),
-    "merge": (_size, "packets per segment", False),
-    "garbage": (_size, "number of bytes", False),
-    "append": (_size, "number of bytes", False),
-    "unknown_package": (lambda text: type_byte(int(text)), "the type", True),
-    "unknown_sub_package": (lambda text: type_byte(int(text)), "the type", True),
-    "rtde_hello": None,
-    "rtde_refuse_protocol_2": None,
-    "rtde_text_before_reply": (_request, "the letter of the request", True),
-    "rtde_text_instead_of_reply": (_request, "the letter of the request", True),
-    "rtde_data_before_start": None,
-    "rtde_refuse_start": None,
-    "rtde_no_data": None,
-    "rtde_late_data": (_number, "seconds", False),
-    "rtde_stale_inputs": (_number, "seconds", False),
-    "rtde_reboot_at_request": (_request, "the letter of the request", True),
-    "heal": None,
-}
-
-
 def parse_fault(text: str) -> ScheduledFault:
     """``"protective_stop@5"``, ``"reboot=5.12@10"``, ``"split=100+200@0"``: NAME[=ARGUMENT]@SECONDS.
 
@@ -98,26 +49,25 @@ def parse_fault(text: str) -> ScheduledFault:
     if not at_sign:
         raise BadValue(f"{text!r} has no time; expected NAME[=ARGUMENT]@SECONDS, such as protective_stop@5")
     try:
-        at = _number(when)
+        at = checked_seconds(float(when))
     except ValueError:
         raise BadValue(f"{text!r}: {when!r} is not a number of seconds") from None
     name, equals, argument = what.partition("=")
     if name not in FAULTS:
         raise BadValue(f"{text!r}: no fault is called {name!r}; there are {', '.join(FAULTS)}")
-    kind = FAULTS[name]
-    if kind is None:
+    takes = FAULTS[name]
+    if takes is None:
         if equals:
             raise BadValue(f"{text!r}: {name} takes no argument")
         return ScheduledFault(name, (), at)
-    read, meaning, optional = kind
     if not equals:
-        if not optional:
-            raise BadValue(f"{text!r}: {name} needs {meaning}, as in {name}=...@{when}")
+        if not takes.is_optional:
+            raise BadValue(f"{text!r}: {name} needs {takes.meaning}, as in {name}=...@{when}")
         return ScheduledFault(name, (), at)
     try:
-        value = read(argument)
+        value = takes.read(argument)
     except (ValueError, LocalError) as error:
-        raise BadValue(f"{text!r}: {argument!r} does not do as {meaning} ({error})") from None
+        raise BadValue(f"{text!r}: {argument!r} does not do as {takes.meaning} ({error})") from None
     return ScheduledFault(name, (value,), at)
 
 

@@ -31,7 +31,7 @@ from urlink.protocol.enums import ProgramState
 from ..programs.pendant import Pendant
 from ..robot.modes import StopState
 from ..state import ControllerState
-from .interface import LineReceiver, Port, PortClient
+from .interface import Interface, InterfaceClient, LineReceiver
 
 #: Seconds for which a protective stop cannot be unlocked.
 UNLOCK_AFTER = 5.0
@@ -53,7 +53,7 @@ _UNNAMED = "<unnamed>"
 _BY_LENGTH = sorted(COMMANDS.values(), key=lambda command: -len(command.name))
 
 
-class DashboardPort(Port):
+class DashboardInterface(Interface):
     """The dashboard server of one controller: answers the lines of all its clients.
 
     state: of the controller.
@@ -83,7 +83,7 @@ class DashboardPort(Port):
     def greeting(self) -> list[bytes]:
         return [f"{GREETING}\n".encode()]
 
-    def receiver(self, client: PortClient) -> LineReceiver:
+    def receiver(self, client: InterfaceClient) -> LineReceiver:
         def answer(line: str) -> None:
             reply = self.reply(line)
             client.send(b"Disconnected\n" if reply is None else f"{reply}\n".encode())

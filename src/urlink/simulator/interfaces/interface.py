@@ -1,8 +1,8 @@
 """An interface of the controller, as the server uses it, and what several interfaces share: receivers and packets.
 
-A `Port` is sans-IO. The server reads from it in which cycle it has something to send, and the packets; and passes what
-a client sends to the `PortReceiver` that the port has made for this client. A `Form` is a packet laid out once, by its
-schema in `urlink.protocol`, and filled in many times: a controller packs hundreds of them a second.
+An `Interface` is sans-IO. The server reads from it in which cycle it has something to send, and the packets; and passes
+what a client sends to the `InterfaceReceiver` that the interface has made for this client. A `Form` is a packet laid
+out once, by its schema in `urlink.protocol`, and filled in many times: a controller packs hundreds of them a second.
 """
 
 from __future__ import annotations
@@ -28,10 +28,12 @@ class Form:
 
     Gives the bytes of `Layout.encode` in a tenth of the time: values stay where they were put, and one `struct` packs
     them. Values are plain numbers and lists of them, checked only by `struct`.
+    The first packet has to name every field.
     """
 
     def __init__(self, layout: Layout) -> None:
         codes: list[str] = [""] * sum(place.count or 1 for place in layout.places.values())
+        self._layout: Layout | None = layout  # until the first packet has named every field
         self._values: list[Any] = [0] * len(codes)
         self._at: dict[str, int | slice] = {}
         for name, place in layout.places.items():
@@ -48,7 +50,14 @@ class Form:
         self._header = header
 
     def pack(self, fields: Fields) -> bytes:
-        """The packet with these fields, others unchanged; fields that are not in the layout are skipped."""
+        """The packet with these fields, others unchanged; fields that are not in the layout are skipped.
+
+        Raises:
+            BadValue: this is the first packet, and a field has no value.
+        """
+        if self._layout is not None:
+            self._layout.check_complete(fields.keys())
+            self._layout = None
         values, places = self._values, self._at
         for name, value in fields.items():
             at = places.get(name)
@@ -66,8 +75,8 @@ def package(kind: int, body: bytes) -> bytes:
 LONGEST_LINE = 1 << 16
 
 
-class PortClient(Protocol):
-    """One connection, as a port sees it."""
+class InterfaceClient(Protocol):
+    """One connection, as an interface sees it."""
 
     @property
     def is_open(self) -> bool:
@@ -87,7 +96,7 @@ class PortClient(Protocol):
         """Close it now, by a reset."""
 
 
-class PortReceiver(ABC):
+class InterfaceReceiver(ABC):
     """Receives the bytes of one client."""
 
     @abstractmethod
@@ -99,7 +108,7 @@ class PortReceiver(ABC):
         return None
 
 
-class Port(ABC):
+class Interface(ABC):
     """One interface of the controller. Unless a subclass differs, every firmware has it, and it only answers."""
 
     def is_offered(self) -> bool:
@@ -118,7 +127,7 @@ class Port(ABC):
         """The packets for all clients that have become due since the last call, as of this cycle.
 
         Called in each cycle while a client is connected, but for those that are far too late. If clients are sent
-        different packets, the port sends them itself, and returns none.
+        different packets, the interface sends them itself, and returns none.
         """
         return []
 
@@ -127,11 +136,11 @@ class Port(ABC):
         return None
 
     @abstractmethod
-    def receiver(self, client: PortClient) -> PortReceiver:
+    def receiver(self, client: InterfaceClient) -> InterfaceReceiver:
         """Make the receiver for a new client."""
 
 
-class ReadOnlyReceiver(PortReceiver):
+class ReadOnlyReceiver(InterfaceReceiver):
     """The receiver of the read-only ports: bytes are counted, and have no effect."""
 
     def __init__(self, counters: Counters) -> None:
@@ -141,7 +150,7 @@ class ReadOnlyReceiver(PortReceiver):
         self._counters.refused_bytes += len(data)
 
 
-class LineReceiver(PortReceiver):
+class LineReceiver(InterfaceReceiver):
     """Cuts received bytes into lines.
 
     Args:
@@ -150,7 +159,7 @@ class LineReceiver(PortReceiver):
         on_line: called with each line, without its end.
     """
 
-    def __init__(self, client: PortClient, counters: Counters, on_line: Callable[[str], object]) -> None:
+    def __init__(self, client: InterfaceClient, counters: Counters, on_line: Callable[[str], object]) -> None:
         self._client = client
         self._counters = counters
         self._on_line = on_line
@@ -191,7 +200,7 @@ class ScriptReceiver(LineReceiver):
 
     def __init__(
         self,
-        client: PortClient,
+        client: InterfaceClient,
         counters: Counters,
         on_line: Callable[[str], object],
         on_program: Callable[[str], bool],

@@ -15,12 +15,12 @@ import numpy as np
 from urlink.arm.kinematics import DhTable
 from urlink.protocol.enums import SafetyMode
 from urlink.protocol.firmware import Firmware, release_of
-from urlink.protocol.primary.robot_state import SUB_PACKAGES
+from urlink.protocol.primary.robot_state import SUB_PACKAGES, CalibrationData
 
 from ..messages import greeting
 from ..rtde_variables import ROBOT_VOLTAGE, robot_current
 from ..state import ControllerState
-from .interface import Fields, Form, Port, PortClient, ScriptReceiver, package
+from .interface import Fields, Form, Interface, InterfaceClient, ScriptReceiver, package
 
 #: Robot states a second.
 STATE_RATE = 10
@@ -89,19 +89,19 @@ class StatePackages:
         }
 
 
-class SecondaryPort(Port):
+class SecondaryInterface(Interface):
     """The secondary interface of one controller.
 
     Args:
         state: of the controller.
         states: the states to send.
-        receiver: makes the receiver of a client, for a port of this name.
+        receiver: makes the receiver of a client, for an interface of this name.
     """
 
     _NAME = "secondary"
 
     def __init__(
-        self, state: ControllerState, states: StatePackages, receiver: Callable[[str, PortClient], ScriptReceiver]
+        self, state: ControllerState, states: StatePackages, receiver: Callable[[str, InterfaceClient], ScriptReceiver]
     ) -> None:
         self._state = state
         self._states = states
@@ -122,11 +122,11 @@ class SecondaryPort(Port):
     def skip(self) -> None:
         self._served = None
 
-    def receiver(self, client: PortClient) -> ScriptReceiver:
+    def receiver(self, client: InterfaceClient) -> ScriptReceiver:
         return self._make_receiver(self._NAME, client)
 
 
-class PrimaryPort(SecondaryPort):
+class PrimaryInterface(SecondaryInterface):
     """The primary interface of one controller: as the secondary one, with robot messages."""
 
     _NAME = "primary"
@@ -167,6 +167,7 @@ def _robot_mode(state: ControllerState) -> Fields:
         "target_speed_fraction": state.speed_fraction,
         "speed_scaling": state.speed_scaling,
         "target_speed_fraction_limit": 1.0,
+        "reserved": 0,  # internal to the vendor; a guess
     }
 
 
@@ -220,6 +221,8 @@ def _masterboard(state: ControllerState) -> Fields:
         "robot_voltage_48V": ROBOT_VOLTAGE if modes.is_powered else 0.0,
         "robot_current": robot_current(state),
         "master_io_current": 0.0,
+        "is_in_reduced_mode": False,
+        "is_euromap_installed": False,
         "master_safety_state": modes.master_safety_state,
         "master_on_off_state": modes.master_on_off_state,
         "safety_mode": modes.safety_mode,
@@ -246,6 +249,7 @@ def _kinematics(state: ControllerState) -> Fields:
     return {
         "checksum": checksum,
         **dict(zip(DhTable._fields, table.tolist(), strict=True)),
+        "calibration_status": 0,  # a guess
         # The oldest firmware has its laser pointer here; these are the bytes of the one capture.
         "pointer": [1000.0] * 3,
     }
@@ -273,6 +277,7 @@ def _configuration(state: ControllerState) -> Fields:
         "robot_type": model.robot_type,
         "robot_sub_type": 3 if state.firmware.is_e_series else 1,
         "motor_type": [2] * 6,
+        "reserved": [0, 0],  # internal to the vendor; a guess
     }
 
 
@@ -338,5 +343,5 @@ _UNCHANGING: dict[int, Callable[[ControllerState], Fields]] = {
     5: _kinematics,
     6: _configuration,
     8: _additional,
-    9: lambda state: {},
+    9: lambda state: dict.fromkeys(CalibrationData.FIELDS, 0.0),  # internal to the vendor; a guess
 }

@@ -9,18 +9,18 @@ from urlink.protocol.realtime.packets import RealtimeState
 
 from ..rtde_variables import MAIN_VOLTAGE, ROBOT_VOLTAGE, execution_time, robot_current
 from ..state import ControllerState
-from .interface import Fields, Form, Port, PortClient, ScriptReceiver
+from .interface import Fields, Form, Interface, InterfaceClient, ScriptReceiver
 
 
-class RealtimePort(Port):
+class RealtimeInterface(Interface):
     """The real-time interface of one controller.
 
     Args:
         state: of the controller.
-        receiver: makes the receiver of a client, for a port of this name.
+        receiver: makes the receiver of a client, for an interface of this name.
     """
 
-    def __init__(self, state: ControllerState, receiver: Callable[[str, PortClient], ScriptReceiver]) -> None:
+    def __init__(self, state: ControllerState, receiver: Callable[[str, InterfaceClient], ScriptReceiver]) -> None:
         self._state = state
         self._make_receiver = receiver
         self._form: Form | None = None
@@ -32,7 +32,7 @@ class RealtimePort(Port):
     def packets(self, cycle: int) -> list[bytes]:
         return [self.packet()]
 
-    def receiver(self, client: PortClient) -> ScriptReceiver:
+    def receiver(self, client: InterfaceClient) -> ScriptReceiver:
         return self._make_receiver("realtime", client)
 
     def packet(self) -> bytes:
@@ -83,4 +83,12 @@ def _fields(state: ControllerState) -> Fields:
         "payload_mass": arm.payload,
         "payload_cog": arm.payload_cog,
         "payload_inertia": arm.payload_inertia,
+        # Internal to the vendor, or unused: zero is a guess.
+        "test_value": 0.0,
+        "unused": [0.0] * 15,
+        "reserved_a": [0.0] * 6,
+        "reserved_b": [0.0] * 6,
+        "reserved_c": 0.0,
+        "reserved_d": 0.0,
+        "reserved_e": [0.0] * 3,
     }

@@ -25,14 +25,14 @@ from urlink.protocol.dashboard.stored_programs import PROGRAMS, parse_form, prog
 
 from ..programs.pendant import Pendant
 from ..state import ControllerState
-from .dashboard import DashboardPort
-from .interface import Port, PortClient, PortReceiver
+from .dashboard import DashboardInterface
+from .interface import Interface, InterfaceClient, InterfaceReceiver
 
 #: Commands of the dashboard that the API has under another name.
 _COMMANDS = {"resume": "play"}
 
 
-class RobotApiPort(Port):
+class RobotApiInterface(Interface):
     """The Robot API of one controller.
 
     Args:
@@ -44,7 +44,7 @@ class RobotApiPort(Port):
         operational_mode: "AUTOMATIC" or "MANUAL".
     """
 
-    def __init__(self, state: ControllerState, dashboard: DashboardPort, pendant: Pendant) -> None:
+    def __init__(self, state: ControllerState, dashboard: DashboardInterface, pendant: Pendant) -> None:
         self._state = state
         self._pendant = pendant
         self._dashboard = dashboard
@@ -56,7 +56,7 @@ class RobotApiPort(Port):
     def is_offered(self) -> bool:
         return self._state.firmware >= ROBOT_API
 
-    def receiver(self, client: PortClient) -> PortReceiver:
+    def receiver(self, client: InterfaceClient) -> InterfaceReceiver:
         return _Exchange(self, client)
 
     def respond(self, request: HttpRequest) -> HttpResponse:
@@ -166,11 +166,11 @@ class RobotApiPort(Port):
         return values[name]
 
 
-class _Exchange(PortReceiver):
+class _Exchange(InterfaceReceiver):
     """The one request of a connection."""
 
-    def __init__(self, port: RobotApiPort, client: PortClient) -> None:
-        self._port = port
+    def __init__(self, interface: RobotApiInterface, client: InterfaceClient) -> None:
+        self._interface = interface
         self._client = client
         self._parser = HttpParser("request")
 
@@ -182,7 +182,7 @@ class _Exchange(PortReceiver):
             if request is None:
                 return
             assert isinstance(request, HttpRequest)
-            answer = self._port.respond(request)
+            answer = self._interface.respond(request)
         except PacketError as error:
             answer = _refusal(400, str(error))
         self._client.send(answer.encode())

@@ -55,7 +55,7 @@ from urlink.protocol.rtde.variables import IN_USE, INPUTS, NOT_FOUND, OUTPUTS, V
 from ..registers import FIELDBUSES
 from ..rtde_variables import OUTPUT_VALUES, write_inputs
 from ..state import ControllerState
-from .interface import Form, Port, PortClient, PortReceiver
+from .interface import Form, Interface, InterfaceClient, InterfaceReceiver
 
 _log = logging.getLogger("urlink.simulator")
 
@@ -100,7 +100,7 @@ class Disturbance:
     stale: int = 0
 
 
-class RtdePort(Port):
+class RtdeInterface(Interface):
     """RTDE of one controller.
 
     Args:
@@ -135,7 +135,7 @@ class RtdePort(Port):
             session.advance(cycle)
         return []
 
-    def receiver(self, client: PortClient) -> RtdeSession:
+    def receiver(self, client: InterfaceClient) -> RtdeSession:
         session = RtdeSession(self, client)
         self.sessions.append(session)
         return session
@@ -162,7 +162,7 @@ class _Outputs:
         return self._form.pack({key: value(state) for key, value in self._values})
 
 
-class RtdeSession(PortReceiver):
+class RtdeSession(InterfaceReceiver):
     """One connection: its protocol, its recipes and whether it is started. Sans-IO: bytes and cycles, no socket.
 
     Attributes:
@@ -170,11 +170,11 @@ class RtdeSession(PortReceiver):
         is_started: whether data packages are sent.
     """
 
-    def __init__(self, port: RtdePort, client: PortClient) -> None:
+    def __init__(self, interface: RtdeInterface, client: InterfaceClient) -> None:
         self.protocol: Protocol = 1
         self.is_started = False
-        self._port = port
-        self._state = port._state
+        self._interface = interface
+        self._state = interface._state
         self._client = client
         self._buffer = bytearray()
         self._outputs: _Outputs | None = None
@@ -213,8 +213,8 @@ class RtdeSession(PortReceiver):
 
     def end(self) -> None:
         """Handle the end of the connection: its inputs are free again, at once or later."""
-        self._port.sessions.remove(self)
-        claims, stale = self._state.claims, self._port.disturbance.stale
+        self._interface.sessions.remove(self)
+        claims, stale = self._state.claims, self._interface.disturbance.stale
         if stale:
             claims.go_stale(self, self._state.cycle + stale)
         else:
@@ -222,7 +222,7 @@ class RtdeSession(PortReceiver):
 
     def _take(self, package: bytes) -> None:
         kind = package[2]
-        instead = self._port.disturbance.instead.pop(kind, None)
+        instead = self._interface.disturbance.instead.pop(kind, None)
         if instead is not None:
             instead(self)
             return
@@ -234,7 +234,7 @@ class RtdeSession(PortReceiver):
         reply = self._answers[type(request)](request)
         if reply is None:
             return
-        before = self._port.disturbance.text_before.get(kind)
+        before = self._interface.disturbance.text_before.get(kind)
         if before is not None:
             self.send_text(before)
         self._client.send(reply)
@@ -246,7 +246,7 @@ class RtdeSession(PortReceiver):
     # -- handshake -----------------------------------------------------------------------------------
 
     def _protocol(self, request: ProtocolRequest) -> bytes:
-        is_accepted = request.wanted in self._port.disturbance.protocols
+        is_accepted = request.wanted in self._interface.disturbance.protocols
         if is_accepted and request.wanted != self.protocol:
             self.protocol = 1 if request.wanted == 1 else 2
             self._outputs, self.is_started = None, False
@@ -304,7 +304,7 @@ class RtdeSession(PortReceiver):
         return names, types
 
     def _start(self, request: StartRequest) -> bytes:
-        outputs, disturbance = self._outputs, self._port.disturbance
+        outputs, disturbance = self._outputs, self._interface.disturbance
         self.is_started = outputs is not None and not disturbance.refuses_start
         self._due = self._state.cycle + (1 if outputs is None else outputs.step)
         if self.is_started and disturbance.data_before_start:
@@ -318,7 +318,7 @@ class RtdeSession(PortReceiver):
 
     def _listen(self, message: RtdeMessage) -> None:
         source = f"{message.source}: " if message.source else ""
-        self._port._on_text(f"{source}{message.message}")
+        self._interface._on_text(f"{source}{message.message}")
 
     def _write(self, package: DataPackage) -> None:
         recipe = self._inputs.get(package.recipe or 0)
@@ -339,7 +339,7 @@ class RtdeSession(PortReceiver):
     # -- output --------------------------------------------------------------------------------------
 
     def _reply(self, kind: type[State], **values: Any) -> bytes:
-        return kind.LAYOUTS.of((self.protocol, 0)).encode(values)
+        return _packed(kind, self.protocol, values)
 
     def send_text(self, text: str, source: str = SOURCE, level: MessageLevel = MessageLevel.INFO) -> None:
         """Send a text message."""
@@ -357,7 +357,7 @@ class RtdeSession(PortReceiver):
         if not self.is_started or outputs is None or cycle < self._due:
             return
         self._due = cycle + outputs.step - (cycle - self._due) % outputs.step
-        if self._port.disturbance.sends_no_data:
+        if self._interface.disturbance.sends_no_data:
             return
         if self._client.pending:
             self._drop(cycle)
@@ -368,7 +368,7 @@ class RtdeSession(PortReceiver):
     def _send_data(self) -> None:
         assert self._outputs is not None, "started without an output recipe"
         package = self._outputs.package(self._state)
-        late = self._port.disturbance.late
+        late = self._interface.disturbance.late
         if late:
             self._late.append((self._state.cycle + late, package))
         else:
@@ -387,4 +387,10 @@ class RtdeSession(PortReceiver):
 def _text(protocol: Protocol, text: str, source: str = SOURCE, level: MessageLevel = MessageLevel.INFO) -> bytes:
     """A text message. Under protocol 2 its length is one byte."""
     message = text if protocol == 1 else text.encode()[:255].decode("utf-8", "ignore")
-    return RtdeMessage.LAYOUTS.of((protocol, 0)).encode({"message": message, "source": source, "level": level})
+    return _packed(RtdeMessage, protocol, {"message": message, "source": source, "level": level})
+
+
+def _packed(kind: type[State], protocol: Protocol, values: Mapping[str, Any]) -> bytes:
+    layout = kind.LAYOUTS.of((protocol, 0))
+    layout.check_complete(values)
+    return layout.encode(values)

@@ -207,7 +207,7 @@ class ProgramWorld:
         if self._drive is not None:
             self._drive.freedrive(axes, frame)
 
-    def end_yielding(self) -> None:
+    def end_compliance(self) -> None:
         if self._drive is not None:
             self._drive.end_mode()
 

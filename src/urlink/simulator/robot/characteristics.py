@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 from linkcore.arguments import check_number
 from linkcore.errors import BadValue
 from urlink.arm.models import Model
-from urlink.arm.motors import joint_sizes
-from urlink.arm.parameters import is_assumed, number, numbers, parameters
+from urlink.arm.motors import force_size
+from urlink.arm.parameters import is_assumed, number, numbers
 from urlink.arm.rigid import floats
 
 if TYPE_CHECKING:
@@ -63,12 +63,6 @@ AMBIENT, WARMING, TEMPERATURE_RISE = number("ambient_temperature"), number("warm
 EXECUTION_TIME = number("execution_time"), number("execution_time_of_a_program")
 #: V, of the supply of each joint without a current; V/A, by which it falls; V, the steps in which it is measured.
 JOINT_VOLTAGE = number("joint_voltage"), number("joint_voltage_drop"), number("voltage_step")
-
-
-def force_size(name: str) -> str:
-    """The size of the base of an arm, of which the noise of its force is known: "size 4" for those that are larger."""
-    size = joint_sizes(name)[0]
-    return size if ("force_noise", size) in parameters() else "size 4"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from linkcore.errors import BadValue, LocalError
+from linkcore.names import plugins
 
 from .setpoint_sources import Setpoint
 
@@ -54,13 +55,11 @@ def open_scene(path: str | os.PathLike[str], controller: object) -> Scene:
         LocalError: no such adapter is installed, or it cannot open the file.
         BadValue: there is no such file.
     """
-    from importlib.metadata import entry_points
-
     place = Path(path)
     if not place.is_file():
         raise BadValue(f"scene={os.fspath(path)!r} is no file; expected one such as table.xml")
     ending = place.suffix.removeprefix(".").lower()
-    installed = {entry.name: entry for entry in entry_points(group=_GROUP)}
+    installed = plugins(_GROUP)
     if ending not in installed:
         if ending in _DISTRIBUTIONS:
             raise LocalError(

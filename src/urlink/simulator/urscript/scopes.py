@@ -1,4 +1,4 @@
-"""What the names of a program refer to, and which of its functions are leaves.
+"""Scopes: what the names of a program refer to, and which of its functions are leaves.
 
 By the manuals, as far as they are remembered: `global` and `local` decide; a name with neither is the global of that
 name if there is one, and otherwise local to its function. Assumed beyond that:

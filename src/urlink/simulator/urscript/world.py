@@ -216,7 +216,7 @@ class ScriptWorld(Protocol):
     def freedrive(self, axes: Sequence[bool], frame: Sequence[float]) -> None:
         """Let the arm be moved by hand along these axes of a frame."""
 
-    def end_yielding(self) -> None:
+    def end_compliance(self) -> None:
         """End force mode or freedrive."""
 
     def set_tcp(self, pose: Sequence[float]) -> None:

@@ -145,7 +145,7 @@ _MASS = np.array(numbers("force_mode_mass"))
 _DAMPING = 500.0
 # N/m and Nm/rad of the axes that are not compliant, and s in which they give way.
 _STIFFNESS = np.array([20e3, 20e3, 20e3, 500.0, 500.0, 500.0])
-_YIELDING = 0.05
+_GIVING_WAY = 0.05
 # N and Nm above which an axis counts as pushed, and s for which it may be pushed at its largest speed.
 _DRIVEN = np.array([5.0, 5.0, 5.0, 0.5, 0.5, 0.5])
 _DRIVEN_FOR = 0.1
@@ -200,7 +200,7 @@ class Compliance:
         self._last = begin
         self._pose = arm.pose(begin.q)
         # In the base frame: the speed of the compliant axes, that of the whole tool, and the deviation of the others.
-        self._yielding = np.zeros(6)
+        self._deviation_speed = np.zeros(6)
         self._speed = arm.velocity(begin.q, begin.qd) if any(begin.qd) else np.zeros(6)
         self._deviation = np.zeros(6)
         self._felt: FloatArray | None = None
@@ -238,20 +238,20 @@ class Compliance:
         change = np.zeros(6) if self._felt is None else felt - axes @ self._felt
         self._felt = np.array(wrench)
 
-        speed = axes @ self._yielding * math.exp(-_DAMPING * task.damping * seconds)
+        speed = axes @ self._deviation_speed * math.exp(-_DAMPING * task.damping * seconds)
         speed += (task.gain * (self._wanted + felt) * seconds + _BRAKE * change) / _MASS
         self._check_driven(speed, felt, seconds)
         speed = np.where(is_free, np.minimum(np.maximum(speed, -limits), limits), 0.0)
 
         deviation = axes @ self._deviation
-        giving = np.where(is_free, 0.0, (felt / _STIFFNESS - deviation) / _YIELDING)
+        giving = np.where(is_free, 0.0, (felt / _STIFFNESS - deviation) / _GIVING_WAY)
         deviation = np.where(is_free, 0.0, deviation + seconds * giving)
         if (np.abs(deviation) > limits).any():
             axis = int(np.argmax(np.abs(deviation) > limits))
             off, most = f"{deviation[axis]:.4f} {_UNITS[axis]}", f"{limits[axis]:g}"
             raise LimitViolation(f"force mode: {_AXES[axis]} is off by {off}, at most {most} is allowed")
 
-        self._yielding, self._deviation = axes.T @ speed, axes.T @ deviation
+        self._deviation_speed, self._deviation = axes.T @ speed, axes.T @ deviation
         return self._move(axes.T @ np.where(is_free, speed, axes @ followed + giving), seconds)
 
     def _check_driven(self, speed: FloatArray, felt: FloatArray, seconds: float) -> None:

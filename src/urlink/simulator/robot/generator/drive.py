@@ -43,7 +43,7 @@ class ArmDrive:
         self.setpoint = arm.setpoint
         self._arm = arm
         # What leads the arm in force mode or freedrive.
-        self._yielding: Compliance | FreeJoints | None = None
+        self._compliant: Compliance | FreeJoints | None = None
         self._mode = ControlMode.POSITION
         # Parameters of force mode, as a program has set them.
         self._damping, self._gain = ForceTask.damping, ForceTask.gain
@@ -53,7 +53,7 @@ class ArmDrive:
     @property
     def yields(self) -> bool:
         """Whether force mode or freedrive is on, in which the arm moves without being commanded."""
-        return self._yielding is not None
+        return self._compliant is not None
 
     @property
     def control_mode(self) -> ControlMode:
@@ -63,11 +63,11 @@ class ArmDrive:
     def force_mode(self, task: ForceTask) -> None:
         """Begin force mode, or change its task."""
         task = replace(task, damping=self._damping, gain=self._gain)
-        if isinstance(self._yielding, Compliance):
-            self._yielding.task = task
+        if isinstance(self._compliant, Compliance):
+            self._compliant.task = task
         else:
             self.end_mode()
-            self._yielding = Compliance(self.generator.arm, self.setpoint, task)
+            self._compliant = Compliance(self.generator.arm, self.setpoint, task)
         self._mode = ControlMode.FORCE
 
     def set_damping(self, damping: float) -> None:
@@ -81,22 +81,22 @@ class ArmDrive:
         self._adjust()
 
     def _adjust(self) -> None:
-        if isinstance(self._yielding, Compliance):
-            self._yielding.task = replace(self._yielding.task, damping=self._damping, gain=self._gain)
+        if isinstance(self._compliant, Compliance):
+            self._compliant.task = replace(self._compliant.task, damping=self._damping, gain=self._gain)
 
     def freedrive(self, axes: Sequence[bool], frame: Sequence[float]) -> None:
         """Let the arm be moved by hand, along and about these axes of a frame in the base frame, m and rad."""
         self.end_mode()
         if tuple(axes) == _ALL:
-            self._yielding = FreeJoints(self.generator.arm, self._arm.dynamics, self.setpoint)
+            self._compliant = FreeJoints(self.generator.arm, self._arm.dynamics, self.setpoint)
         else:
-            self._yielding = Compliance(self.generator.arm, self.setpoint, free_tool(frame, axes))
+            self._compliant = Compliance(self.generator.arm, self.setpoint, free_tool(frame, axes))
         self._mode = ControlMode.TEACH
 
     def end_mode(self) -> None:
         """End force mode or freedrive."""
         if self.yields:
-            self._yielding = None
+            self._compliant = None
             self._mode = ControlMode.POSITION
             self.generator.resume(self.setpoint)
 
@@ -109,21 +109,21 @@ class ArmDrive:
             LimitViolation: it would break a limit.
         """
         nominal, wrench, torques = self.generator.advance(seconds), self._arm.wrench, self._arm.pushed_joints
-        if isinstance(self._yielding, FreeJoints):
-            self.setpoint = self._yielding.advance(wrench, torques, seconds)
-        elif self._yielding is not None:
+        if isinstance(self._compliant, FreeJoints):
+            self.setpoint = self._compliant.advance(wrench, torques, seconds)
+        elif self._compliant is not None:
             if any(torques):
                 arm = self.generator.arm
                 across = arm.kinematics.jacobian(self.setpoint.q, arm.tcp).T
                 wrench = np.asarray(wrench) + np.linalg.lstsq(across, np.asarray(torques), rcond=None)[0]
-            self.setpoint = self._yielding.advance(nominal, wrench, seconds)
+            self.setpoint = self._compliant.advance(nominal, wrench, seconds)
         else:
             self.setpoint = nominal
         return self.setpoint
 
     def start(self, q: Sequence[float]) -> None:
         """Continue from rest at six joint positions, rad, to which a stop has braked the arm; no mode is on."""
-        self._yielding = None
+        self._compliant = None
         self._mode = ControlMode.POSITION
         self.generator.start(q)
         self.setpoint = self.generator.setpoint

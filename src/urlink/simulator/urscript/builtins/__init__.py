@@ -9,6 +9,7 @@ from . import (  # noqa: F401
     force,
     inputs_outputs,
     mathematics,
+    modbus,
     motions,
     poses,
     program,

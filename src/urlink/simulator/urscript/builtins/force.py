@@ -90,7 +90,7 @@ def force_mode(
 
 @declare(in_secondary=False)
 def end_force_mode(thread: ScriptThread) -> None:
-    thread.world.end_yielding()
+    thread.world.end_compliance()
 
 
 @declare(since="3.5")
@@ -132,7 +132,7 @@ def teach_mode(thread: ScriptThread) -> None:
 
 @declare("end_teach_mode", in_secondary=False, since="1.6")
 def end_freedrive_mode(thread: ScriptThread) -> None:
-    thread.world.end_yielding()
+    thread.world.end_compliance()
 
 
 @declare(since="5.10")

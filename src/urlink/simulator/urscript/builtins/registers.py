@@ -1,12 +1,8 @@
-"""Values that programs share with what is outside: general-purpose registers, their watchdog, and Modbus signals.
+"""The general-purpose registers and their watchdog: values that programs share with fieldbuses and RTDE clients.
 
 Known (docs/protocols/rtde.md, Releases): which firmware has which registers; the action of the watchdog is "ignore",
 "pause" or "stop", in upper or lower case, and "pause" by default. Guesses: that a register which the firmware lacks,
 and a variable that is not an RTDE input, are run-time errors; that a frequency of zero ends the watchdog.
-
-No device is connected to the Modbus signals; see `robot.signals`. Their parameters are those of the manual, as far as
-they are remembered; `is_secondary_program` has no effect here. Arguments out of range, and a signal that was not added,
-end the program (a guess).
 """
 
 from __future__ import annotations
@@ -17,15 +13,13 @@ from typing import Any, Literal, get_args
 from linkcore.wire.fields import Since
 
 from ...registers import BITS, NUMBERS, Action
-from ...robot.signals import KINDS, READ_AND_WRITE, ModbusSignal
-from ..errors import Fault, type_error
+from ..errors import Fault
 from ..machine import ScriptThread
-from .declaration import boolean, declare, integer, is_list, number, number_within, string, vector
+from .declaration import boolean, declare, integer, number, string
 
 _Kind = Literal["boolean", "integer", "float"]
 
 _HAS_UPPER_RANGE = Since("3.9/5.3")
-_HAS_LISTS = Since("5.14")
 _ACTIONS: dict[str, Action] = {"ignore": "ignore", "pause": "pause", "stop": "stop"}
 
 
@@ -84,202 +78,3 @@ def rtde_set_watchdog(thread: ScriptThread, variable_name: Any, min_frequency: A
     if wanted is None:
         raise Fault(f"rtde_set_watchdog: action is 'ignore', 'pause' or 'stop', not '{action}'")
     thread.world.set_watchdog(variable, frequency, wanted)
-
-
-def _signal(thread: ScriptThread, name: Any, what: str) -> ModbusSignal:
-    wanted = string(name, f"{what}: signal_name")
-    found = thread.world.modbus.signal(wanted)
-    if found is None:
-        raise Fault(f"{what}: there is no Modbus signal '{wanted}'")
-    return found
-
-
-@declare(since="3.0", until="5.14")
-def modbus_add_signal(
-    thread: ScriptThread,
-    IP: Any,
-    slave_number: Any,
-    signal_address: Any,
-    signal_type: Any,
-    signal_name: Any,
-    sequential_mode: Any = False,
-) -> None:
-    _add(thread, IP, slave_number, signal_address, signal_type, signal_name, sequential_mode, 1)
-
-
-@declare(name="modbus_add_signal", since="5.14")
-def modbus_add_signals(
-    thread: ScriptThread,
-    IP: Any,
-    slave_number: Any,
-    signal_address: Any,
-    signal_type: Any,
-    signal_name: Any,
-    sequential_mode: Any = False,
-    register_count: Any = 1,
-) -> None:
-    """With a count above 1, the signal is a list of so many bits or registers, as in the vendor's examples for 5.14.
-
-    Assumed: the parameter's name, its limits, which are those of Modbus, and that a count of 1 is a single value.
-    """
-    _add(thread, IP, slave_number, signal_address, signal_type, signal_name, sequential_mode, register_count)
-
-
-def _add(
-    thread: ScriptThread,
-    ip: Any,
-    slave_number: Any,
-    signal_address: Any,
-    signal_type: Any,
-    signal_name: Any,
-    sequential_mode: Any,
-    register_count: Any,
-) -> None:
-    what = "modbus_add_signal"
-    boolean(sequential_mode, f"{what}: sequential_mode")
-    signal = ModbusSignal(
-        string(ip, f"{what}: IP"),
-        integer(slave_number, f"{what}: slave_number", 0, 255),
-        integer(signal_address, f"{what}: signal_address", 0, 65535),
-        integer(signal_type, f"{what}: signal_type", 0, READ_AND_WRITE - 1),
-    )
-    count = integer(register_count, f"{what}: register_count", 1, 2000 if signal.is_digital else 125)
-    if count > 1:
-        signal.value = (0,) * count
-    thread.world.modbus.add(string(signal_name, f"{what}: signal_name"), signal)
-
-
-@declare(since="5.0")
-def modbus_add_rw_signal(
-    thread: ScriptThread,
-    IP: Any,
-    slave_number: Any,
-    read_register_address: Any,
-    read_register_count: Any,
-    write_register_address: Any,
-    write_register_count: Any,
-    signal_name: Any,
-    sequential_mode: Any = False,
-) -> None:
-    """Registers that are read and others that are written at once, with function code 23: lists of numbers.
-
-    In the manual (17.18); the parameters, the counts, and the release that it came with are guesses.
-    """
-    what = "modbus_add_rw_signal"
-    boolean(sequential_mode, f"{what}: sequential_mode")
-    read = integer(read_register_count, f"{what}: read_register_count", 1, 125)
-    integer(write_register_address, f"{what}: write_register_address", 0, 65535)
-    signal = ModbusSignal(
-        string(IP, f"{what}: IP"),
-        integer(slave_number, f"{what}: slave_number", 0, 255),
-        integer(read_register_address, f"{what}: read_register_address", 0, 65535),
-        READ_AND_WRITE,
-        (0,) * read,
-        (0,) * integer(write_register_count, f"{what}: write_register_count", 1, 121),
-    )
-    thread.world.modbus.add(string(signal_name, f"{what}: signal_name"), signal)
-
-
-@declare(since="3.0")
-def modbus_delete_signal(thread: ScriptThread, signal_name: Any) -> bool:
-    """Delete a signal; False if there is none."""
-    return thread.world.modbus.delete(string(signal_name, "modbus_delete_signal: signal_name"))
-
-
-@declare(since="3.0")
-def modbus_get_signal_status(thread: ScriptThread, signal_name: Any, is_secondary_program: Any = False) -> Any:
-    """True or False for a digital signal, a number for a register, a list of these for several."""
-    signal = _signal(thread, signal_name, "modbus_get_signal_status")
-    if not signal.is_digital:
-        return signal.value
-    return bool(signal.value) if isinstance(signal.value, int) else tuple(map(bool, signal.value))
-
-
-def _set(
-    thread: ScriptThread, name: Any, value: Any, what: str, argument: str, check: Callable[[Any, str], int]
-) -> None:
-    """Set a digital output, whose `check` is `boolean`, or a register output; a list if it was added as one."""
-    signal = _signal(thread, name, what)
-    if signal.is_input or signal.is_digital is not (check is boolean):
-        raise Fault(f"{what}: '{name}' is a {KINDS[signal.kind]}")
-    if isinstance(signal.value, int):
-        new: int | list[int] = int(check(value, f"{what}: {argument}"))
-    elif is_list(value) and len(value) == len(signal.value):
-        new = [int(check(item, f"{what}: {argument}")) for item in value]
-    else:
-        raise type_error(f"{what}: {argument} is a list of {len(signal.value)} values")
-    thread.world.modbus[str(name)] = new
-
-
-def _register(value: Any, what: str) -> int:
-    return integer(value, what, 0, 65535)
-
-
-@declare(since="3.0")
-def modbus_set_output_signal(
-    thread: ScriptThread, signal_name: Any, digital_value: Any, is_secondary_program: Any = False
-) -> None:
-    """Of a signal that was added with a count, a list of truth values."""
-    _set(thread, signal_name, digital_value, "modbus_set_output_signal", "digital_value", boolean)
-
-
-@declare(since="3.0")
-def modbus_set_output_register(
-    thread: ScriptThread, signal_name: Any, register_value: Any, is_secondary_program: Any = False
-) -> None:
-    """Of several registers a list; of those added by `modbus_add_rw_signal`, of all those that are written."""
-    what = "modbus_set_output_register"
-    signal = _signal(thread, signal_name, what)
-    if signal.kind != READ_AND_WRITE:
-        return _set(thread, signal_name, register_value, what, "register_value", _register)
-    numbers = vector(register_value, f"{what}: register_value", len(signal.written))
-    signal.written = tuple([_register(number, f"{what}: register_value") for number in numbers])
-
-
-@declare(since="3.0")
-def modbus_set_signal_update_frequency(thread: ScriptThread, signal_name: Any, update_frequency: Any) -> None:
-    """A frequency of -1 reads the signal once, in an example of the vendor for 5.14; it is stored here."""
-    what = "modbus_set_signal_update_frequency"
-    frequency = number_within(update_frequency, f"{what}: update_frequency", -1, 125)
-    _signal(thread, signal_name, what).frequency = frequency
-
-
-@declare(since="3.0")
-def modbus_set_signal_watchdog(thread: ScriptThread, signal_name: Any, is_watched: Any) -> None:
-    """Stored in the signal; a failure does not stop a program here. An example of the vendor for 5.14 gives seconds."""
-    what = "modbus_set_signal_watchdog"
-    signal = _signal(thread, signal_name, what)
-    if is_watched.__class__ is not bool and thread.world.firmware in _HAS_LISTS:
-        signal.watchdog = number(is_watched, f"{what}: is_watched") > 0
-    else:
-        signal.watchdog = boolean(is_watched, f"{what}: is_watched")
-
-
-@declare(since="3.0")
-def modbus_set_runstate_dependent_choice(thread: ScriptThread, signal_name: Any, runstate_choice: Any) -> None:
-    """Stored in the signal; outputs keep their values here, whether a program runs or not."""
-    what = "modbus_set_runstate_dependent_choice"
-    _signal(thread, signal_name, what).choice = integer(runstate_choice, f"{what}: runstate_choice", 0, 4)
-
-
-@declare(since="3.0")
-def modbus_get_error(thread: ScriptThread, signal_name: Any) -> int:
-    return _signal(thread, signal_name, "modbus_get_error").error
-
-
-@declare(since="3.0")
-def modbus_get_time_since_signal_invalid(thread: ScriptThread, signal_name: Any) -> float:
-    """s; 0 for a valid signal."""
-    signal = _signal(thread, signal_name, "modbus_get_time_since_signal_invalid")
-    return thread.world.modbus.seconds_invalid(signal)
-
-
-@declare(since="3.0")
-def modbus_send_custom_command(thread: ScriptThread, IP: Any, slave_number: Any, function_code: Any, data: Any) -> None:
-    """The arguments are checked; nothing is sent."""
-    what = "modbus_send_custom_command"
-    string(IP, f"{what}: IP")
-    integer(slave_number, f"{what}: slave_number", 0, 255)
-    integer(function_code, f"{what}: function_code", 0, 255)
-    if not is_list(data):
-        raise type_error(f"{what}: data is a list of bytes")

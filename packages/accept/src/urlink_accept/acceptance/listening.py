@@ -1,0 +1,222 @@
+"""Stage 0: a controller is only listened to and asked; and checks of what it has answered.
+
+The answers are the names of RTDE, and the words of the dashboard or the Robot API.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from linkcore import clock
+from urlink import LinkError, PacketError, Robot
+from urlink.rtde import OUTPUTS
+from urlink.tools import (
+    COMMANDS,
+    DashboardProtocol,
+    Dialogue,
+    HttpClient,
+    RobotAddress,
+    RobotApi,
+    StartReply,
+    TcpTransport,
+    find,
+    parse_robot_mode,
+    parse_safety_mode,
+    parse_truth,
+)
+
+from .agreement import RTDE_NAMES
+from .evidence import Evidence
+from .logbook import Logbook
+from .requirements import Check, Measured, NotTried, counted
+
+#: What the dashboard is not asked: it ends the connection, and it would show which arm this is.
+_NOT_ASKED = ("quit", "get serial number")
+_TIMEOUT = 5.0
+#: s between two looks at the clock.
+_STEP = 0.01
+#: What backs a release in the table of variables, where a controller that lacks one contradicts it.
+_BACKED = ("vendor", "drivers")
+
+
+def listen(robot: Robot, place: RobotAddress, book: Logbook, seconds: float) -> None:
+    """Listen to every interface for a time, and ask what changes nothing.
+
+    Args:
+        robot: connected within the logbook.
+        place: of its ports.
+        book: in which it is written down.
+        seconds: to listen.
+    """
+    _connect_to_each(robot, place, book)
+    for name in ("realtime", "primary", "secondary"):
+        try:
+            getattr(robot, name).start()
+        except LinkError as error:
+            book.note("stream", name=name, error=str(error))
+    if _has_rtde(robot):
+        _start_rtde(robot, book)
+    _ask(robot, place, book)
+    book.note("listening")
+    book.note("woken", worst=_wait(seconds))
+
+
+def _wait(seconds: float) -> float:
+    """Wait in short steps; the most by which this thread was woken late, s."""
+    until, worst = clock.now() + seconds, 0.0
+    while (left := until - clock.now()) > 0.0:
+        due = clock.now() + min(left, _STEP)
+        clock.sleep(min(left, _STEP))
+        worst = max(worst, clock.now() - due)
+    return worst
+
+
+def _has_rtde(robot: Robot) -> bool:
+    return OUTPUTS["timestamp"].is_in(robot.firmware)
+
+
+def _connect_to_each(robot: Robot, place: RobotAddress, book: Logbook) -> None:
+    names = ["primary", "secondary", "realtime"] + (["rtde"] if _has_rtde(robot) else [])
+    names += ["robot_api" if robot.firmware.is_polyscope_x else "dashboard"]
+    for name in names:
+        if name not in place.ports or (name == "robot_api" and robot.firmware < (10, 11)):
+            continue
+        transport = TcpTransport(place.host, place.ports[name], silence=_TIMEOUT)
+        error = None
+        try:
+            transport.open(_TIMEOUT)
+        except LinkError as failure:
+            error = str(failure)
+        finally:
+            transport.abort()
+        book.note("port", name=name, error=error)
+
+
+def _start_rtde(robot: Robot, book: Logbook) -> None:
+    try:
+        missing = robot.rtde.missing()
+        stream = robot.rtde.outputs(*RTDE_NAMES, missing="leave_out")
+        stream.start()
+        recipe = stream.recipe
+        assert recipe is not None, "a connection that has been made has its recipe"
+        book.note("rtde-names", missing=missing, names=recipe.names, types=recipe.types)
+        book.note("rtde", error=None, protocol=1 if recipe.number is None else 2)
+    except LinkError as error:
+        book.note("rtde-names", missing=(), names=(), types=())
+        book.note("rtde", error=str(error), protocol=None)
+
+
+def _ask(robot: Robot, place: RobotAddress, book: Logbook) -> None:
+    """Every question of the dashboard that this firmware has, or as many of them as the Robot API answers."""
+    firmware = robot.firmware
+    interface = "robot_api" if firmware.is_polyscope_x else "dashboard"
+    if interface not in place.ports:
+        return
+    transport = TcpTransport(place.host, place.ports[interface], silence=_TIMEOUT)
+    dialogue = Dialogue(transport, DashboardProtocol, interface, _TIMEOUT)
+    api = RobotApi(HttpClient(place.host, place.ports[interface]), _TIMEOUT)
+    try:
+        for command in COMMANDS.values():
+            is_there = find(command.name, firmware) if firmware.is_polyscope_x else command.is_on(firmware)
+            if not command.only_asks or command.name in _NOT_ASKED or not is_there:
+                continue
+            reply, problem = "", None
+            try:
+                if firmware.is_polyscope_x:
+                    reply = api.do(command.name, None, firmware)
+                else:
+                    reply = dialogue.ask(command.name, _TIMEOUT)
+            except LinkError as error:
+                problem = str(error)
+            book.note("dashboard", asked=command.name, reply=reply, error=problem)
+    finally:
+        dialogue.close()
+
+
+# -- checks ----------------------------------------------------------------------------------------
+
+
+def _names(evidence: Evidence) -> Measured:
+    firmware, said = evidence.firmware, evidence.last("rtde-names")
+    if firmware is None or said is None:
+        raise NotTried("this firmware has no RTDE, or it was not asked")
+    missing = set(said["missing"])
+    lacking = [OUTPUTS[name] for name in OUTPUTS if name in missing and OUTPUTS[name].is_in(firmware)]
+    wrong = [f"{each.name} is not there" for each in lacking if each.evidence in _BACKED]
+    guessed = [each.name for each in lacking if each.evidence not in _BACKED]
+    more = [name for name, v in OUTPUTS.items() if name not in missing and not v.is_in(firmware)]
+    for name, type in zip(said["names"], said["types"], strict=True):
+        if name in OUTPUTS and type != OUTPUTS[name].type:
+            wrong.append(f"{name} is of the type {type}; expected {OUTPUTS[name].type}")
+    seen = f"{len(OUTPUTS) - len(missing)} of {len(OUTPUTS)} outputs are there"
+    seen += f"; there sooner than was known: {', '.join(more)}" if more else ""
+    seen += f"; not there, of which nobody knew: {', '.join(guessed)}" if guessed else ""
+    return counted(wrong, seen)
+
+
+def _protocol(evidence: Evidence) -> Measured:
+    said = evidence.last("rtde")
+    if said is None:
+        raise NotTried("this firmware has no RTDE, or it was not asked")
+    if said["error"]:
+        return Measured(1.0, said["error"])
+    others = [packet for _, packet in evidence.rtde.others]
+    wrong = [str(packet) for packet in others if isinstance(packet, Exception)]
+    wrong += ["the start was refused" for packet in others if isinstance(packet, StartReply) and not packet.accepted]
+    if said["protocol"] == 1:
+        wrong.append("protocol 2 was refused")
+    if not evidence.rtde.states:
+        wrong.append("no data package came")
+    return counted(wrong, f"protocol 2, {len(evidence.rtde.states)} data packages")
+
+
+def _words(evidence: Evidence) -> Measured:
+    asked = evidence.said("dashboard")
+    if not asked:
+        raise NotTried("this firmware has no dashboard, or it was not asked")
+    wrong = []
+    for _, _, said in asked:
+        name, reply, error = said["asked"], said["reply"], said["error"]
+        if error:
+            wrong.append(f"{name}: {error}")
+        elif name in COMMANDS and COMMANDS[name].match(reply) is None:
+            wrong.append(f"{name}: {reply[:80]!r}")
+    return counted(wrong, f"{len(asked)} questions were answered as expected")
+
+
+def _dashboard_modes(evidence: Evidence) -> Measured:
+    answers = {said["asked"]: said["reply"] for _, _, said in evidence.said("dashboard") if not said["error"]}
+    # Later stages run programs.
+    states = evidence.primary.between(-math.inf, evidence.stage(0)[1]).states
+    if not answers or not states or evidence.firmware is None:
+        raise NotTried("there is no dashboard, or no robot state")
+    modes, board = states[-1].robot_mode_data, states[-1].masterboard_data
+    wrong, tried = [], []
+    for name, reply in answers.items():
+        try:
+            if name == "robotmode":
+                there, here = parse_robot_mode(reply, evidence.firmware.is_cb2).name, modes.robot_mode.name
+            elif name == "safetymode" and board.safety_mode is not None:
+                there, here = parse_safety_mode(name, reply).name, board.safety_mode.name
+            elif name == "running":
+                there, here = str(parse_truth(name, reply)), str(modes.is_program_running)
+            else:
+                continue
+        except PacketError as error:
+            wrong.append(f"{name}: {error}")
+            continue
+        tried.append(name)
+        if there != here:
+            wrong.append(f"{name}: {there} by the dashboard, and {here} by the robot state")
+    if not tried and not wrong:
+        raise NotTried("the dashboard names no mode")
+    return counted(wrong, f"the same: {', '.join(tried)}")
+
+
+ANSWERS: Mapping[str, Check] = {
+    "rtde-names": _names,
+    "rtde-protocol": _protocol,
+    "dashboard-words": _words,
+    "dashboard-modes": _dashboard_modes,
+}

@@ -1,0 +1,240 @@
+"""Checks of what the values mean: modes, positions and their derivatives, kinematics, moments, currents."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from urlink.arm import poses
+from urlink.packets import JointMode, ProgramState, RobotMode, RobotModeCB2, SafetyMode
+from urlink.tools import Dynamics, motors_of, tool_offset
+
+from .arrivals import known_arm, moments
+from .evidence import Evidence
+from .requirements import Check, Measured, NotTried, counted
+
+#: rad/s below which an arm stands, and above which it moves enough for its velocities to be judged.
+_STANDS, _MOVES = 1e-3, 0.02
+#: Nm from which on the direction of a current is that of its moment, whatever the friction.
+_HEAVY = 5.0
+_GRAVITY = 9.82
+#: Part of the acceleration at rest that is along the axis of the base, where that stands upright.
+_UPRIGHT = 0.95
+
+
+#: Of each field the lowest and the highest value of any arm, and the unit; judgements, wide enough for all that was
+#: reported.
+_RANGES = (
+    ("q_actual", -100.0, 100.0, "rad"),
+    ("q_target", -100.0, 100.0, "rad"),
+    ("qd_actual", -10.0, 10.0, "rad/s"),
+    ("qd_target", -10.0, 10.0, "rad/s"),
+    ("qdd_target", -1000.0, 1000.0, "rad/s²"),
+    ("I_actual", -60.0, 60.0, "A"),
+    ("I_target", -60.0, 60.0, "A"),
+    ("I_control", -60.0, 60.0, "A"),
+    ("M_target", -1000.0, 1000.0, "Nm"),
+    ("tcp_force", -1000.0, 1000.0, "N, Nm"),
+    ("motor_temperatures", -10.0, 100.0, "°C"),
+    ("speed_scaling", 0.0, 1.01, ""),
+    ("V_main", 40.0, 60.0, "V"),
+    ("V_robot", -1.0, 60.0, "V"),
+    ("V_actual", -1.0, 60.0, "V"),
+    ("I_robot", -5.0, 60.0, "A"),
+    ("linear_momentum_norm", -1e-6, 500.0, "kg m/s"),
+    ("payload_mass", 0.0, 60.0, "kg"),
+    ("controller_timer", 0.0, 50.0, "ms"),
+)
+
+_ENUMS = {"safety_mode": SafetyMode, "safety_status": SafetyMode, "program_state": ProgramState}
+
+
+def _column(evidence: Evidence, name: str) -> NDArray[np.float64] | None:
+    return evidence.realtime.column(lambda state: getattr(state, name))
+
+
+def _wanted(evidence: Evidence, *names: str) -> list[NDArray[np.float64]]:
+    moments("realtime", evidence.realtime)  # that enough have come
+    found = [_column(evidence, name) for name in names]
+    if any(each is None for each in found):
+        raise NotTried(f"this firmware does not send {' and '.join(names)}")
+    return [each for each in found if each is not None]
+
+
+def _stands(evidence: Evidence) -> NDArray[np.bool_]:
+    """The packets of an arm that runs and stands, and has done so for the last tenth of a second."""
+    (qd,) = _wanted(evidence, "qd_target")
+    running = RobotModeCB2.RUNNING if evidence.firmware is not None and evidence.firmware.is_cb2 else RobotMode.RUNNING
+    modes = _column(evidence, "robot_mode")
+    stands: NDArray[np.bool_] = np.abs(qd).max(axis=1) < _STANDS
+    rate = 500 if evidence.firmware is None else evidence.firmware.rate
+    for at in np.flatnonzero(~stands):
+        stands[at : at + rate // 10] = False
+    if modes is not None:
+        stands &= modes == running
+    if not stands.any():
+        raise NotTried("the arm does not run, or never stands")
+    return stands
+
+
+def _possible(evidence: Evidence) -> Measured:
+    moments("realtime", evidence.realtime)
+    wrong, tried = [], 0
+    for name, low, high, unit in _RANGES:
+        values = _column(evidence, name)
+        if values is None:
+            continue
+        tried += 1
+        is_wrong = ~(np.isfinite(values) & (values >= low) & (values <= high))
+        if is_wrong.any():
+            worst = values[is_wrong].flat[0]
+            wrong.append(f"{name}: {worst:.4g} {unit}".rstrip() + f"; expected {low:g} to {high:g}")
+    return counted(wrong, f"{tried} fields have values that an arm can have")
+
+
+def _modes(evidence: Evidence) -> Measured:
+    moments("realtime", evidence.realtime)
+    is_cb2 = evidence.firmware is not None and evidence.firmware.is_cb2
+    lists: dict[str, Any] = {**_ENUMS, "robot_mode": RobotModeCB2 if is_cb2 else RobotMode, "joint_modes": JointMode}
+    wrong, seen = [], []
+    for name, known in lists.items():
+        values = _column(evidence, name)
+        if values is None:
+            continue
+        there = sorted(set(values.flat))
+        numbers = {int(each) for each in known}
+        unknown = [f"{each:g}" for each in there if each not in numbers]
+        if unknown:
+            wrong.append(f"{name}: {', '.join(unknown[:5])} is in no list")
+        else:
+            seen.append(f"{name} {', '.join(known(int(each)).name for each in there[:4])}")
+    return counted(wrong, ", ".join(seen) or "this firmware sends no modes here")
+
+
+def _tracking(evidence: Evidence) -> Measured:
+    stands = _stands(evidence)
+    actual, target = _wanted(evidence, "q_actual", "q_target")
+    apart = np.abs(actual - target)[stands]
+    joint = int(apart.max(axis=0).argmax())
+    seen = f"{apart.max() * 1e6:.0f} µrad at joint {joint + 1}, in {int(stands.sum())} packets at rest"
+    return Measured(float(apart.max()), seen)
+
+
+def _velocities(evidence: Evidence) -> Measured:
+    times = moments("realtime", evidence.realtime)
+    wrong, tried = [], []
+    pairs = (("q_target", "qd_target"), ("q_actual", "qd_actual"), ("qd_target", "qdd_target"))
+    steps = np.diff(times)
+    is_next = (steps > 0.0) & (steps < 1.5 / (evidence.firmware.rate if evidence.firmware is not None else 500))
+    (speed,) = _wanted(evidence, "qd_target")
+    turns = np.maximum(np.abs(speed[1:]), np.abs(speed[:-1]))[is_next]
+    for position, velocity in pairs:
+        p, v = _wanted(evidence, position, velocity)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            derived = (np.diff(p, axis=0) / steps[:, None])[is_next]
+        # The mean of a cycle lies between the values at its ends; an arm that brakes may do so in a single one.
+        between = np.clip(derived, np.minimum(v[1:], v[:-1])[is_next], np.maximum(v[1:], v[:-1])[is_next])
+        for joint in range(6):
+            a, b = derived[:, joint], between[:, joint]
+            moving = turns[:, joint] > _MOVES
+            if moving.sum() < 20:
+                continue
+            tried.append(f"{velocity} of joint {joint + 1}")
+            slope = float(a[moving] @ b[moving] / max(float(a[moving] @ a[moving]), 1e-12))
+            if not 0.7 < slope < 1.3:
+                sign = " (its sign is the other one)" if -1.3 < slope < -0.7 else ""
+                wrong.append(f"{velocity} of joint {joint + 1} is {slope:.3g} times the derivative of {position}{sign}")
+    if not tried:
+        raise NotTried("no joint has moved while it was listened to")
+    return counted(wrong, f"they are: {', '.join(tried)}")
+
+
+def _kinematics(evidence: Evidence) -> Measured:
+    known, _ = known_arm(evidence)
+    info = next((state.cartesian_info for state in evidence.primary.states if state.cartesian_info is not None), None)
+    tcp = None if info is None else tool_offset(info)
+    if tcp is None:
+        raise NotTried("this firmware does not tell the TCP")
+    last = evidence.primary.states[-1].cartesian_info
+    if last is None or tool_offset(last) != tcp:
+        raise NotTried("the TCP was changed meanwhile")
+    q, pose = _wanted(evidence, "q_actual", "tool_vector_actual")
+    some = np.linspace(0, len(q) - 1, min(len(q), 200)).astype(int)
+    expected = known.kinematics.forward(q[some], tcp)
+    apart = np.linalg.norm(expected[:, :3] - pose[some, :3], axis=1)
+    turned = np.linalg.norm(poses.compose(poses.invert(expected), pose[some])[:, 3:], axis=1)
+    which = "its own calibration" if known.dh_table is not None else "the published lengths"
+    seen = f"at most {apart.max() * 1e3:.3f} mm and {turned.max() * 1e3:.3f} mrad, by {which}"
+    # A turn counts as the way of a point at 1 m from the tool.
+    return Measured(float(max(apart.max(), turned.max())), seen)
+
+
+def _gravity(evidence: Evidence) -> Measured:
+    stands = _stands(evidence)
+    known, _ = known_arm(evidence)
+    q, moment = _wanted(evidence, "q_target", "M_target")
+    (acceleration,) = _wanted(evidence, "tool_accelerometer")
+    payload, cog = _column(evidence, "payload_mass"), _column(evidence, "payload_cog")
+    if payload is None or cog is None:
+        raise NotTried("this firmware does not tell the payload")
+    at = np.flatnonzero(stands)[:: max(int(stands.sum()) // 50, 1)]
+    felt = poses.rotvec_to_matrix(known.kinematics.forward(q[at[0]])[3:]) @ acceleration[at].mean(axis=0)
+    if abs(felt[2]) < _UPRIGHT * float(np.linalg.norm(felt)):
+        raise NotTried("the arm stands neither upright nor on its head")
+    worst, seen = 0.0, ""
+    for number in at:
+        model = Dynamics(known.kinematics, payload=max(payload[number], 0.0), payload_cog=cog[number])
+        expected = model.gravity_torque(q[number])
+        apart = np.abs(moment[number] - expected) - 0.2 * np.abs(expected)
+        joint = int(apart.argmax())
+        if not seen or apart[joint] > worst:
+            worst = max(float(apart[joint]), 0.0)
+            seen = f"joint {joint + 1}: {moment[number, joint]:.2f} Nm, and {expected[joint]:.2f} Nm by the masses"
+    return Measured(worst, f"{seen}, of an arm that stands upright with {payload[at[0]]:.2f} kg")
+
+
+def _currents(evidence: Evidence) -> Measured:
+    stands = _stands(evidence)
+    _, arm = known_arm(evidence)
+    moment, current = _wanted(evidence, "M_target", "I_target")
+    moment, current = moment[stands].mean(axis=0), current[stands].mean(axis=0)
+    constants = motors_of(arm).torque_constants
+    wrong, tried = [], 0
+    for joint in range(6):
+        if abs(moment[joint]) < _HEAVY:
+            continue
+        tried += 1
+        ratio = current[joint] * constants[joint] / moment[joint]
+        if not 0.25 < ratio < 4.0:
+            said = f"is {ratio:.3g} times what the parameter torque_constant ({constants[joint]:g} Nm/A) gives"
+            if ratio < 0.0:
+                said = "has the other direction"
+            wrong.append(f"joint {joint + 1}: {current[joint]:.3f} A at {moment[joint]:.2f} Nm {said}")
+    if not tried:
+        raise NotTried(f"no joint holds {_HEAVY:g} Nm in this posture")
+    return counted(wrong, f"{tried} joints: {np.round(current, 2).tolist()} A at {np.round(moment, 1).tolist()} Nm")
+
+
+def _accelerometer(evidence: Evidence) -> Measured:
+    if evidence.firmware is None or evidence.firmware < (1, 7):
+        raise NotTried("before 1.7 it means nothing")
+    stands = _stands(evidence)
+    (acceleration,) = _wanted(evidence, "tool_accelerometer")
+    mean = acceleration[stands].mean(axis=0)
+    size = float(np.linalg.norm(mean))
+    return Measured(abs(size - _GRAVITY), f"{size:.2f} m/s² along {np.round(mean / max(size, 1e-9), 2).tolist()}")
+
+
+PHYSICS: Mapping[str, Check] = {
+    "values-possible": _possible,
+    "modes-known": _modes,
+    "tracking": _tracking,
+    "velocities": _velocities,
+    "kinematics": _kinematics,
+    "gravity": _gravity,
+    "currents": _currents,
+    "accelerometer": _accelerometer,
+}

@@ -1,0 +1,178 @@
+"""The verdict of each requirement, and the page about a run that an integrator can sign, as text and as HTML.
+
+Verdicts are made of evidence and nothing else: the same evidence gives the same verdicts.
+"""
+
+from __future__ import annotations
+
+import html
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from urlink import BadValue
+from urlink.tools import Progress, printable, unseen
+
+from .agreement import AGREEMENT
+from .arrivals import ARRIVALS
+from .evidence import Evidence
+from .listening import ANSWERS
+from .obedience import OBEDIENCE
+from .physics import PHYSICS
+from .requirements import Check, NotTried, Requirement
+from .swings import SWINGS
+from .wrist import WRIST_CHECKS
+
+State = Literal["held", "not held", "not tried"]
+
+#: requirement -> what measures it
+CHECKS: Mapping[str, Check] = {**ARRIVALS, **AGREEMENT, **PHYSICS, **ANSWERS, **OBEDIENCE, **WRIST_CHECKS, **SWINGS}
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What is found about one requirement.
+
+    Attributes:
+        requirement: with its limit.
+        state: whether it is held.
+        value: what was measured, in the unit of the limit; None where it was not tried.
+        seen: in words; why, where it was not tried.
+        contradicts: parameters that are refuted, each with what was measured.
+    """
+
+    requirement: Requirement
+    state: State
+    value: float | None
+    seen: str
+    contradicts: tuple[str, ...] = ()
+
+
+def judge(evidence: Evidence, requirements: Mapping[str, Requirement], progress: Progress = unseen) -> list[Verdict]:
+    """The verdict of each requirement, in their order; `progress` is called with the fraction that is done."""
+    stages = {note.said["number"]: note.said for note in evidence.said("stage")}
+    verdicts = []
+    for number, each in enumerate(requirements.values()):
+        progress(number / len(requirements))
+        verdicts.append(_verdict(each, evidence, CHECKS[each.name], stages))
+    return verdicts
+
+
+def _verdict(
+    required: Requirement, evidence: Evidence, check: Check, stages: Mapping[int, Mapping[str, str]]
+) -> Verdict:
+    stage = stages.get(required.stage, {"refused": "it was not asked for"})
+    if "refused" in stage:
+        return Verdict(required, "not tried", None, f"stage {required.stage} was not run: {stage['refused']}")
+    try:
+        found = check(evidence)
+    except NotTried as reason:
+        return Verdict(required, "not tried", None, str(reason))
+    except BadValue as error:
+        # Such as a position that is not a number, which is named elsewhere.
+        return Verdict(required, "not tried", None, f"it cannot be judged: {error}")
+    # Not "greater than": a value that is not a number is not held.
+    return Verdict(required, "held" if found.value <= required.limit else "not held", *found)
+
+
+_WIDTH = 100
+_TITLE = "Acceptance of a controller with urlink"
+_SIGNED = ("Name", "Place, date", "Signature")
+#: What the page says of itself, so that nobody takes it for more.
+_SCOPE = (
+    "It says what this controller and this library did together in this run. It is no assessment of risks, and says "
+    "nothing of the cell's safety functions."
+)
+
+
+def is_accepted(verdicts: Sequence[Verdict]) -> bool:
+    """Something was tried, and all that was tried is held."""
+    return any(each.state == "held" for each in verdicts) and all(each.state != "not held" for each in verdicts)
+
+
+def _about(evidence: Evidence, site: Mapping[str, Any], digest: str) -> Iterator[tuple[str, str]]:
+    about, known = evidence.last("about") or {}, evidence.identity
+    if "wall" in about:
+        yield "date", time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime(about["wall"]))
+    if known is not None:
+        yield "controller", f"{known.model or 'an arm that it does not name'}, firmware {known.firmware}"
+    yield "library", f"urlink {about.get('urlink')}, Python {about.get('python')}, {about.get('system')}"
+    for key, value in site.items():
+        yield key, str(value)
+    for note in evidence.said("stage-ended"):
+        yield f"stage {note.said['number']}", f"ended early: {note.said['error']}"
+    if digest:
+        yield "evidence", f"sha256 {digest}"
+
+
+def _result(verdicts: Sequence[Verdict]) -> str:
+    states = [each.state for each in verdicts]
+    said = f"{states.count('held')} held, {states.count('not held')} not held, {states.count('not tried')} not tried"
+    return f"{'ACCEPTED' if is_accepted(verdicts) else 'NOT ACCEPTED'}: {said}"
+
+
+def _measured(each: Verdict) -> str:
+    if each.value is None:
+        return ""
+    unit = f" {each.requirement.unit}" if each.requirement.unit else ""
+    return f"{each.value:.4g}{unit} of at most {each.requirement.limit:g}{unit}"
+
+
+def as_text(evidence: Evidence, verdicts: Sequence[Verdict], site: Mapping[str, Any], digest: str = "") -> str:
+    """The page as text; the same for the same evidence, limits and site."""
+    lines = [_TITLE, "=" * len(_TITLE), ""]
+    lines += [f"{name:12} {printable(value)}" for name, value in _about(evidence, site, digest)]
+    stage = None
+    for each in verdicts:
+        if each.requirement.stage != stage:
+            stage = each.requirement.stage
+            lines += ["", f"Stage {stage}", "-" * _WIDTH]
+        state = "NOT HELD" if each.state == "not held" else each.state
+        lines.append(f"{state:10} {each.requirement.name:18} {_measured(each)}".rstrip())
+        lines.append(f"           {printable(each.seen)}")
+        lines += [f"           CONTRADICTS the parameter {printable(said)}" for said in each.contradicts]
+        if each.state == "not held":
+            lines.append(f"           measured: {each.requirement.what}")
+            lines.append(f"           required because {each.requirement.why} ({each.requirement.source})")
+    lines += ["", "-" * _WIDTH, _result(verdicts), "", _SCOPE, ""]
+    lines += [f"{name:14}{'_' * 50}\n" for name in _SIGNED]
+    return "\n".join(lines)
+
+
+_STYLE = """
+body { font: 11pt/1.4 sans-serif; max-width: 60em; margin: 2em auto; color: #222; }
+table { border-collapse: collapse; width: 100%; margin: 1em 0; font-size: 10pt; }
+th, td { text-align: left; vertical-align: top; padding: .25em .6em; border-bottom: 1px solid #ddd; }
+.held { color: #1a6b2d; } .not-held { color: #b00020; font-weight: bold; } .not-tried { color: #777; }
+.sign td { height: 2.5em; border-bottom: 1px solid #222; }
+@media print { body { margin: 0; } tr { break-inside: avoid; } }
+"""
+
+
+def as_html(evidence: Evidence, verdicts: Sequence[Verdict], site: Mapping[str, Any], digest: str = "") -> str:
+    """The page as HTML, which needs nothing from elsewhere; the same for the same evidence, limits and site."""
+
+    def cell(text: object) -> str:
+        return f"<td>{html.escape(printable(text))}</td>"
+
+    about = _about(evidence, site, digest)
+    head = "".join(f"<tr><th>{html.escape(name)}</th>{cell(value)}</tr>" for name, value in about)
+    rows = "".join(_row(each, cell) for each in verdicts)
+    sign = "".join(f"<tr><th>{name}</th><td></td></tr>" for name in _SIGNED)
+    titles = "".join(f"<th>{name}</th>" for name in ("stage", "requirement", "verdict", "measured", "seen", "limit"))
+    return (
+        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{_TITLE}</title>'
+        f"<style>{_STYLE}</style></head><body>\n<h1>{_TITLE}</h1>\n<table>{head}</table>\n"
+        f"<p><strong>{_result(verdicts)}</strong></p>\n<table><tr>{titles}</tr>{rows}</table>\n"
+        f'<p>{_SCOPE}</p>\n<table class="sign">{sign}</table>\n</body></html>\n'
+    )
+
+
+def _row(each: Verdict, cell: Any) -> str:
+    required: Requirement = each.requirement
+    state = f'<td class="{each.state.replace(" ", "-")}">{each.state}</td>'
+    limit = f"{required.what}; because {required.why} ({required.source})"
+    seen = "; ".join((each.seen, *(f"CONTRADICTS the parameter {said}" for said in each.contradicts)))
+    cells = f"{cell(required.stage)}{cell(required.name)}{state}{cell(_measured(each))}{cell(seen)}{cell(limit)}"
+    return f"<tr>{cells}</tr>\n"

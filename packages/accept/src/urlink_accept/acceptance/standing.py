@@ -1,0 +1,261 @@
+"""Stage 1: settings, programs and connections, while nothing moves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from linkcore import clock
+from urlink import CompileError, Firmware, InputInUse, LinkError, Robot, RobotModeData
+from urlink.packets import CartesianInfo, TextMessage
+from urlink.rtde import INPUTS, OUTPUTS
+from urlink.tools import RobotAddress, TcpTransport, tool_offset
+
+from ..identification.exercise import SHOWS_SLIDER, slider_of
+from .logbook import Logbook
+from .person import Person
+
+#: What the programs of this stage say, and s for which one sleeps.
+BEGIN, END, SLEEP = "urlink accept: begins", "urlink accept: ends", 1.0
+#: Which register is written; others may use the lower half, and the last ones are the library's own.
+_REGISTER = "input_int_register_46", "input_int_register_22"
+_ECHOES = 10
+#: s for something that a controller does at once; s after which it does not come.
+_SOON, _LONG = 5.0, 20.0
+#: s for which a client does not read.
+_SILENT = 2.0
+#: By how much the slider, the tool and the payload are moved, and put back.
+_SLIDER, _TOOL, _PAYLOAD = 0.05, 0.001, 0.1
+_SHOWS_PAYLOAD, _SHOWS_TCP = Firmware(5, 10), Firmware(3, 2)
+
+Told = Mapping[str, Any]
+
+
+def stand(robot: Robot, place: RobotAddress, book: Logbook, person: Person) -> None:
+    """Try everything that moves nothing; each step notes what came of it, and none ends the others.
+
+    Args:
+        robot: connected within the logbook, and in remote control where there is such a thing.
+        place: of its ports.
+        book: in which it is written down.
+        person: who switches to local control.
+    """
+    robot.realtime.wait(_SOON)
+    robot.primary.wait(_SOON)
+    steps: dict[str, Callable[[], Told]] = {
+        "slider-echo": lambda: _slider(robot),
+        "tcp-echo": lambda: _tcp(robot),
+        "payload-echo": lambda: _payload(robot),
+        "register-echo": lambda: _registers(robot),
+        "claims": lambda: _claims(robot),
+        "compile-error": lambda: _compile_error(robot),
+        "sleep": lambda: _sleep(robot),
+        "stop-program": lambda: _stop(robot),
+        "reset": lambda: _reset(robot, place),
+        "silent-client": lambda: _silent(place),
+        "local": lambda: _local(robot, person),
+    }
+    try_each(book, steps)
+
+
+def try_each(book: Logbook, steps: Mapping[str, Callable[[], Told]], between: Callable[[], object] = list) -> None:
+    """Note what each step returns, or what it raises; whatever `between` raises, after each, ends them all."""
+    for name, step in steps.items():
+        book.note(name, event="begin")
+        try:
+            said = step()
+        except LinkError as error:
+            book.note(name, event="end", error=f"{type(error).__name__}: {error}")
+        else:
+            book.note(name, event="end", error=None, **said)
+        between()
+
+
+# -- settings --------------------------------------------------------------------------------------
+
+
+def _slider(robot: Robot) -> Told:
+    if robot.firmware < SHOWS_SLIDER:
+        return {"skipped": "this firmware does not show its slider"}
+    before = slider_of(robot)
+    wanted = before - _SLIDER if before > 2 * _SLIDER else before + _SLIDER
+    began = clock.now()
+    try:
+        robot.set_speed_slider(wanted, confirm=_SOON)
+        took = clock.now() - began
+        shown = slider_of(robot)
+    finally:
+        robot.set_speed_slider(before, confirm=_SOON)
+    return {"wanted": wanted, "shown": shown, "took": took}
+
+
+def _tcp(robot: Robot) -> Told:
+    if robot.firmware < _SHOWS_TCP:
+        return {"skipped": "this firmware does not show the TCP"}
+
+    def tool() -> list[float]:
+        offset = tool_offset(robot.primary.of(CartesianInfo).wait(_SOON))
+        assert offset is not None
+        return offset
+
+    before = tool()
+    wanted = [*before[:2], before[2] + _TOOL, *before[3:]]
+    try:
+        robot.set_tcp(wanted, confirm=_SOON)
+        shown = tool()
+    finally:
+        robot.set_tcp(before, confirm=_SOON)
+    return {"wanted": wanted, "shown": shown}
+
+
+def _payload(robot: Robot) -> Told:
+    if robot.firmware < _SHOWS_PAYLOAD:
+        return {"skipped": "this firmware does not show the payload"}
+    state = robot.realtime.wait(_SOON)
+    assert state.payload_mass is not None
+    assert state.payload_cog is not None
+    before, cog = float(state.payload_mass), state.payload_cog.tolist()
+    try:
+        robot.set_payload(before + _PAYLOAD, cog, confirm=_SOON)
+        shown = robot.realtime.wait(_SOON).payload_mass
+    finally:
+        robot.set_payload(before, cog, confirm=_SOON)
+    return {"wanted": before + _PAYLOAD, "shown": shown}
+
+
+# -- RTDE ------------------------------------------------------------------------------------------
+
+
+def _register(robot: Robot) -> str | None:
+    return next((name for name in _REGISTER if INPUTS[name].is_in(robot.firmware)), None)
+
+
+def _registers(robot: Robot) -> Told:
+    name = _register(robot)
+    if name is None or name not in OUTPUTS:
+        return {"skipped": "this firmware has no registers"}
+    delays, wrong = [], []
+    with robot.rtde.outputs(name) as stream, robot.rtde.inputs(name) as inputs:
+        stream.start()
+        for number in range(1, _ECHOES + 1):
+            value = 1000 + number
+            began = clock.now()
+            inputs.send(**{name: value})
+            try:
+                stream.wait_until(lambda state, value=value: getattr(state, name) == value, 1.0)  # type: ignore[misc]
+            except LinkError as error:
+                wrong.append(f"{value}: {error}")
+            else:
+                delays.append(clock.now() - began)
+    return {"register": name, "delays": delays, "wrong": wrong}
+
+
+def _claims(robot: Robot) -> Told:
+    name = _register(robot)
+    if name is None:
+        return {"skipped": "this firmware has no registers"}
+    with robot.rtde.inputs(name):
+        try:
+            robot.rtde.inputs(name).close()
+            refused = ""
+        except InputInUse as error:
+            refused = str(error)
+    began = clock.now()
+    freed = None
+    while freed is None and clock.now() < began + _SOON:
+        try:
+            robot.rtde.inputs(name).close()
+            freed = clock.now() - began
+        except InputInUse:
+            clock.sleep(0.02)
+    held = sorted(each for each, why in robot.rtde.who_holds().items() if why == "in use")
+    return {"register": name, "refused": refused, "freed": freed, "held": held}
+
+
+# -- programs --------------------------------------------------------------------------------------
+
+
+def _compile_error(robot: Robot) -> Told:
+    began, told = clock.now(), ""
+    try:
+        robot.script.run("def broken():\n  x = = 1\nend").wait(_LONG)
+    except CompileError as error:
+        told = str(error)
+    return {"told": told, "took": clock.now() - began}
+
+
+def _sleep(robot: Robot) -> Told:
+    source = f'def sleeps():\n  textmsg("{BEGIN} sleep")\n  sleep({SLEEP})\n  textmsg("{END} sleep")\nend'
+    began = clock.now()
+    program = robot.script.run(source)
+    program.wait(SLEEP + _LONG)
+    return {"took": clock.now() - began, "texts": program.texts}
+
+
+def _stop(robot: Robot) -> Told:
+    program = robot.script.run(f'def sleeps_long():\n  textmsg("{BEGIN} stop")\n  sleep(60)\nend')
+    _until(lambda: f"{BEGIN} stop" in program.texts, _SOON)
+    began = clock.now()
+    program.cancel()
+    ended = _until(lambda: not robot.primary.of(RobotModeData).wait(_SOON).is_program_running, _SOON)
+    return {"took": clock.now() - began if ended else None}
+
+
+def _until(condition: Callable[[], bool], seconds: float) -> bool:
+    until = clock.now() + seconds
+    while not condition():
+        if clock.now() > until:
+            return False
+        clock.sleep(0.005)
+    return True
+
+
+# -- connections -----------------------------------------------------------------------------------
+
+
+def _reset(robot: Robot, place: RobotAddress) -> Told:
+    """Send a program on another connection, reset that, and see whether the program goes on."""
+    texts: list[str] = []
+    with robot.primary.subscribe(lambda message: texts.append(message.text), TextMessage):
+        transport = TcpTransport(place.host, place.ports["primary"], silence=_SOON)
+        transport.open(_SOON)
+        source = f'def goes_on():\n  textmsg("{BEGIN} reset")\n  sleep(0.5)\n  textmsg("{END} reset")\nend\n'
+        transport.send(source.encode(), _SOON)
+        began = _until(lambda: any(text == f"{BEGIN} reset" for text in texts), _SOON)
+        transport.abort()
+        ended = _until(lambda: any(text == f"{END} reset" for text in texts), _SOON)
+        at = clock.now()
+        transport.open(_SOON)
+        transport.receive(_SOON)
+        again = clock.now() - at
+        transport.abort()
+    return {"began": began, "ended": ended, "again": again}
+
+
+def _silent(place: RobotAddress) -> Told:
+    """Connect, and do not read."""
+    transport = TcpTransport(place.host, place.ports["realtime"], silence=_SOON)
+    transport.open(_SOON)
+    try:
+        clock.sleep(_SILENT)
+        data, _ = transport.receive(_SOON)
+        return {"received": len(data), "closed": None}
+    except LinkError as error:
+        return {"received": 0, "closed": str(error)}
+    finally:
+        transport.abort()
+
+
+def _local(robot: Robot, person: Person) -> Told:
+    if not robot.firmware.is_e_series:
+        return {"skipped": "this generation has no local control that refuses programs"}
+    if not person.does("local"):
+        return {"skipped": "nobody has switched to local control"}
+    began = clock.now()
+    try:
+        robot.script.run(f'def in_local():\n  textmsg("{BEGIN} local")\nend').wait(_LONG)
+        return {"refused": ""}
+    except LinkError as error:
+        return {"refused": str(error), "took": clock.now() - began}
+    finally:
+        person.does("remote")

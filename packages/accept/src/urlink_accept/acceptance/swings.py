@@ -1,0 +1,272 @@
+"""Stage 3: one joint at a time swings about where it stands, and what that contradicts of the table of parameters.
+
+They swing as `urlink exercise` has them, for identification. Each joint is asked for by itself, with the box that the
+arm sweeps meanwhile. A guard stops whatever else moves.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
+from functools import lru_cache
+from operator import attrgetter
+from pathlib import Path
+
+import numpy as np
+
+from urlink import BadRecording, BadValue, Cancelled, Firmware, LinkError, RealtimeState, Robot
+from urlink.tools import (
+    JOINTS,
+    MOTORS,
+    ArmFile,
+    Estimate,
+    FloatArray,
+    Parameter,
+    force_size,
+    joint_sizes,
+    numbers,
+    parameters,
+)
+
+from ..identification import identify
+from ..identification.exercise import BESIDE, SWING, Exercise, Guard, exercise, plan_from_here, slider_of
+from ..identification.samples import COLUMNS, Samples
+from .arrivals import known_arm
+from .evidence import Evidence
+from .logbook import Logbook
+from .requirements import Check, Measured, NotTried
+
+#: A row of one arm that gives no interval, and is not of joints that were measured, is taken within this factor: the
+#: widest that such a row names in its source.
+_FACTOR = 1.5
+#: The current of wrist 3 is mostly friction, of which the model explains less: by so much less its rest counts.
+_WRIST_3 = 0.1
+#: The part of an end of an interval by which the fit of a quiet arm may be beside it, whose own interval has no width.
+_ROUNDING = 1e-6
+#: What is left of a fit is rounded to this many digits, below which it differs from one computer to another.
+_DIGITS = 9
+
+_SHOWS_ARM = Firmware(3, 0)
+
+
+def _step_of(joint: int) -> str:
+    """The name of the step in which a joint swings: "swing-wrist-1"."""
+    return f"swing-{JOINTS[joint].replace(' ', '-')}"
+
+
+def swing(robot: Robot, book: Logbook, is_held: Callable[[RealtimeState], bool], consent: Callable[[str], str]) -> None:
+    """Let each joint swing that may; none swings after one that was stopped.
+
+    Args:
+        robot: connected within the logbook, running, in remote control where there is such a thing.
+        book: in which it is written down.
+        is_held: whether the arm may move, by a state.
+        consent: asked before each joint with what it does; returns why it may not, or "".
+
+    Raises:
+        Cancelled: the guard has stopped the arm, the dead man's input is not held at the beginning, or a motion failed.
+        LinkError: the arm is not known, or a joint would leave its limits.
+    """
+    if robot.firmware < _SHOWS_ARM:
+        book.note("swinging", skipped="this firmware does not say which arm it has")
+        return
+    slider = slider_of(robot)
+    start = robot.realtime.wait(5.0).q_target
+    book.note("swinging", start=start.tolist(), slider=slider)
+    for joint in range(6):
+        step = _step_of(joint)
+        planned = plan_from_here(robot, SWING, joint)
+        if refused := consent(_does(joint, planned, slider)):
+            book.note(step, event="end", skipped=refused)
+            continue
+        box = np.full(6, BESIDE)
+        box[joint] += SWING
+        guard = Guard(robot, box, is_held, lambda why: book.note("guard", why=why))
+        book.note(step, event="begin")
+        try:
+            exercise(robot, planned, guard)
+        except LinkError as error:
+            book.note(step, event="end", error=f"{type(error).__name__}: {error}")
+            raise Cancelled(f"the {JOINTS[joint]} did not swing: {guard.tripped or error}") from error
+        book.note(step, event="end", error=None)
+
+
+def _does(joint: int, planned: Exercise, slider: float) -> str:
+    pairs = zip("xyz", planned.low.tolist(), planned.high.tolist(), strict=True)
+    box = ", ".join(f"{axis} {low:.2f} to {high:.2f} m" for axis, low, high in pairs)
+    return (
+        f"moves the {JOINTS[joint]} alone, by {math.degrees(planned.swing):.0f} degrees to either side, in "
+        f"{planned.seconds / max(slider, 0.01):.0f} s; joints, the lines between them and the TCP stay within {box} of "
+        "the base frame, and the arm is thicker than these lines"
+    )
+
+
+def contradictions(found: Iterable[tuple[Parameter, Estimate]]) -> tuple[str, ...]:
+    """Which parameters are refuted: those whose interval and the measured one have nothing in common."""
+    return tuple(
+        f"{row.name}{f' of {row.of}' if row.of else ''}: measured {_text(each)}{f' {row.unit}' if row.unit else ''}, "
+        f"and the table has {row.low:g} to {row.high:g} ({row.evidence}: {row.source})"
+        for row, each in found
+        if each.is_known and row.low is not None and row.high is not None
+        if each.high < row.low - _ROUNDING * abs(row.low) or each.low > row.high + _ROUNDING * abs(row.high)
+    )
+
+
+def _text(each: Estimate) -> str:
+    return f"{each.value:.4g}" if each.low == each.high else f"{each.value:.4g} ({each.low:.4g} to {each.high:.4g})"
+
+
+def rows_of(name: str, arm: str) -> list[Parameter]:
+    """The rows that a parameter of the joints has for an arm, each with the interval of its joint."""
+    of_size = [parameters()[name, size] for size in joint_sizes(arm)]
+    own = parameters().get((name, arm))
+    if own is None:
+        return of_size
+    found = []
+    for value, size in zip(numbers(name, arm), of_size, strict=True):
+        # The interval of a size is that of the arms that were measured: it holds for this arm if it was one of them.
+        low, high = size.low or 0.0, size.high or math.inf
+        if not low <= value <= high:
+            low, high = value / _FACTOR, value * _FACTOR
+        found.append(replace(own, value=str(value), low=low, high=high))
+    return found
+
+
+class _Swings:
+    """What was recorded of the joints that have swung.
+
+    Attributes:
+        joints: their numbers.
+        packets: of the real-time interface, of the stage.
+        away: (n, 6) rad from where each joint stood at the beginning of the stage.
+        spans: number of a joint -> when it began to swing and when it had, s, monotonic.
+    """
+
+    def __init__(self, evidence: Evidence) -> None:
+        began = evidence.last("swinging")
+        if began is None or began.get("skipped"):
+            raise NotTried("it did not begin" if began is None else began["skipped"])
+        said = {joint: evidence.said(_step_of(joint)) for joint in range(6)}
+        self.spans: dict[int, tuple[float, float]] = {}
+        for joint, notes in said.items():
+            if len(notes) == 2 and notes[1].said["error"] is None:
+                self.spans[joint] = (notes[0].at, notes[1].at)
+        self.joints = sorted(self.spans)
+        begin, end = evidence.said("swinging")[-1].at, evidence.stage(3)[1]
+        self.packets = evidence.realtime.between(begin, end)
+        q = self.packets.column(lambda state: state.q_actual)
+        if q is None:
+            raise NotTried("no packet of the real-time interface came")
+        self.away: FloatArray = np.abs(q - np.array(began["start"]))
+
+    def names(self, values: Iterable[float], form: Callable[[float], str]) -> str:
+        """A value of each joint that has swung, in words."""
+        return ", ".join(f"{JOINTS[joint]} {form(value)}" for joint, value in zip(self.joints, values, strict=True))
+
+
+def _box(evidence: Evidence) -> Measured:
+    swings = _Swings(evidence)
+    most = swings.away.max(axis=0)
+    return Measured(float(most.max()), f"the {JOINTS[int(most.argmax())]}, by {math.degrees(most.max()):.2f} degrees")
+
+
+def _alone(evidence: Evidence) -> Measured:
+    swings = _Swings(evidence)
+    worst = Measured(-1.0, "")
+    for joint, (begin, end) in swings.spans.items():
+        during = swings.away[(swings.packets.arrived >= begin) & (swings.packets.arrived <= end)]
+        others = np.delete(during, joint, axis=1)
+        if others.size and others.max() > worst.value:
+            seen = f"another joint by {others.max() * 1e6:.0f} µrad while the {JOINTS[joint]} swung"
+            worst = Measured(float(others.max()), seen)
+    if not worst.seen:
+        raise NotTried("no joint has swung")
+    return worst
+
+
+@lru_cache(maxsize=1)
+def _identified(evidence: Evidence) -> tuple[_Swings, ArmFile]:
+    """What the stage shows of the arm.
+
+    Raises:
+        NotTried: it shows nothing, and why.
+    """
+    swings = _Swings(evidence)
+    if not swings.joints:
+        raise NotTried("no joint has swung")
+    _, arm = known_arm(evidence)
+    columns = {}
+    for ours, theirs in COLUMNS.items():
+        column = swings.packets.column(attrgetter(theirs))
+        if column is not None:
+            columns[ours] = column
+    try:
+        return swings, identify(Samples(Path("the logbook"), columns, arm.name, swings.packets.arrived))
+    except (BadRecording, BadValue) as error:
+        raise NotTried(f"nothing is told by it: {error}") from None
+
+
+def _of_joints(swings: _Swings, found: ArmFile, *names: str) -> Iterator[tuple[Parameter, Estimate]]:
+    for name in names:
+        rows = rows_of(name, found.model)
+        for joint in swings.joints:
+            yield replace(rows[joint], of=f"{rows[joint].of}, the {JOINTS[joint]}"), found.estimates[name][joint]
+
+
+def _of_arm(found: ArmFile, *names: str) -> Iterator[tuple[Parameter, Estimate]]:
+    for name in names:
+        if name in found.estimates:
+            of = force_size(found.model) if (name, "") not in parameters() else ""
+            yield parameters()[name, of], found.estimates[name][0]
+
+
+def _explained(swings: _Swings, r2: tuple[float, ...], last: float = 1.0) -> tuple[float, str]:
+    """The largest part that is left of a quantity, and what is explained of each joint, in words."""
+    left = np.array([round(1.0 - r2[joint], _DIGITS) * (last if joint == 5 else 1.0) for joint in swings.joints])
+    if np.isnan(left).any():
+        raise NotTried("a joint that has swung shows no moment or current that varies")
+    return float(left.max()), swings.names((r2[joint] for joint in swings.joints), "{:.5f}".format)
+
+
+def _moments(evidence: Evidence) -> Measured:
+    swings, found = _identified(evidence)
+    left, seen = _explained(swings, found.torque_r2)
+    rotors = MOTORS["rotor_inertias"]
+    return Measured(left, f"explained by masses and rotors: {seen}", contradictions(_of_joints(swings, found, rotors)))
+
+
+def _currents(evidence: Evidence) -> Measured:
+    swings, found = _identified(evidence)
+    left, seen = _explained(swings, found.current_r2, _WRIST_3)
+    names = (MOTORS[field] for field in ("torque_constants", "coulomb", "viscous"))
+    refuted = contradictions(_of_joints(swings, found, *names))
+    return Measured(left, f"explained by moments and friction: {seen}", refuted)
+
+
+def _of(name: str, judged: Callable[[float], float], seen: str, *others: str) -> Check:
+    """A check of one number that is identified; `others` are told by the same swings, and may be refuted too."""
+
+    def check(evidence: Evidence) -> Measured:
+        _, found = _identified(evidence)
+        (each,) = found.estimates[name]
+        if not each.is_known:
+            raise NotTried(f"{name} is not told; it needs {each.needs}")
+        return Measured(abs(judged(each.value)), f"{_text(each)} {seen}", contradictions(_of_arm(found, name, *others)))
+
+    return check
+
+
+#: What the noise of the sensors shows, beside that of the positions.
+_NOISE = ("position_offset", "current_noise_at_rest", "current_noise", "stiction", "force_noise", "torque_noise")
+
+
+SWINGS: Mapping[str, Check] = {
+    "swing-box": _box,
+    "swing-alone": _alone,
+    "swing-moments": _moments,
+    "swing-currents": _currents,
+    "swing-lag": _of("tracking_lag", lambda lag: lag, "s behind the targets"),
+    "swing-ramp": _of("start_rate", lambda rate: 0.5 / rate, "1/s, with which the scaling of a program rises"),
+    "swing-noise": _of("position_noise", lambda noise: noise, "rad at rest, standard deviation", *_NOISE),
+}

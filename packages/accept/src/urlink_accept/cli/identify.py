@@ -1,0 +1,227 @@
+"""`urlink exercise`, `identify` and `compare`: a motion to record, what it shows, and the simulator beside it."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import math
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from urlink.tools import ADDRESS, ProgressBar, agrees, argument, command, connected, seconds, tell
+
+if TYPE_CHECKING:
+    from urlink import Robot
+    from urlink.tools import ArmFile, Estimate
+
+    from ..identification.exercise import Exercise, Guard
+    from ..identification.samples import Samples
+
+
+def _degrees(text: str) -> float:
+    if not 6.0 <= seconds(text) <= 45.0:
+        raise argparse.ArgumentTypeError(f"{text} is not from 6 to 45 degrees")
+    return seconds(text)
+
+
+@command(
+    "exercise",
+    "a slow motion to record",
+    *ADDRESS,
+    argument("--out", metavar="FILE", help="record it in this new file, for `urlink identify`"),
+    argument("--swing", type=_degrees, default=17.0, metavar="DEG", help="degrees to either side, 6 to 45 (17)"),
+    argument("--dead-man", type=int, choices=range(8), metavar="N", help="digital input, on while it may move"),
+    argument("--yes", action="store_true", help="the box is free; a simulated arm is not asked for"),
+)
+def _exercise(args: argparse.Namespace) -> int:
+    """Move each joint about where it stands, slowly, and then all of them together: what `urlink identify` needs.
+    THE ARM MOVES, for a minute or two. Where to is printed first, and nothing moves before you have said that this
+    box is free. No part of the arm is faster than 0.25 m/s, and the speed slider slows it down further: try it at
+    a low slider, and record it at 100 %.
+
+    Stand at the emergency stop. --dead-man names a digital input that has to be on while the arm moves. Ctrl-C
+    stops it. It ends where it began.
+
+    examples:
+      urlink exercise 192.168.56.101
+      urlink exercise 192.168.56.101 --out run.urlog --dead-man 0
+      urlink exercise 'sim://ur5e?like=arm.json' --out run.urlog --swing 20
+    """
+    from ..identification.exercise import BESIDE, Guard, input_is_on, plan_from_here, slider_of
+
+    with connected(args) as robot:
+        planned = plan_from_here(robot, math.radians(args.swing))
+        slider = slider_of(robot)
+        print(_box_text(str(robot.model), planned, slider), flush=True)
+        if not (args.yes or args.address.strip().startswith("sim:")):
+            if not sys.stdin.isatty():
+                tell("nobody could be asked whether this box is free; --yes says so")
+                return 1
+            if not agrees("Is this box free, and somebody at the emergency stop?"):
+                return 1
+        guard = Guard(robot, planned.swing + BESIDE, *(() if args.dead_man is None else (input_is_on(args.dead_man),)))
+        with contextlib.nullcontext() if args.out is None else robot.record(args.out, ["realtime"]):
+            _move(robot, planned, guard, args.quiet)
+    if args.out is not None:
+        tell(f"urlink identify {args.out} --out arm.json says what it tells")
+    return 0
+
+
+def _move(robot: Robot, planned: Exercise, guard: Guard, quiet: bool) -> None:
+    """Move, and show the progress."""
+    from ..identification.exercise import exercise
+
+    with ProgressBar("exercise", quiet) as progress:
+
+        def began(number: int) -> None:
+            done = sum(leg.seconds + leg.rest for leg in planned.legs[:number])
+            progress(done / planned.seconds, f"movement {number + 1} of {len(planned.legs)}")
+
+        exercise(robot, planned, guard, began)
+
+
+def _box_text(model: str, planned: Exercise, slider: float) -> str:
+    degrees = f"{math.degrees(planned.swing):.0f} degrees"
+    lines = [
+        f"{model}: {len(planned.legs)} movements in {planned.seconds / max(slider, 0.01):.0f} s",
+        f"each joint turns by {degrees} to either side of where it stands, alone and then with the others",
+        "joints, the lines between them and the TCP stay, in the base frame, from",
+    ]
+    pairs = zip("xyz", planned.low.tolist(), planned.high.tolist(), strict=True)
+    lines += [f"  {axis} {low:7.3f} to {high:.3f} m" for axis, low, high in pairs]
+    lines.append("the arm is thicker than these lines; tool, cables and what they may catch are for you to see")
+    if slider < 1.0:
+        lines.append(f"the speed slider is at {slider:.0%}: what is recorded tells less than at 100 %")
+    return "\n".join(lines)
+
+
+@command(
+    "compare",
+    "a recording beside the simulator",
+    argument("recording", type=Path, metavar="RECORDING", help="a .urlog, a .csv or a bundle"),
+    argument("--like", metavar="FILE", help="the arm, as urlink identify wrote it"),
+    argument("--model", metavar="NAME", help="arm, if neither --like nor the recording says it"),
+    argument("--tolerance", type=seconds, default=0.01, metavar="S", help="by which a movement may take longer (0.01)"),
+)
+def _compare(args: argparse.Namespace) -> int:
+    """Run what an arm was commanded in a recording on the simulator, and print by how much the two differ: for each
+    movement between two rests how much longer the simulator takes, and for each quantity the root mean square by
+    joint. The exit status is 1 if a movement differs by more than --tolerance: a regression test of a cell.
+
+    A recording does not hold commands, so each movement is run as the movej or movel that fits its targets.
+
+    examples:
+      urlink compare run.urlog --like arm.json
+      urlink compare run.csv --model UR3e
+      urlink compare run.urlog --like arm.json --tolerance 0.005
+    """
+    from urlink.tools import ArmFile, read_arm_file
+
+    from ..identification import identify
+    from ..identification.comparison import QUANTITIES, compare
+
+    with ProgressBar(f"reading {args.recording}", args.quiet) as progress:
+        samples = _samples(args.recording, progress)
+        if args.like is not None:
+            like = read_arm_file(args.like)
+        else:
+            # The geometry alone: the rest is that of the model.
+            progress.next("identifying the geometry")
+            found = identify(samples, args.model)
+            like = ArmFile(found.model, {}, found.calibration, found.tcp)
+        progress.next("simulating the movements")
+        difference = compare(samples, like, progress)
+    begin, worst = float(samples["timestamp"][0]), 0.0
+    for each in difference.movements:
+        at = f"{float(samples['timestamp'][each.begin]) - begin:8.2f} s"
+        if not each.command:
+            print(f"{at}  no movej or movel fits")
+            continue
+        print(f"{at}  {each.command.partition('(')[0]}  the simulator takes {1e3 * each.late:+.2f} ms")
+        worst = max(worst, abs(each.late))
+    for name, values in difference.rms.items():
+        print(f"{name:16} {' '.join(f'{value:.4g}' for value in values)} {QUANTITIES[name]} rms")
+    return int(worst > args.tolerance)
+
+
+@command(
+    "identify",
+    "what a recording tells of its arm",
+    argument("recording", type=Path, metavar="RECORDING", help="a .urlog, a .csv or a bundle"),
+    argument("--model", metavar="NAME", help="arm, if the recording does not say it"),
+    argument("--out", metavar="FILE", help="write what was found, for sim://...?like=FILE"),
+    argument("--json", action="store_true", help="one object a line: name, joint, value, low, high, needs"),
+)
+def _identify(args: argparse.Namespace) -> int:
+    """Identify an arm from a recording of it in motion: calibration, payload, rotor inertias, torque constants,
+    friction, lag, the ramp of programs, noise. Each number has the interval that holds it with 99 %; what the
+    recording does not tell says which motion would. The file that --out writes makes the simulator that arm:
+    sim://ur5e?like=arm.json.
+
+    RECORDING is a file of `urlink record` (the real-time interface, or RTDE with the targets of the joints), a table
+    of RTDE variables as `urlink rtde --csv` prints it, or a bundle of `urlink accept` (.zip) with its stage 3.
+
+    examples:
+      urlink identify run.urlog --out arm.json
+      urlink identify run.csv --model UR3e
+      urlink identify run.urlog --json
+    """
+    from ..identification import identify
+
+    with ProgressBar(f"reading {args.recording}", args.quiet) as progress:
+        samples = _samples(args.recording, progress)
+        progress.next("identifying the arm")
+        found = identify(samples, args.model)
+    if args.out is not None:
+        found.write(args.out)
+        tell(f"sim://{found.model.lower().replace(' ', '')}?like={args.out} is this arm")
+    for line in _objects(found) if args.json else _lines(found):
+        print(line)
+    return 0
+
+
+def _samples(path: Path, progress: ProgressBar) -> Samples:
+    """Of a recording, a table, or the recording in a bundle."""
+    from ..acceptance.bundle import recording_in
+    from ..identification.samples import read_samples
+
+    with recording_in(path) as recording:
+        return read_samples(recording, progress)
+
+
+def _objects(found: ArmFile) -> Sequence[str]:
+    lines = []
+    for name, each in found.estimates.items():
+        for number, estimate in enumerate(each):
+            about = {"name": name, "joint": number if len(each) > 1 else None}
+            said = {"value": None, "needs": estimate.needs}
+            if estimate.is_known:
+                said = {"value": estimate.value, "low": estimate.low, "high": estimate.high}  # type: ignore[dict-item]
+            lines.append(json.dumps(about | said))
+    return lines
+
+
+def _lines(found: ArmFile) -> Sequence[str]:
+    from urlink.tools import parameters
+
+    units = {name: row.unit for (name, _), row in parameters().items()}
+    units |= {"payload": "kg", "payload_cog": "m", "calibration": "m rms", "clock_drift": ""}
+    lines = [found.model]
+    for name, each in found.estimates.items():
+        for number, estimate in enumerate(each):
+            label = f"{name} {number}" if len(each) > 1 else name
+            lines.append(f"  {label:24} {_text(estimate, units.get(name, ''))}")
+    for what, values in (("moments", found.torque_r2), ("currents", found.current_r2)):
+        if values:
+            shown = " ".join("-" if math.isnan(value) else f"{value:.5f}" for value in values)
+            lines.append(f"  {f'R2 of {what}':24} {shown}")
+    return lines
+
+
+def _text(estimate: Estimate, unit: str) -> str:
+    if not estimate.is_known:
+        return f"not told; needs {estimate.needs}"
+    return f"{estimate.value:.5g} {unit}".rstrip() + f"  ({estimate.low:.5g} to {estimate.high:.5g})"

@@ -1,0 +1,57 @@
+"""Identification: what a recording shows of the arm that was recorded, each number with its interval."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from urlink import BadValue
+from urlink.arm import models
+from urlink.arm.kinematics import DhTable
+from urlink.tools import MOTORS, ArmFile, Estimate
+
+from .calibration import fit_calibration
+from .joints import fit_joints
+from .samples import Samples
+from .tracking import clock_drift, noise, start_rate, tracking_lag
+
+__all__ = ["identify"]
+
+
+def identify(samples: Samples, model: str | None = None) -> ArmFile:
+    """Identify everything that samples show of an arm.
+
+    Args:
+        model: name of the arm; None for that which the recording says.
+
+    Raises:
+        BadValue: the model is neither given nor recorded, or no moments were.
+        UnknownModel: no arm is called that.
+    """
+    name = model or samples.model
+    if name is None:
+        raise BadValue(f"{samples.path} does not say of which arm it is; give the model")
+    arm = models.model(name)
+    if "target_moment" not in samples:
+        raise BadValue(f"{samples.path} has no target_moment, from which the joints are identified")
+    fitted = fit_joints(arm, samples)
+    estimates: dict[str, Sequence[Estimate]] = {"payload": (fitted.payload,), "payload_cog": fitted.payload_cog}
+    estimates |= {in_file: getattr(fitted, field) for field, in_file in MOTORS.items()}
+    own = ArmFile(arm.name, estimates).motors
+    estimates |= {"tracking_lag": (tracking_lag(samples),), "start_rate": (start_rate(samples),)}
+    estimates |= {key: (each,) for key, each in noise(samples, np.array(own.coulomb)).items()}
+    estimates["clock_drift"] = (clock_drift(samples),)
+    needs = "set-points of servoj beside the states: a stream whose set-points the program writes to registers"
+    estimates["servoj_gain"] = estimates["servoj_delay"] = (Estimate.unknown(needs),)
+    table: DhTable | None = None
+    tcp: tuple[float, ...] | None = None
+    if "target_TCP_pose" in samples:
+        try:
+            found = fit_calibration(arm, samples["target_q"], samples["target_TCP_pose"])
+        except BadValue as error:
+            estimates["calibration"] = (Estimate.unknown(f"motion of every joint: {error}"),)
+        else:
+            table, tcp = found.table, tuple(found.tcp.tolist())
+            estimates["calibration"] = (Estimate(found.rms, 0.0, found.rms),)
+    return ArmFile(arm.name, estimates, table, tcp, fitted.torque_r2, fitted.current_r2)

@@ -1,0 +1,149 @@
+"""The calibration of an arm from joint positions and the poses of its TCP, as a controller computes them.
+
+Six DH parameters are not good coordinates for three joint axes that are parallel but for some mrad (see
+`urlink.arm.kinematics.geometry`), so the links are fitted in the parameters of Hayati and Mirmirani, in which small
+changes of the arm are small changes of the numbers; the DH table that a controller would send follows from the joint
+axes. What the poses do not show, such as which part of the flange belongs to the tool, stays as published.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from urlink import BadValue
+from urlink.arm.kinematics import DhTable
+from urlink.arm.models import Model
+from urlink.arm.poses import compose, from_matrix, invert, rotvec_to_matrix, to_matrix
+from urlink.tools import FLOATS, ROWS, ArmLink, FloatArray, Geometry, angles, chain, rigid
+
+# Of each link: offset, a, d, alpha, beta. Joints 2 and 3 have an angle beta instead of an offset d along parallel axes.
+_FREE = np.array(
+    [(1, 1, 1, 1, 0), (1, 1, 0, 1, 1), (1, 1, 0, 1, 1), (1, 1, 1, 1, 0), (1, 1, 1, 1, 0), (1, 1, 1, 1, 0)], dtype=bool
+)
+# How far a calibration is from the published arm: rad and m. Only decides what the poses do not.
+_PRIOR = np.array([5e-3, 2e-3, 2e-3, 5e-3, 5e-3])
+_PRIOR_TOOL = 1.0
+# m and rad that a pose is off by: of the first steps, on the way from the published arm, and at last.
+_SPREADS = (1e-4, 1e-6, 1e-8, 1e-8, 1e-8)
+_STEP = 1e-6
+#: Rows of which there are more are thinned out.
+_MOST_ROWS = 600
+#: rad that each joint has to move in the rows.
+_LEAST_MOVED = 0.2
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A fitted arm.
+
+    Attributes:
+        table: the DH table as a controller would send it.
+        tcp: (6,) in the frame of the flange, m and rotation vector in rad.
+        rms: m, root mean square of the distance from the fitted rows.
+    """
+
+    table: DhTable
+    tcp: FloatArray
+    rms: float
+
+
+def fit_calibration(model: Model, q: FloatArray, poses: FloatArray) -> Calibration:
+    """The calibration and the TCP with which joint positions lead to poses.
+
+    Args:
+        model: the published arm, from which it is searched.
+        q: (n, 6) rad; targets, since the actual positions have noise.
+        poses: (n, 6) of the TCP in the base frame, m and rotation vector in rad.
+
+    Raises:
+        BadValue: too few rows, or joints that hardly move in them: the message names them.
+    """
+    moved = np.ptp(q, axis=0) if len(q) else np.zeros(6)
+    if len(q) < 30 or (moved < _LEAST_MOVED).sum() > 1:
+        still = [str(joint) for joint in np.flatnonzero(moved < _LEAST_MOVED)]
+        raise BadValue(
+            f"{len(q)} rows in which joints {', '.join(still) or 'none'} move by less than {_LEAST_MOVED} rad"
+        )
+    chosen = np.linspace(0, len(q) - 1, min(len(q), _MOST_ROWS)).astype(int)
+    q, poses = q[chosen], poses[chosen]
+    turned = rotvec_to_matrix(poses[:, 3:])
+    published = np.column_stack((model.dh_theta, model.dh_a, model.dh_d, model.dh_alpha, np.zeros(6)))
+    start = published.copy()
+    # The TCP that the published arm would need at the first row.
+    tcp = compose(invert(from_matrix(_flanges(start, q[:1])[0])), poses[0])
+    free = np.flatnonzero(_FREE)
+    spread = np.concatenate((np.tile(_PRIOR, (6, 1)).ravel()[free], np.full(6, _PRIOR_TOOL)))
+
+    def links(x: FloatArray) -> FloatArray:
+        flat = published.ravel().copy()
+        flat[free] += x[:-6]
+        return flat.reshape(6, 5)
+
+    def residuals(x: FloatArray) -> FloatArray:
+        found = _flanges(links(x), q) @ to_matrix(x[-6:])
+        off = turned @ np.swapaxes(found[:, :3, :3], 1, 2)
+        turn = 0.5 * np.stack(
+            (off[:, 1, 2] - off[:, 2, 1], off[:, 2, 0] - off[:, 0, 2], off[:, 0, 1] - off[:, 1, 0]), -1
+        )
+        return np.concatenate(((found[:, :3, 3] - poses[:, :3]).ravel(), turn.ravel()))
+
+    x = np.concatenate((np.zeros(len(free)), tcp))
+    before = x.copy()
+    steps = np.eye(len(x)) * _STEP
+    for sigma in _SPREADS:
+        slope = np.column_stack([(residuals(x + h) - residuals(x - h)) / (2.0 * _STEP) for h in steps])
+        whole = np.vstack((slope * spread / sigma, np.eye(len(x))))
+        gap = np.concatenate((residuals(x) / sigma, (x - before) / spread))
+        x = x - spread * np.linalg.lstsq(whole, gap, rcond=None)[0]
+    table, shift = _table(links(x))
+    distances = residuals(x)[: 3 * len(q)].reshape(-1, 3)
+    rms = float(np.sqrt((distances**2).sum(axis=1).mean()))
+    return Calibration(table, compose(shift, x[-6:]), rms)
+
+
+def _geometry(links: FloatArray) -> Geometry:
+    """The arm with the links of these rows."""
+    return Geometry(tuple(ArmLink(*link) for link in links.tolist()), is_nominal=False)
+
+
+def _flanges(links: FloatArray, q: FloatArray) -> FloatArray:
+    """(n, 4, 4) of the flange."""
+    return rigid.to_matrices(chain(_geometry(links), ROWS, angles(q.T))[5])
+
+
+def _table(links: FloatArray) -> tuple[DhTable, FloatArray]:
+    """The DH table with the same joint axes, and the pose of the old flange in the new one.
+
+    Each frame of a DH table has its x axis along the common normal of two joint axes.
+    """
+    frames = [rigid.to_matrix(frame) for frame in chain(_geometry(links), FLOATS, (0.0,) * 6)]
+    (x, _, z), at = np.eye(3), np.zeros(3)
+    rows = []
+    for frame in frames:
+        axis, place = frame[:3, 2], frame[:3, 3]
+        across = np.cross(z, axis)
+        sine = float(np.linalg.norm(across))
+        way = place - at
+        if sine < 1e-12:
+            # Parallel: the normal through the place of the old frame, which is where the published table has it.
+            d = float(way @ z)
+            normal = way - d * z
+            a = float(np.linalg.norm(normal))
+            normal = normal / a if a > 1e-12 else x
+        else:
+            normal = across / sine
+            # The feet of the common normal: at + d z, and place + e axis.
+            d = float(np.cross(way, axis) @ across) / sine**2
+            a = float(way @ normal)
+        # The normal has two directions; the published table has that with a small offset of the joint.
+        if normal @ frame[:3, 0] < 0.0:
+            normal, a = -normal, -a
+        theta = float(np.arctan2(np.cross(x, normal) @ z, x @ normal))
+        alpha = float(np.arctan2(np.cross(z, axis) @ normal, z @ axis))
+        rows.append((theta, a, d, alpha, 0.0))
+        x, z, at = normal, axis, at + d * z + a * normal
+    found = np.array(rows)
+    flange = _flanges(found, np.zeros((1, 6)))[0]
+    return DhTable(*found.T[:4].tolist()), from_matrix(np.linalg.inv(flange) @ frames[5])

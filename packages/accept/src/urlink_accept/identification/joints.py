@@ -1,0 +1,206 @@
+"""Payload, rotors, torque constants and friction, from the moments and currents of a controller.
+
+The moment of a joint is linear in its rotor's inertia and in the payload's mass and first moments of mass; its current
+is linear in the moment and in the two numbers of friction. So both are least squares, in the order in which the
+controller computes: its own moments first, then currents over moments.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from urlink.arm.models import Model
+from urlink.tools import FULL_SPEED, JOINTS, SIDES, Dynamics, Estimate, FloatArray, motors_of
+
+#: rad/s²: a joint that never accelerates by as much does not show its rotor.
+_ACCELERATION = 0.3
+#: rad/s: a joint that is never as fast does not show how friction grows.
+_SPEED = 0.1
+#: Nm by which the moment of a joint has to vary to show its torque constant.
+_MOMENT = 0.05
+#: kg: a payload whose mass is not known as well is not shown by the motion.
+_MASS = 0.5
+
+
+@dataclass(frozen=True)
+class JointFit:
+    """What moments and currents show.
+
+    Attributes:
+        payload: kg.
+        payload_cog: (3,) in the frame of the flange, m.
+        rotor_inertias, torque_constants, coulomb, viscous: of the six joints, kg m², Nm/A, A, A s/rad.
+        torque_r2, current_r2: (6,) the part of the variance that the fit explains, in these rows; where a number is not
+            known, with that of the model.
+    """
+
+    payload: Estimate
+    payload_cog: tuple[Estimate, ...]
+    rotor_inertias: tuple[Estimate, ...]
+    torque_constants: tuple[Estimate, ...]
+    coulomb: tuple[Estimate, ...]
+    viscous: tuple[Estimate, ...]
+    torque_r2: tuple[float, ...]
+    current_r2: tuple[float, ...]
+
+
+def fit_joints(model: Model, columns: Mapping[str, FloatArray]) -> JointFit:
+    """Fit what moments and currents show.
+
+    Args:
+        model: of the arm.
+        columns: by their RTDE names, (n, 6) each: target_q, target_qd, target_qdd, target_moment and target_current;
+            instead of the last, actual_current will do.
+    """
+    q, qd, qdd = (columns[f"target_{name}"] for name in ("q", "qd", "qdd"))
+    motors = motors_of(model)
+    moments = columns["target_moment"]
+    payload, cog, rotors, modelled = _fit_moments(model, q, qd, qdd, moments)
+    torque_r2 = tuple(_r2(moments[:, i], modelled[:, i]) for i in range(6))
+    currents = columns.get("target_current", columns.get("actual_current"))
+    if currents is None:
+        unknown = (Estimate.unknown("target_current or actual_current in the recording"),) * 6
+        return JointFit(payload, cog, rotors, unknown, unknown, unknown, torque_r2, (np.nan,) * 6)
+    # Stiction hides the friction of a standing joint in the actual current.
+    rows = np.ones(len(q), dtype=bool) if "target_current" in columns else (np.abs(qd) > FULL_SPEED).any(axis=1)
+    found = [
+        _fit_current(joint, modelled[rows, i], qd[rows, i], currents[rows, i], motors.torque_constants[i])
+        for i, joint in enumerate(JOINTS)
+    ]
+    constants, coulomb, viscous = (tuple(each[part] for each in found) for part in range(3))
+    explained = (
+        modelled[rows] / _or(constants, motors.torque_constants)
+        + _or(coulomb, motors.coulomb) * _saturated(qd[rows])
+        + _or(viscous, motors.viscous) * qd[rows]
+    )
+    current_r2 = tuple(_r2(currents[rows, i], explained[:, i]) for i in range(6))
+    return JointFit(payload, cog, rotors, constants, coulomb, viscous, torque_r2, current_r2)
+
+
+def _fit_moments(
+    model: Model, q: FloatArray, qd: FloatArray, qdd: FloatArray, moments: FloatArray
+) -> tuple[Estimate, tuple[Estimate, ...], tuple[Estimate, ...], FloatArray]:
+    def with_kg(at: FloatArray) -> FloatArray:
+        return Dynamics(model, payload=1.0, payload_cog=at).torque(q, qd, qdd)
+
+    bare = Dynamics(model).torque(q, qd, qdd)
+    # The moments per kg at the flange, and per kg m along each of its axes: without the terms of second order in the
+    # distance, which are the payload's inertia about the flange.
+    at_flange = with_kg(np.zeros(3)) - bare
+    step = 1e-3
+    per_way = [(with_kg(step * axis) - with_kg(-step * axis)) / (2.0 * step) for axis in np.eye(3)]
+    moved = np.abs(qdd).max(axis=0) >= _ACCELERATION
+    shared = np.stack([at_flange, *per_way], axis=-1)
+    rotor_columns = qdd[:, :, np.newaxis] * np.eye(6)
+    factors = np.zeros(10)
+    modelled = bare
+    weight = np.ones(6)
+    known = np.concatenate((np.ones(4, dtype=bool), moved))
+    covariance = np.zeros((10, 10))
+    second = np.zeros_like(bare)
+    for _ in range(4):
+        whole = np.concatenate((shared, rotor_columns), axis=-1)[:, :, known] * weight[:, np.newaxis]
+        wanted = (moments - bare - second) * weight
+        # Joint after joint, so that what is left of neighbouring rows can be seen to be alike.
+        stacked, target = np.swapaxes(whole, 0, 1).reshape(-1, int(known.sum())), wanted.T.ravel()
+        found, spread, _ = fit(stacked, target)
+        factors[known] = found
+        covariance[np.ix_(known, known)] = spread
+        mass, first = factors[0], factors[1:4]
+        cog = first / mass if mass > 1e-3 else np.zeros(3)
+        fitted = Dynamics(model, payload=max(mass, 0.0), payload_cog=cog, rotors=np.maximum(factors[4:], 0.0))
+        modelled = fitted.torque(q, qd, qdd)
+        # What the mass at its distance adds to its first moment, from the fit before.
+        linear = bare + shared @ factors[:4] + rotor_columns @ factors[4:]
+        second = modelled - linear
+        deviation = np.sqrt(np.mean((moments - modelled) ** 2, axis=0))
+        weight = 1.0 / np.maximum(deviation, max(deviation.max() * 1e-3, 1e-12))
+    deviations = np.sqrt(np.diag(covariance))
+    estimates = list(map(Estimate.around, factors.tolist(), deviations.tolist()))
+    payload, of_rotors = estimates[0], estimates[4:]
+    centre: tuple[Estimate, ...]
+    if deviations[0] * SIDES > _MASS:
+        needs = "postures in which the weight of the tool turns the wrists differently"
+        payload, centre = Estimate.unknown(needs), (Estimate.unknown(needs),) * 3
+    elif factors[0] < 0.05:
+        centre = (Estimate.unknown("a payload"),) * 3
+    else:
+        place, unsure = factors[1:4] / factors[0], deviations[1:4] / factors[0]
+        centre = tuple(map(Estimate.around, place.tolist(), unsure.tolist()))
+    rotors = tuple(
+        found if has_moved else Estimate.unknown(f"{joint} to accelerate by {_ACCELERATION} rad/s² or more")
+        for joint, found, has_moved in zip(JOINTS, of_rotors, moved, strict=True)
+    )
+    return payload, centre, rotors, modelled
+
+
+def _fit_current(
+    joint: str, torque: FloatArray, qd: FloatArray, current: FloatArray, constant: float
+) -> tuple[Estimate, Estimate, Estimate]:
+    """Torque constant, Coulomb and viscous friction of one joint."""
+    rubs, speeds_up, varies = np.abs(qd).max() > 2.0 * FULL_SPEED, np.abs(qd).max() > _SPEED, np.ptp(torque) > _MOMENT
+    every = np.column_stack((torque, _saturated(qd), qd))
+    known = np.array([varies, rubs, speeds_up])
+    estimates = [
+        Estimate.unknown(f"{joint} under moments that vary by {_MOMENT} Nm or more"),
+        Estimate.unknown(f"{joint} to turn faster than {2.0 * FULL_SPEED} rad/s both ways"),
+        Estimate.unknown(f"{joint} to turn faster than {_SPEED} rad/s"),
+    ]
+    if not known.any():
+        return estimates[0], estimates[1], estimates[2]
+    # A moment that hardly varies counts as that of the published torque constant.
+    factors, covariance, _ = fit(every[:, known], current if varies else current - torque / constant)
+    for place, value, deviation in zip(np.flatnonzero(known), factors, np.sqrt(np.diag(covariance)), strict=True):
+        estimates[place] = Estimate.around(float(value), float(deviation))
+    return of_ratio(estimates[0]), estimates[1], estimates[2]
+
+
+def _or(known: tuple[Estimate, ...], otherwise: tuple[float, ...]) -> FloatArray:
+    return np.array([a.value if a.is_known else b for a, b in zip(known, otherwise, strict=True)])
+
+
+def _saturated(qd: FloatArray) -> FloatArray:
+    return np.clip(qd / FULL_SPEED, -1.0, 1.0)
+
+
+def _r2(measured: FloatArray, modelled: FloatArray) -> float:
+    total = float(((measured - measured.mean()) ** 2).sum())
+    return 1.0 - float(((measured - modelled) ** 2).sum()) / total if total > 0.0 else float("nan")
+
+
+def fit(columns: FloatArray, measured: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Least squares: the factors of the columns, their covariance, and what is left of each row.
+
+    What is left over is seldom white: if neighbours are alike there are fewer independent rows than rows, by which the
+    covariance is widened.
+
+    Args:
+        columns: (n, k), in the order of time.
+        measured: (n,).
+    """
+    # Columns of about the same length, whose products a matrix of k by k then holds with enough digits.
+    lengths = np.sqrt((columns**2).sum(axis=0))
+    lengths[lengths == 0.0] = 1.0
+    scaled = columns / lengths
+    inverse = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
+    factors = inverse @ (scaled.T @ measured) / lengths
+    left = measured - columns @ factors
+    n, k = columns.shape
+    variance = float(left @ left) / max(n - k, 1)
+    total = float(left @ left)
+    alike = float(left[1:] @ left[:-1]) / total if total > 0.0 else 0.0
+    alike = min(max(alike, 0.0), 0.99)
+    widened = (1.0 + alike) / (1.0 - alike) if alike > 2.0 / math.sqrt(n) else 1.0
+    covariance = widened * variance * inverse / np.outer(lengths, lengths)
+    return np.asarray(factors, dtype=np.float64), np.asarray(covariance, dtype=np.float64), left
+
+
+def of_ratio(estimate: Estimate) -> Estimate:
+    """One over it, with the interval."""
+    if not estimate.is_known or estimate.low * estimate.high <= 0.0:
+        return Estimate.unknown(estimate.needs or "more motion")
+    return Estimate(1.0 / estimate.value, 1.0 / estimate.high, 1.0 / estimate.low)

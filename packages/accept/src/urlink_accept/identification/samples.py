@@ -1,0 +1,112 @@
+"""The columns that identification reads: of a recording, or of a table of RTDE variables with their names."""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from urlink import BadRecording, load
+from urlink.tools import FloatArray, Progress
+
+#: RTDE's name of a column -> that of the real-time interface.
+COLUMNS = {
+    "timestamp": "time",
+    "target_q": "q_target",
+    "target_qd": "qd_target",
+    "target_qdd": "qdd_target",
+    "target_moment": "M_target",
+    "target_current": "I_target",
+    "actual_q": "q_actual",
+    "actual_qd": "qd_actual",
+    "actual_current": "I_actual",
+    "joint_control_output": "I_control",
+    "target_TCP_pose": "tool_vector_target",
+    "actual_TCP_pose": "tool_vector_actual",
+    "actual_TCP_force": "tcp_force",
+    "actual_tool_accelerometer": "tool_accelerometer",
+    "speed_scaling": "speed_scaling",
+    "payload": "payload_mass",
+    "payload_cog": "payload_cog",
+}
+#: Without these nothing can be identified.
+_NEEDED = ("timestamp", "target_q", "target_qd", "target_qdd")
+
+
+class Samples(dict[str, FloatArray]):
+    """Columns by their RTDE names: (n,) or (n, k), finite, in the order of time.
+
+    Attributes:
+        path: of the file.
+        model: name of the arm; None if the file does not say it.
+        arrival: (n,) s, when each row came, by the clock of the computer that recorded; None if that is not there.
+    """
+
+    def __init__(
+        self, path: Path, columns: Mapping[str, FloatArray], model: str | None = None, arrival: FloatArray | None = None
+    ) -> None:
+        super().__init__(columns)
+        for name in _NEEDED:
+            if name not in self:
+                raise BadRecording(f"{path}: no column {name}; there are {', '.join(self) or 'none'}")
+        self.path, self.model, self.arrival = path, model, arrival
+        if len(self["timestamp"]) < 30:
+            raise BadRecording(f"{path}: {len(self['timestamp'])} rows; 30 or more are expected")
+
+    @property
+    def is_rest(self) -> NDArray[np.bool_]:
+        """(n,) whether no joint is to move."""
+        return np.asarray(~self["target_qd"].any(axis=1))
+
+
+def read_samples(path: str | os.PathLike[str], progress: Progress | None = None) -> Samples:
+    """Read a recording (`.urlog`), or a table of RTDE variables (`.csv`, as `urlink rtde --csv` prints).
+
+    In a table, vectors have a column for each number, with `_0` and so on at the end of their name.
+
+    Args:
+        path: The file.
+        progress: Called with the fraction that is done, 0 to 1, while a recording is read.
+
+    Raises:
+        BadRecording: no such file, not one of these, or without the targets of the joints.
+    """
+    path = Path(path)
+    if path.suffix.lower() == ".csv":
+        return _table(path)
+    recording = load(path, progress=progress)
+    if "rtde" in recording.channels and {"target_q", "target_qdd"} <= set(recording.rtde.fields):
+        table = recording.rtde
+        names = {name: name for name in (*COLUMNS, "runtime_state") if name in table.fields}
+    elif "realtime" in recording.channels:
+        table = recording.realtime
+        names = {ours: theirs for ours, theirs in COLUMNS.items() if theirs in table.fields}
+    else:
+        raise BadRecording(f"{path}: neither the real-time interface nor targets of RTDE; record one of them")
+    columns = {ours: np.asarray(table[theirs], dtype=np.float64) for ours, theirs in names.items()}
+    return Samples(path, columns, recording.model, np.asarray(table.time))
+
+
+def _table(path: Path) -> Samples:
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            head, *rows = list(csv.reader(file))
+        values = np.array([[float(cell) if cell else np.nan for cell in row] for row in rows])
+    except OSError as error:
+        raise BadRecording(f"{path}: {error.strerror}") from None
+    except ValueError as error:
+        raise BadRecording(f"{path}: not a table of numbers under one line of names ({error})") from None
+    groups: dict[str, list[int]] = {}
+    for at, name in enumerate(head):
+        stem, _, number = name.rpartition("_")
+        groups.setdefault(stem if number.isdecimal() and stem else name, []).append(at)
+    columns: dict[str, FloatArray] = {}
+    for name, places in groups.items():
+        column = values[:, places[0]] if len(places) == 1 else values[:, places]
+        if np.isfinite(column).all():
+            columns[name] = column
+    return Samples(path, columns, None, columns.get("received"))

@@ -1,0 +1,155 @@
+"""`urlink accept` many times: ``python -m packages.accept.tests.acceptance sound --runs 200``, or ``faults``.
+
+``sound`` runs stages against sound controllers, one firmware row after the other with an arm that is drawn: what is
+not held, and what contradicts a parameter, is a false alarm. Of stage 3 one joint swings, another one for each round of
+the rows. In simulated time, or with ``--real`` in real time beside a process that computes without end.
+
+``faults`` runs stage 2 again and again for half a minute while faults are injected (`faulted`), and looks how far any
+joint leaves its start; a run has some 45 faults.
+
+With ``--state FILE`` the next call goes on with the runs that are left. ``--first 17 --runs 1`` is one run alone,
+which in simulated time may differ from the same one after others in its process.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import logging
+import math
+import random
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import urlink
+from linkcore.errors import BadValue
+from tests import trials
+from urlink.arm.models import MODELS
+from urlink.arm.vectors import JOINTS
+from urlink.protocol.firmware import RELEASES
+from urlink.simulator.state import firmware_for
+from urlink_accept.acceptance.evidence import Evidence
+from urlink_accept.acceptance.report import judge
+from urlink_accept.acceptance.requirements import requirements
+from urlink_accept.acceptance.stages import STAGES, run
+
+from .faulted import faulted
+
+LIMIT = requirements()["box"].limit
+#: s of simulated time of a run with faults.
+_FAULTED = 30.0
+
+
+def address(seed: int) -> str:
+    """A sound controller: of each firmware row in turn, with an arm on which it runs."""
+    firmware = RELEASES[seed % len(RELEASES)].since
+    models = []
+    for name, arm in MODELS.items():
+        with contextlib.suppress(BadValue):
+            firmware_for(arm, firmware)
+            models.append(name.lower().replace(" ", ""))
+    return f"sim://{random.Random(seed).choice(models)}?firmware={firmware}"
+
+
+def sound(stages: Sequence[int], is_real: bool, seed: int) -> dict[str, Any]:
+    """How many verdicts of which kind a run has, and the false alarms."""
+    joint = JOINTS[seed // len(RELEASES) % len(JOINTS)]
+
+    def consent(number: int, does: str) -> str:
+        return "" if number < 3 or does == STAGES[3] or f"moves the {joint} alone" in does else "another joint is drawn"
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "run.urlog")
+        with contextlib.nullcontext() if is_real else urlink.simulated_time(seed=seed):
+            run(address(seed), path, tuple(stages), consent, seconds=3.0)
+        evidence = Evidence(path)
+        found = judge(evidence, requirements())
+    alarms = [f"{each.requirement.name}: {each.seen}" for each in found if each.state == "not held"]
+    alarms += [f"{each.requirement.name} contradicts {said}" for each in found for said in each.contradicts]
+    ended = [f"stage {note.said['number']} ended early: {note.said['error']}" for note in evidence.said("stage-ended")]
+    if not is_real:  # else this computer may have been held up until nothing was known of the arm
+        alarms, ended = alarms + ended, []
+    states = dict(Counter(each.state for each in found if each.requirement.stage in stages))
+    said = [*map("FALSE ALARM: {}".format, alarms), *ended]
+    print(f"seed {seed}, {address(seed)}: {states}", *said, sep="\n  ", flush=True)
+    return {"states": states, "alarms": alarms, "ended": ended}
+
+
+@contextlib.contextmanager
+def busy() -> Iterator[None]:
+    """A process beside this one that computes without end."""
+    process = subprocess.Popen([sys.executable, "-c", "while True: pass"])
+    try:
+        yield
+    finally:
+        process.kill()
+        process.wait()
+
+
+def all_sound(args: argparse.Namespace) -> int:
+    with busy() if args.real else contextlib.nullcontext():
+        runs = list(trials.tried(args, partial(sound, args.stages, args.real)))
+    states = sum((Counter(each["states"]) for each in runs), Counter[str]())
+    wrong = sum(bool(each["alarms"]) for each in runs)
+    rows = len({each["seed"] % len(RELEASES) for each in runs})
+    said = ", ".join(f"{count} {state}" for state, count in states.items())
+    ended = sum(bool(each.get("ended")) for each in runs)
+    print(
+        f"{len(runs)} runs of {rows} of {len(RELEASES)} firmware rows: {wrong} with false alarms, {ended} ended early; "
+        f"{said}"
+    )
+    return _ended(runs, wrong)
+
+
+def with_faults(seed: int) -> dict[str, Any]:
+    with tempfile.TemporaryDirectory() as folder:
+        ran = faulted(seed, _FAULTED, Path(folder))
+    if ran.away > LIMIT:
+        print(f"OUT OF THE BOX, seed {seed}: {math.degrees(ran.away):.2f} degrees", flush=True)
+    return {"away": ran.away, "stages": ran.stages, "happened": ran.happened, "steps": ran.steps}
+
+
+def all_with_faults(args: argparse.Namespace) -> int:
+    runs = list(trials.tried(args, with_faults))
+    happened, steps = (sum((Counter(each[of]) for each in runs), Counter[str]()) for of in ("happened", "steps"))
+    wrong = sum(each["away"] > LIMIT for each in runs)
+    print("faults:", ", ".join(f"{count} {name}" for name, count in sorted(happened.items())))
+    print("steps that began:", ", ".join(f"{count} {name}" for name, count in sorted(steps.items())))
+    worst = math.degrees(max(each["away"] for each in runs))
+    print(
+        f"{happened.total()} faults in {sum(each['stages'] for each in runs)} stages of {len(runs)} runs: {wrong} runs "
+        f"left the box; the farthest was {worst:.2f} of {math.degrees(LIMIT):g}°"
+    )
+    return _ended(runs, wrong)
+
+
+def _ended(runs: Sequence[dict[str, Any]], wrong: int) -> int:
+    print(f"{sum(each['processor'] for each in runs):.0f} s of processor time")
+    return int(wrong > 0)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        prog="python -m packages.accept.tests.acceptance",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    kinds = parser.add_subparsers(dest="kind", required=True)
+    of_sound, of_faults = kinds.add_parser("sound"), kinds.add_parser("faults")
+    trials.add_arguments(of_sound, runs=len(RELEASES))
+    of_sound.add_argument("--stages", type=int, nargs="+", choices=tuple(STAGES), default=tuple(STAGES))
+    of_sound.add_argument("--real", action="store_true", help="in real time, beside a busy process")
+    trials.add_arguments(of_faults, runs=12)
+    given = parser.parse_args()
+    logging.disable()  # each fault is told of
+    return all_sound(given) if given.kind == "sound" else all_with_faults(given)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

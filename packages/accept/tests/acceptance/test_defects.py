@@ -1,0 +1,80 @@
+"""Each planted defect is named for what it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+import urlink
+from packages.accept.tests.acceptance.defects import DEFECTS, planted
+from urlink_accept.acceptance.evidence import Evidence, Note
+from urlink_accept.acceptance.report import CHECKS, judge
+from urlink_accept.acceptance.requirements import requirements
+from urlink_accept.acceptance.stages import run
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> dict[bool, Evidence]:
+    """Three seconds of a sound arm that stands, and of one that moves."""
+    found = {}
+    for moves in (False, True):
+        path: Path = tmp_path_factory.mktemp("sound") / "run.urlog"
+        address = "sim://ur5e?firmware=5.11" + "&motion=demo" * moves
+        with urlink.simulated_time(seed=3):
+            run(address, path, (0,), lambda number, does: "", seconds=3.0)
+        found[moves] = Evidence(path)
+    return found
+
+
+def test_there_are_enough() -> None:
+    assert len(DEFECTS) >= 60
+    assert {each.named for each in DEFECTS.values()} <= CHECKS.keys()
+
+
+@pytest.mark.matrix(3)
+@pytest.mark.parametrize("name", DEFECTS)
+def test_a_defect_is_named_for_what_it_is(sound: dict[bool, Evidence], name: str) -> None:
+    defect = DEFECTS[name]
+    # The other requirements may be held or not.
+    named = {defect.named: requirements()[defect.named]}
+    (verdict,) = judge(planted(sound[defect.moves], defect), named)
+    assert verdict.state == "not held", verdict
+    assert defect.said in verdict.seen
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("moves", [False, True])
+def test_the_runs_themselves_are_sound(sound: dict[bool, Evidence], moves: bool) -> None:
+    """Nothing is planted in what is shared."""
+    assert [each.seen for each in judge(planted(sound[moves], None), requirements()) if each.state == "not held"] == []
+
+
+def test_what_came_while_this_computer_was_held_up_is_not_judged(sound: dict[bool, Evidence]) -> None:
+    """A simulated controller beside other programs leaves packages out, and so does a computer that is too slow."""
+    evidence = planted(sound[False], DEFECTS["robot states left out"])
+    evidence.notes = [Note(at, step, {"worst": 0.2} if step == "woken" else said) for at, step, said in evidence.notes]
+    (verdict,) = judge(evidence, {"primary-rate": requirements()["primary-rate"]})
+    assert (verdict.state, verdict.seen[:33]) == ("not tried", "this computer was itself held up ")
+
+
+def test_rates_are_of_what_came_while_it_was_seen_whether_this_computer_is_held_up(sound: dict[bool, Evidence]) -> None:
+    evidence = planted(sound[False], None)
+    evidence.notes = [Note(at + 1.5 * (step == "listening"), step, said) for at, step, said in evidence.notes]
+    (verdict,) = judge(evidence, {"primary-rate": requirements()["primary-rate"]})
+    assert verdict.state == "held"
+    assert 12 <= int(verdict.seen.split()[-2]) <= 15  # of 3 s, the second half
+
+
+def test_what_the_dashboard_said_in_stage_0_is_not_compared_with_a_later_stage(sound: dict[bool, Evidence]) -> None:
+    evidence = planted(sound[False], None)
+    *before, last = evidence.primary.states
+    runs = SimpleNamespace(robot_mode=last.robot_mode_data.robot_mode, is_program_running=True)
+    later = SimpleNamespace(robot_mode_data=runs, masterboard_data=last.masterboard_data)
+    evidence.primary = replace(evidence.primary, states=[*before, later])
+    modes = {"dashboard-modes": requirements()["dashboard-modes"]}
+    assert [each.state for each in judge(evidence, modes)] == ["not held"]
+    evidence.notes.append(Note(evidence.primary.arrivals[-1], "stage", {"number": 2}))
+    assert [each.state for each in judge(evidence, modes)] == ["held"]

@@ -1,0 +1,40 @@
+"""A calibration is found again from joint positions and poses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from linkcore.errors import BadValue
+from packages.accept.tests.identification.planted import motion
+from tests.urlink.arm.arms import calibrated
+from urlink.arm.kinematics import Arm
+from urlink_accept.identification.calibration import fit_calibration
+
+TCP = (0.01, -0.02, 0.15, 0.1, 0.2, -0.3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["UR3e", "UR5e", "UR10"])
+def test_a_calibrated_arm_is_found(name: str) -> None:
+    arm = calibrated(name, 3)
+    _, q, _, _ = motion(rate=20.0)
+    found = fit_calibration(arm.model, q[::2], arm.forward(q[::2], TCP))
+    assert found.rms < 1e-8
+    again = Arm.calibrated(arm.model, found.table).forward(q[1::2], found.tcp)
+    np.testing.assert_allclose(again[:, :3], arm.forward(q[1::2], TCP)[:, :3], atol=1e-7)
+
+
+@pytest.mark.slow
+def test_the_published_arm_is_found() -> None:
+    _, q, _, _ = motion(rate=10.0)
+    found = fit_calibration(Arm("UR5e").model, q, Arm("UR5e").forward(q, TCP))
+    again = Arm.calibrated("UR5e", found.table)
+    np.testing.assert_allclose(again.forward(q, found.tcp), Arm("UR5e").forward(q, TCP), atol=1e-7)
+
+
+def test_an_arm_that_hardly_moves_tells_nothing() -> None:
+    _, q, _, _ = motion(rate=10.0)
+    q[:, 1:3] = -1.0
+    with pytest.raises(BadValue, match="joints 1, 2 move by less"):
+        fit_calibration(Arm("UR5e").model, q, Arm("UR5e").forward(q))

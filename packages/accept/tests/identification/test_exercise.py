@@ -1,0 +1,168 @@
+"""The motion to record: where it goes, how fast, what stops it, and that its recording tells what was planted."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import urlink
+from linkcore.errors import BadValue, Cancelled
+from packages.accept.tests.identification.planted import planted
+from tests.urlink.arm.arms import calibrated
+from urlink.arm.arm_file import read_arm_file
+from urlink.arm.kinematics import Arm, DhTable
+from urlink.arm.models import MODELS
+from urlink.cli import main
+from urlink.simulator import Controller, Still
+from urlink_accept.identification.exercise import BESIDE, SWING, Guard, exercise, input_is_on, plan, plan_from_here
+
+START = np.array([0.2, -1.4, 1.6, -1.7, -1.5, 0.3])
+TCP = np.array([0.02, 0.0, 0.15, 0.0, 0.0, 0.0])
+
+
+@pytest.mark.slow
+@pytest.mark.simulated_time
+def test_what_was_planted_is_recovered_from_its_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """From end to end, by the commands, over the real-time interface of a CB3."""
+    arm = calibrated("UR5", 4).table
+    table = DhTable(*(np.asarray(column).tolist() for column in (arm.dh_theta, arm.dh_a, arm.dh_d, arm.dh_alpha)))
+    truth = dataclasses.replace(planted(), model="UR5", calibration=table)
+    truth.write(tmp_path / "arm.json")
+    address, run, out = f"sim://ur5?like={tmp_path / 'arm.json'}", tmp_path / "run.urlog", tmp_path / "found.json"
+    assert main(["exercise", address, "--out", str(run)]) == 0
+    shown = capsys.readouterr()
+    assert "UR5: 40 movements" in shown.out
+    assert " of 40: " in shown.err
+    assert main(["identify", str(run), "--out", str(out)]) == 0
+    found = read_arm_file(out)
+    for name, each in truth.estimates.items():
+        for estimate, true in zip(found.estimates[name], each, strict=True):
+            assert estimate.value == pytest.approx(true.value, rel=0.05), (name, estimate)
+    assert found.estimates["calibration"][0].value < 1e-7
+    assert min(found.torque_r2) > 0.999
+    assert min(found.current_r2) > 0.99
+
+
+@pytest.mark.parametrize("name", list(MODELS))
+def test_it_is_slow_stays_in_its_box_and_ends_where_it_began(name: str) -> None:
+    arm = Arm(name)
+    planned = plan(arm, START, TCP)
+    at, speeds, moved = START, [], np.zeros(6)
+    for leg in planned.legs:
+        way = leg.goal - at
+        part = np.random.default_rng(1).uniform(0.0, 1.0, 9)[:, np.newaxis]
+        tip = arm.forward(at + part * way, TCP)[:, :3]
+        assert (tip > planned.low - 1e-3).all()
+        assert (tip < planned.high + 1e-3).all()
+        qd = way / np.abs(way).max() * leg.speed
+        speeds.append(max(float(np.linalg.norm((arm.jacobian(q, TCP) @ qd)[:3])) for q in at + part * way))
+        assert np.abs(leg.goal - START).max() <= SWING + 1e-12
+        moved = np.maximum(moved, np.abs(leg.goal - START))
+        at = leg.goal
+    assert (at == START).all()
+    assert moved == pytest.approx([SWING] * 6)
+    assert max(speeds) < 0.26
+    assert planned.seconds < 180.0
+
+
+def test_what_leaves_the_limits_of_a_joint_is_refused() -> None:
+    start = START.copy()
+    start[1] = 6.2
+    with pytest.raises(BadValue, match=r"q\[1\] \(shoulder\)"):
+        plan(Arm("UR5e"), start, TCP)
+
+
+@pytest.mark.simulated_time
+def test_it_does_not_begin_where_it_was_not_planned_or_nobody_holds_the_switch() -> None:
+    with Controller("UR5", "3.15", motion=Still(START.tolist())) as controller:
+        with urlink.connect(controller.address) as robot:
+            planned = plan_from_here(robot)
+            elsewhere = dataclasses.replace(planned, start=planned.start + 0.01)
+            with pytest.raises(Cancelled, match="does not stand where"):
+                exercise(robot, elsewhere, Guard(robot, SWING + BESIDE))
+            with pytest.raises(Cancelled, match="not held"):
+                exercise(robot, planned, Guard(robot, SWING + BESIDE, input_is_on(2)))
+        assert (np.array(controller.arm.sample.q_target) == START).all()
+
+
+@pytest.mark.simulated_time
+def test_letting_go_of_the_switch_stops_it() -> None:
+    with Controller("UR5", "3.15", motion=Still(START.tolist())) as controller:
+        controller.signals.digital_inputs = 1 << 2
+        with urlink.connect(controller.address) as robot:
+            planned = plan_from_here(robot)
+            guard = Guard(robot, SWING + BESIDE, input_is_on(2))
+
+            def let_go(number: int) -> None:
+                if number == 1:
+                    controller.signals.digital_inputs = 0
+
+            with pytest.raises(Cancelled):
+                exercise(robot, planned, guard, let_go)
+            robot.realtime.wait_until(lambda state: not state.qd_target.any(), 2.0)
+            assert guard.tripped == "the dead man's input was let go of"
+            assert controller.arm.sample.q_target[0] > START[0]
+
+
+@pytest.mark.simulated_time
+def test_a_joint_outside_its_box_stops_it() -> None:
+    controller = Controller("UR5", "3.15", motion=Still(START.tolist()))
+    with controller, urlink.connect(controller.address) as robot:
+        guard = Guard(robot, 0.1)
+        with pytest.raises(Cancelled):
+            exercise(robot, plan_from_here(robot), guard)
+        robot.realtime.wait_until(lambda state: not state.qd_target.any(), 2.0)
+        assert "degrees away from where it stood" in guard.tripped
+        assert controller.arm.sample.q_target[0] < START[0] + 0.2
+
+
+@pytest.mark.simulated_time
+def test_nothing_moves_before_somebody_says_that_the_box_is_free(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with Controller("UR5", "3.15", motion=Still(START.tolist())) as controller:
+        with Path("/dev/null").open() as nothing:
+            monkeypatch.setattr(sys, "stdin", nothing)
+            assert main(["exercise", controller.address, "--out", str(tmp_path / "run.urlog")]) == 1
+        assert "--yes says so" in capsys.readouterr().err
+        assert (np.array(controller.arm.sample.q_target) == START).all()
+    assert not (tmp_path / "run.urlog").exists()
+
+
+def test_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["exercise", "sim://", "--swing", "90"]) == 2
+    assert "not from 6 to 45" in capsys.readouterr().err
+
+
+@pytest.mark.simulated_time
+def test_what_is_begun_at_the_moment_of_the_stop_is_stopped_too() -> None:
+    with Controller("UR5", "3.15", motion=Still(START.tolist())) as controller:
+        controller.signals.digital_inputs = 1 << 2
+        with urlink.connect(controller.address) as robot:
+            guard = Guard(robot, SWING + BESIDE, input_is_on(2))
+            with robot.realtime.subscribe(guard):
+                controller.signals.digital_inputs = 0
+                robot.realtime.wait_until(lambda _: bool(guard.tripped), 2.0)
+                with pytest.raises(Cancelled):
+                    robot.motion.move_joints(START + SWING, speed=0.1).wait(10.0)
+            robot.realtime.wait_until(lambda state: not state.qd_target.any(), 2.0)
+            assert np.abs(controller.arm.sample.q_target - START).max() < 0.1 * SWING
+
+
+@pytest.mark.simulated_time
+@pytest.mark.parametrize("slider", [1.0, 0.0], ids=["it moves", "it stands at slider 0"])
+def test_a_program_that_could_move_the_arm_later_is_waited_for_and_then_nothing_begins(slider: float) -> None:
+    controller = Controller("UR5", "3.15", motion=Still(START.tolist()))
+    with controller, urlink.connect(controller.address) as other, urlink.connect(controller.address) as robot:
+        motion = other.motion.move_joints(START + SWING, speed=0.02)
+        robot.realtime.wait_until(lambda state: bool(state.qd_target.any()), 2.0)
+        controller.speed_fraction = slider
+        with pytest.raises(Cancelled, match="a program runs or is paused"):
+            Guard(robot, SWING + BESIDE)
+        controller.speed_fraction = 1.0
+        motion.wait(60.0)
+        assert Guard(robot, SWING + BESIDE).start == pytest.approx(START + SWING)

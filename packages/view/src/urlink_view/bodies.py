@@ -1,0 +1,131 @@
+"""The bodies of an arm's links, from URDF: our own, of cylinders and spheres, or one with meshes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from urlink import LocalError
+from urlink.arm.kinematics import Arm
+from urlink.arm.poses import rotvec_to_quaternion, rpy_to_rotvec
+from urlink.arm.urdf import LINKS, link_poses, to_urdf
+from urlink.tools import FloatArray, needs
+
+#: Link of a URDF -> the frame of ours in which it is drawn. The vendor's base link for bodies is the controller's base.
+_FRAMES = {"base_link_inertia": "base_link", **{name: name for name in ("base_link", *LINKS, "tool0")}}
+_JOINTS_COLOUR = (93, 138, 168)
+
+
+class Bodies:
+    """The bodies of an arm in a scene of viser, below a node.
+
+    Args:
+        scene: of viser.
+        node: name of the node, such as "/actual".
+        arm: says where the links are.
+        urdf: a file whose links have the vendor's names, and visuals; None for shapes made of the kinematics.
+        colour: of cylinders, boxes and, if translucent, of meshes.
+        opacity: 1 is opaque.
+
+    Raises:
+        LocalError: the file, or a mesh in it, cannot be read, or nothing in it can be drawn.
+    """
+
+    def __init__(
+        self, scene: Any, node: str, arm: Arm, urdf: Path | None, colour: tuple[int, int, int], opacity: float = 1.0
+    ) -> None:
+        self._arm = arm
+        self.root = scene.add_frame(node, show_axes=False)
+        self._frames: list[Any] = []
+        paths = {"base_link": f"{node}/base_link"}
+        scene.add_frame(paths["base_link"], show_axes=False)
+        for parent, child, _ in link_poses(arm, np.zeros((1, 6))):
+            paths[child] = f"{paths[parent]}/{child}"
+            self._frames.append(scene.add_frame(paths[child], show_axes=False))
+        found = 0
+        for link, k, visual in _visuals(urdf, arm):
+            if link in _FRAMES:
+                _draw(scene, f"{paths[_FRAMES[link]]}/{link}_{k}", visual, urdf, colour, opacity)
+                found += 1
+        if not found:
+            raise LocalError(f"{urdf} gives no link of the arm a body; expected <visual> in links such as {LINKS[0]}")
+
+    def show(self, q: FloatArray) -> None:
+        """Put the links where they are at joint positions (6,), rad."""
+        for frame, (_, _, poses) in zip(self._frames, link_poses(self._arm, q[np.newaxis]), strict=True):
+            frame.position = poses[0, :3]
+            frame.wxyz = wxyz(poses[0, 3:])
+
+
+def wxyz(rotvec: FloatArray) -> FloatArray:
+    """The quaternion of a rotation vector, in the order of viser."""
+    return np.roll(rotvec_to_quaternion(rotvec), 1)
+
+
+def _visuals(urdf: Path | None, arm: Arm) -> list[tuple[str, int, ElementTree.Element]]:
+    try:
+        root = ElementTree.fromstring(to_urdf(arm, shapes=True) if urdf is None else urdf.read_text(encoding="utf-8"))
+    except (OSError, ValueError, ElementTree.ParseError) as error:
+        raise LocalError(f"{urdf} cannot be read as URDF: {error}") from error
+    return [
+        (link.get("name", ""), k, visual)
+        for link in root.iter("link")
+        for k, visual in enumerate(link.findall("visual"))
+        if visual.find("geometry") is not None
+    ]
+
+
+def _draw(
+    scene: Any, node: str, visual: ElementTree.Element, urdf: Path | None, colour: tuple[int, int, int], opacity: float
+) -> None:
+    with needs("", "a view in a browser", "urlink-view"):
+        import trimesh
+    origin, shape = visual.find("origin"), visual.find("geometry/*")
+    said: Mapping[str, str] = {} if origin is None else origin.attrib
+    place = {
+        "position": _numbers(said.get("xyz", "0 0 0")),
+        "wxyz": wxyz(rpy_to_rotvec(_numbers(said.get("rpy", "0 0 0")))),
+    }
+    if shape is None:
+        return
+    if shape.tag == "mesh":
+        mesh = _mesh(trimesh, shape.get("filename", ""), urdf)
+        mesh.apply_scale(_numbers(shape.get("scale", "1 1 1")))
+        if opacity == 1.0:
+            scene.add_mesh_trimesh(node, mesh, **place)  # in its own colours
+            return
+    elif shape.tag == "sphere":
+        mesh = trimesh.creation.icosphere(3, float(shape.get("radius", 0.0)))
+        colour = _JOINTS_COLOUR if opacity == 1.0 else colour
+    elif shape.tag == "cylinder":
+        mesh = trimesh.creation.cylinder(float(shape.get("radius", 0.0)), float(shape.get("length", 0.0)))
+    else:
+        mesh = trimesh.creation.box(_numbers(shape.get("size", "0 0 0")))
+    scene.add_mesh_simple(node, mesh.vertices, mesh.faces, color=colour, opacity=opacity, cast_shadow=False, **place)
+
+
+def _mesh(trimesh: Any, name: str, urdf: Path | None) -> Any:
+    """The mesh of a file: relative to the URDF, or of a package whose folder is beside or above that."""
+    assert urdf is not None
+    if name.startswith("package://"):
+        inside = name.removeprefix("package://")
+        package, _, rest = inside.partition("/")
+        places = [folder / inside for folder in urdf.resolve().parents]
+        places += [folder / rest for folder in urdf.resolve().parents if folder.name == package]
+    else:
+        places = [urdf.parent / name.removeprefix("file://")]
+    path = next((place for place in places if place.is_file()), None)
+    if path is None:
+        raise LocalError(f"{urdf} names {name}, which is not at {places[0]}")
+    try:
+        return trimesh.load(path, force="mesh")
+    except (ImportError, ValueError, OSError, KeyError) as error:  # a format whose reader is not installed, or damage
+        raise LocalError(f"{path} cannot be read: {error}") from error
+
+
+def _numbers(text: str) -> FloatArray:
+    return np.array([float(each) for each in text.split()])

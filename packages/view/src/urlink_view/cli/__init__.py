@@ -1,0 +1,1 @@
+"""The commands `urlink view` and `urlink foxglove`."""

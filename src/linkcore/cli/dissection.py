@@ -1,0 +1,63 @@
+"""The bytes of a file or of stdin, shown piece by piece: what the `dissect` of every package does.
+
+A piece is a packet, or bytes that belong to none. A package cuts the bytes and says what they mean.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+from ..errors import BadRecording
+from ..text import strict_json
+from .input_bytes import named
+from .options import argument, positive_int
+
+#: Options of every `dissect`.
+SHOWN = (
+    argument("--count", type=positive_int, metavar="N", help="only the first N packets or stretches of bytes"),
+    argument("--json", action="store_true", help="one JSON object a line, for each packet or stretch"),
+)
+
+
+class Shown(NamedTuple):
+    """A piece as it is printed.
+
+    Attributes:
+        is_read: Whether anything in it was decoded.
+        json: The piece as values for JSON.
+        text: The piece as lines of text.
+    """
+
+    is_read: bool
+    json: dict[str, Any]
+    text: str
+
+
+def print_pieces(pieces: Iterable[Shown], args: argparse.Namespace, of: str = "") -> int:
+    """Print pieces, as many as `args` says, and return the exit status: 1 if nothing was decoded.
+
+    Args:
+        pieces: The pieces of the file that `args` names.
+        args: The arguments of a command that takes `SHOWN`.
+        of: Where the bytes should come from, used in the error message.
+
+    Raises:
+        BadRecording: If there is no piece.
+    """
+    shown = read = 0
+    for piece in pieces:
+        shown += 1
+        read += piece.is_read
+        print(strict_json(piece.json) if args.json else piece.text)
+        if shown == args.count:
+            break
+    if not shown:
+        raise BadRecording(f"{named(args.file)} holds no bytes{of}")
+    return 0 if read else 1
+
+
+def ascii_text(data: bytes) -> str:
+    """The bytes as ASCII, with a dot for each byte that is not printable."""
+    return "".join(chr(byte) if 0x20 <= byte < 0x7F else "." for byte in data)

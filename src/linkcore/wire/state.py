@@ -1,0 +1,144 @@
+"""`State`: one decoded packet, typed, frozen, and backed by the bytes that were received.
+
+`linkcore.wire.packet` makes the classes of packets, which derive from it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from .fields import Field, OpenInt, Version
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+    from ..clock import Stamp
+    from .schema import Row
+    from .state_layouts import StateLayout, StateLayouts
+
+
+class State:
+    """One decoded packet: typed, frozen, and backed by the bytes that were received.
+
+    ``State(version, name=value, ...)`` builds one, for tests and simulators: fields that are not given are
+    zero. Equal states have equal bytes.
+    """
+
+    # With text in the packet `_values` are those of all fields. Otherwise they are its arrays of floats, or None before
+    # `StateLayout.swap` has made them, when the first is read.
+    __slots__ = ("_data", "_layout", "_stamp", "_values")
+
+    #: name -> declaration of the field, in declared order
+    FIELDS: ClassVar[Mapping[str, Field]] = {}
+    #: the layouts of the class, and the choice among them
+    LAYOUTS: ClassVar[StateLayouts]
+    #: False for a sample of something that goes on, True for news that comes once
+    IS_EVENT: ClassVar[bool] = False
+
+    _data: bytes
+    _layout: StateLayout
+    _stamp: Stamp | None
+    _values: Any
+
+    def __init__(self, version: str | Version | None = None, /, **fields: Any) -> None:
+        layout = self.LAYOUTS.of(version, fields)
+        self._data = layout.encode(fields)
+        self._layout = layout
+        self._stamp = None
+        self._values = layout.values(self._data)
+
+    @classmethod
+    def dtype(cls, version: str | Version | None = None) -> np.dtype[Any]:
+        """The numpy dtype of the packet on the wire, as `version` (or the newest) sends it.
+
+        ``np.frombuffer(data, RealtimeState.dtype("5.10"))["q_actual"]`` reads many at once.
+        """
+        return cls.LAYOUTS.of(version).dtype
+
+    @property
+    def received(self) -> Stamp | None:
+        """When the bytes arrived; None for a state that came over no link."""
+        return self._stamp
+
+    @property
+    def tail(self) -> bytes:
+        """The bytes after the last field that is known."""
+        return self._data[self._layout.end(self._data) :]
+
+    def __bytes__(self) -> bytes:
+        """The packet as it lay on the wire, header and tail included."""
+        return self._data
+
+    def __eq__(self, other: object) -> bool:
+        if type(other) is not type(self):
+            return NotImplemented
+        return self._data == other._data
+
+    def __hash__(self) -> int:
+        return hash(self._data)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (_restored, (type(self), self._data, self._layout.first, self._layout.has_block, self._stamp))
+
+    def __dir__(self) -> list[str]:
+        # Without each `Elsewhere`, which is a name that the class does not have.
+        return [name for name in super().__dir__() if hasattr(type(self), name)]
+
+    def __copy__(self) -> Self:
+        return self
+
+    def __deepcopy__(self, memo: object) -> Self:
+        return self
+
+    def dissect(self) -> Iterator[Row]:
+        """Every stretch of the packet's bytes with offset, name, value and unit; the unknown tail last."""
+        from .schema import dissect  # which imports construct: a program that dissects nothing does not pay for that
+
+        return dissect(self._layout, self._data)
+
+    def to_dict(self) -> dict[str, Any]:
+        """name -> plain Python value of every field sent: numbers, lists, text; codes by name."""
+        return {name: plain(getattr(self, name)) for name in self._layout.places}
+
+    def __str__(self) -> str:
+        shown = ", ".join(f"{name}={_short(getattr(self, name))}" for name in self._layout.places)
+        return f"{type(self).__name__}({shown})"
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        from ..text import html_table  # imported here: importing the library stays cheap
+
+        fields = ((name, place.field) for name, place in self._layout.places.items())
+        rows = [(name, _short(getattr(self, name)), field.unit, field.doc) for name, field in fields]
+        return html_table(type(self).__name__, ("field", "value", "unit", "meaning"), rows)
+
+
+def _restored(cls: type[State], data: bytes, first: Version, has_block: bool, stamp: Stamp | None) -> State:
+    (layout,) = (each for each in cls.LAYOUTS.all if (each.first, each.has_block) == (first, has_block))
+    return layout.decode(data, stamp)  # type: ignore[no-any-return]
+
+
+def plain(value: Any) -> Any:
+    """A field's value for JSON: codes by name, bytes in hex."""
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value.tolist()
+    if isinstance(value, (tuple, list)):
+        return [plain(element) for element in value]
+    if isinstance(value, OpenInt):
+        return value.name
+    return value.hex() if isinstance(value, (bytes, bytearray)) else value
+
+
+def _short(value: Any) -> str:
+    """Text for one line, without control characters, whatever came over the wire."""
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, OpenInt):
+        return str(value.name)
+    if isinstance(value, (np.ndarray, tuple)):
+        return "[" + ", ".join(_short(element) for element in list(value)) + "]"
+    return repr(value) if isinstance(value, (str, bytes)) else str(value)

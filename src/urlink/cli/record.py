@@ -1,0 +1,76 @@
+"""`urlink record`: records what a robot sends."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+
+from linkcore import clock
+from linkcore.cli.options import (
+    DURATION,
+    argument,
+    command,
+    positive_int,
+)
+from linkcore.cli.progress import ProgressBar
+from linkcore.cli.terminal import Interruption
+from linkcore.recording.table_files import format_of
+from linkcore.streaming.connection_life import ConnectionState
+
+from ..protocol.ports import INTERFACES
+from .options import ADDRESS, connected, tell
+from .recording_summary import read_summary
+
+
+@command(
+    "record",
+    "record what a robot sends",
+    *ADDRESS,
+    argument("file", metavar="FILE", help="file to make; it must not exist yet"),
+    argument(
+        "--interface",
+        action="append",
+        choices=INTERFACES,
+        help="interface to record; can be repeated (realtime and primary)",
+    ),
+    DURATION,
+    argument("--count", type=positive_int, metavar="N", help="end when N packets have come on each interface (never)"),
+)
+def run(args: argparse.Namespace) -> int:
+    """Record the raw bytes of one or more interfaces, with the times at which they came, into a new file.
+
+    Every byte is kept, whether this library can decode it or not. A lost connection is noted and made again.
+    Ctrl-C, SIGTERM, --duration and --count end the recording properly. After a crash the file can still be read
+    up to the crash. Play it with `urlink replay`, look into it with `urlink dissect`, or use it as an address:
+    replay:///path/to/file. A file that ends in .mcap gets messages of ROS 2 instead, for Foxglove and ros2 bag,
+    which cannot be replayed (pip install 'urlink-robot[mcap]').
+
+    examples:
+      urlink record 192.168.56.101 run.urlog
+      urlink record sim:// run.urlog --interface realtime --duration 10
+      urlink record 192.168.56.101 run.urlog --interface primary --interface secondary --count 100
+    """
+    interfaces = list(dict.fromkeys(args.interface or ("realtime", "primary")))
+    longest, most = args.duration or math.inf, args.count or math.inf
+    with connected(args) as robot, Interruption() as interruption:
+        streams = [getattr(robot, name) for name in interfaces]
+        with robot.record(args.file, interfaces), ProgressBar("recording", args.quiet) as progress:
+            tell(f"recording {' and '.join(interfaces)} of {args.address} into {args.file}; Ctrl-C ends it")
+            begin = clock.now()
+            interruption.end_after(args.duration)
+            while not interruption.wait(0.05):
+                fewest = min(stream.stats.received for stream in streams)
+                progress(max((clock.now() - begin) / longest, fewest / most), f"recording, {fewest} packets")
+                if fewest >= most:
+                    break
+                for stream in streams:
+                    if stream.failure is not None:
+                        raise stream.failure
+                if all(stream.connection is ConnectionState.CLOSED for stream in streams):
+                    break  # the source is a recording, and it is over
+    if format_of(args.file) is not None:
+        print(f"{args.file}: {Path(args.file).stat().st_size} bytes")
+    else:
+        print(read_summary(args.file, args.quiet).as_text())
+    return interruption.status

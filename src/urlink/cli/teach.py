@@ -1,0 +1,130 @@
+"""`urlink teach`: a person guides the arm by hand, and the waypoints are saved and played."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import select
+import sys
+from collections.abc import Iterator
+
+from linkcore.cli.options import argument, command
+from linkcore.cli.progress import ProgressBar
+from linkcore.cli.terminal import Interruption
+from linkcore.errors import BadValue, LocalError
+
+from ..motion.teaching import Taught, TaughtPoint
+from ..robot import Robot
+from .options import ADDRESS, connected
+from .packet_fields import joints_text
+
+#: Seconds that playing may take.
+_LONGEST = 3600.0
+
+
+def _axes(text: str) -> list[int]:
+    if len(text) != 6 or set(text) - {"0", "1"}:
+        raise argparse.ArgumentTypeError(f"{text!r} is not six of 0 and 1")
+    return [int(each) for each in text]
+
+
+@command(
+    "teach",
+    "teach waypoints by hand, and play them",
+    *ADDRESS,
+    argument("file", metavar="FILE", help="file of the waypoints, in JSON"),
+    argument("--digital-input", type=int, metavar="N", help="standard digital input that keeps one too"),
+    argument("--button", action="store_true", help="move it by the arm's own button; releasing it keeps one"),
+    argument("--axes", type=_axes, metavar="BITS", help="free axes x y z rx ry rz, such as 110001 (all)"),
+    argument("--play", action="store_true", help="play FILE instead of teaching it"),
+    argument("--speed", type=float, default=0.5, metavar="V", help="rad/s while playing (0.5)"),
+    argument("--blend", type=float, default=0.0, metavar="R", help="m of round corners while playing (0)"),
+)
+def run(args: argparse.Namespace) -> int:
+    """Save waypoints to FILE while a person moves the arm by hand. THE ARM YIELDS: it goes where it is pushed,
+    and drifts if its payload is set wrong.
+
+      Enter          keeps a waypoint
+      u, Enter       forgets the last one
+      q, Enter       saves them, and ends; so does the end of stdin
+
+    Ctrl-C ends without saving. With --play the arm moves through the waypoints of FILE instead. THE ARM MOVES.
+
+    examples:
+      urlink teach 192.168.56.101 pick.json
+      urlink teach 192.168.56.101 pick.json --digital-input 0
+      urlink teach 192.168.56.101 pick.json --play --speed 0.3 --blend 0.02
+    """
+    known = Taught.load(args.file) if args.play else None
+    with Interruption() as interruption, connected(args) as robot:
+        if known is not None:
+            with ProgressBar(f"playing {args.file}", args.quiet) as progress:
+                _play(robot, known, args, interruption, progress)
+        else:
+            _keep(robot, args, interruption)
+    return interruption.status
+
+
+def _play(
+    robot: Robot, taught: Taught, args: argparse.Namespace, interruption: Interruption, progress: ProgressBar
+) -> None:
+    with taught.play(robot, speed=args.speed, blend=args.blend) as motion:
+        segment = -1
+        while not motion.done and not interruption.wait(0.05):
+            progress(motion.progress)
+            if motion.segment != segment:
+                segment = motion.segment
+                print(f"to waypoint {segment + 1} of {len(taught)}", flush=True)
+        if interruption.number is None:
+            motion.wait(_LONGEST)
+            print("done", flush=True)
+
+
+def _keep(robot: Robot, args: argparse.Namespace, interruption: Interruption) -> None:
+    with robot.teach(digital_input=args.digital_input, button=args.button, axes=args.axes, on_point=_show) as teaching:
+        print("move the arm; Enter keeps a waypoint, q ends", flush=True)
+        for line in _lines(interruption):
+            if teaching.freedrive is not None and teaching.freedrive.done:
+                teaching.freedrive.wait(0.0)
+            if line == "":
+                teaching.record()
+            elif line == "u":
+                teaching.taught.remove_last()
+                print(f"{len(teaching.taught)} waypoints", flush=True)
+            elif line == "q":
+                break
+            elif line is not None:
+                print("Enter keeps a waypoint, u forgets the last, q ends", flush=True)
+    if interruption.number is None:
+        if not len(teaching.taught):
+            raise BadValue("no waypoint was taught, so nothing was saved")
+        teaching.taught.save(args.file)
+        print(f"{len(teaching.taught)} waypoints in {args.file}", flush=True)
+
+
+def _show(point: TaughtPoint) -> None:
+    print(joints_text(point.q), flush=True)
+
+
+def _lines(interruption: Interruption) -> Iterator[str | None]:
+    """Lines of stdin without line ends, until it ends or a signal comes; None while there is no line.
+
+    Raises:
+        LocalError: this system cannot wait for stdin with a timeout.
+    """
+    held = b""
+    while interruption.number is None:
+        try:
+            is_ready = bool(select.select([sys.stdin], [], [], 0.05)[0])
+        except (OSError, ValueError) as error:
+            raise LocalError(f"stdin cannot be waited for: {error}") from None
+        if not is_ready:
+            yield None
+            continue
+        read = os.read(sys.stdin.fileno(), 1024)
+        held += read
+        *lines, held = held.split(b"\n")
+        for line in lines:
+            yield line.decode(errors="replace").strip()
+        if not read:
+            return

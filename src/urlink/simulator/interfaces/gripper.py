@@ -1,0 +1,38 @@
+"""The gripper interface, 63352: the Robotiq URCap, which answers lines about the gripper that is mounted.
+
+It answers as public clients and programs of the URCap expect it: `ack` comes without a newline, a value with one.
+"""
+
+from __future__ import annotations
+
+from ..robot.gripper import SimulatedGripper
+from ..state import ControllerState
+from .interface import Interface, InterfaceClient, LineReceiver
+
+
+class GripperInterface(Interface):
+    """Serves the gripper of one controller.
+
+    Args:
+        state: of the controller.
+        gripper: that is mounted; None for no such URCap.
+    """
+
+    def __init__(self, state: ControllerState, gripper: SimulatedGripper | None) -> None:
+        self._state = state
+        self._gripper = gripper
+
+    def is_offered(self) -> bool:
+        # URCaps came with CB3.
+        return self._gripper is not None and not self._state.firmware.is_cb2
+
+    def receiver(self, client: InterfaceClient) -> LineReceiver:
+        gripper = self._gripper
+        assert gripper is not None, "the interface is not offered without one"
+
+        def answer(line: str) -> None:
+            reply = gripper.reply(line)
+            if reply is not None:
+                client.send(reply.encode("ascii") if reply == "ack" else f"{reply}\n".encode("ascii"))
+
+        return LineReceiver(client, self._state.counters, answer)

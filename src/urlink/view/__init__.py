@@ -1,1 +1,0 @@
-"""A robot, or a recording, in 3D in a browser; needs the extra ``view``."""
