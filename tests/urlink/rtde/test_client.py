@@ -106,7 +106,7 @@ def test_a_declared_class() -> None:
     ("call", "error"),
     [
         (lambda rtde: rtde.outputs(), "expected the names"),
-        (lambda rtde: rtde.outputs("timestamp", frequency=501), "frequency=501; this controller sends 1 to 500"),
+        (lambda rtde: rtde.outputs("timestamp", frequency=501), "frequency=501; expected 1 to 500 packages per second"),
         (lambda rtde: rtde.outputs("timestamp", frequency=0.5), "frequency=0.5"),
         (lambda rtde: rtde.outputs("timestamp", frequency="125"), "frequency is '125'; expected a number"),
         (lambda rtde: rtde.outputs("timestamp", frequency=True), "frequency is True; expected a number"),
@@ -114,7 +114,7 @@ def test_a_declared_class() -> None:
         (lambda rtde: rtde.outputs(Outputs), "expected a class derived"),
         (lambda rtde: rtde.outputs(dict), "expected a class derived"),
         (lambda rtde: rtde.outputs(type("Nothing", (Outputs,), {})), "Nothing declares no variable"),
-        (lambda rtde: rtde.inputs("speed_slider_mask"), "without what it is the mask of"),
+        (lambda rtde: rtde.inputs("speed_slider_mask"), "is a mask; request the variable"),
         (lambda rtde: rtde.inputs(), "expected the names"),
     ],
 )
