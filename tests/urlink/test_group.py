@@ -616,7 +616,7 @@ def test_awaited() -> None:
                 seen += 1
                 if seen == 5:
                     break
-            with pytest.raises(BadValue, match="no AsyncRobot"):
+            with pytest.raises(BadValue, match="not an AsyncRobot"):
                 AsyncGroup(one, "sim://ur5e")  # type: ignore[arg-type]
 
     asyncio.run(use())
