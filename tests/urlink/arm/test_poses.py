@@ -268,7 +268,7 @@ def test_what_turns_nothing_is_refused() -> None:
     mirror = np.diag([1.0, 1.0, -1.0])
     with pytest.raises(BadValue, match="no rotation"):
         matrix_to_rotvec(mirror)
-    with pytest.raises(BadValue, match=r"at \[1\] is no rotation"):
+    with pytest.raises(BadValue, match=r"at \[1\] is not a rotation"):
         matrix_to_rotvec([np.eye(3), 2.0 * np.eye(3)])
     with pytest.raises(BadValue, match="no rotation"):
         from_matrix(np.zeros((4, 4)))
