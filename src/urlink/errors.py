@@ -1,22 +1,22 @@
-"""The exceptions of commanding a robot: the part of the error tree that is specific to arms.
+"""Errors that a command to a robot can raise.
 
-They hang below two branches of `linkcore.errors`::
+They belong to two branches of `linkcore.errors`::
 
     LinkError
-    ├── LocalError                  wrong in this program
-    │   └── NotOffered              a call of another client that `urlink.compat` has not
-    └── RemoteError                 the peer sent nonsense, or went away, or refused
-        ├── SafetyStop              a stop holds, or came in between: `cause` says which
-        │   └── NotEnabled          all is clear, but `safety.enable()` has to be called first
-        ├── NotRunning              the robot does not run, or that is not known; nothing was sent
-        ├── NotConfirmed            a setting was sent, and the robot's states do not show it
-        ├── ToleranceExceeded       the arm left its path, or did not arrive where it should
-        ├── NoContact               a movement that was to end at a contact came to its end without one
-        ├── ScriptError             the controller complains of a program: `line`, `column`, `text`
-        │   ├── CompileError        it did not begin
-        │   └── ScriptFailed        it failed while it ran
-        ├── StatementDiscarded      interpreter mode does not take a statement: `statement`, `number`
-        └── ProgramStopped          stopped from elsewhere: pendant, dashboard, another client's program
+    ├── LocalError                  an error in your program
+    │   └── NotOffered              a call of another client that `urlink.compat` does not have
+    └── RemoteError                 the peer sent invalid data, disconnected, or refused
+        ├── SafetyStop              a stop is active, or occurred during the motion; `cause` names it
+        │   └── NotEnabled          nothing blocks the arm, but `safety.enable()` must be called first
+        ├── NotRunning              the robot is not running, or its mode is unknown; nothing was sent
+        ├── NotConfirmed            a setting was sent, but the robot's states do not show it
+        ├── ToleranceExceeded       the arm left its path, or did not reach its goal
+        ├── NoContact               a move until contact ended without a contact
+        ├── ScriptError             the controller reports an error in a program: `line`, `column`, `text`
+        │   ├── CompileError        the program did not start
+        │   └── ScriptFailed        the program failed while it ran
+        ├── StatementDiscarded      interpreter mode rejected a statement: `statement`, `number`
+        └── ProgramStopped          stopped by the pendant, the dashboard, or another client's program
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ class NotOffered(LocalError, NotImplementedError):
 
 
 class SafetyStop(RemoteError):
-    """A stop ended the motions and refuses new ones.
+    """A stop has ended all motions and blocks new ones.
 
     Attributes:
-        cause: which stop, such as "protective stop".
+        cause: Name of the stop, such as "protective stop".
     """
 
     def __init__(self, text: str, cause: str) -> None:
@@ -44,32 +44,32 @@ class SafetyStop(RemoteError):
 
 
 class NotEnabled(SafetyStop):
-    """The robot is fine, but by the policy `safety.enable()` has to be called first."""
+    """No stop is active, but the policy requires a call of `safety.enable()` first."""
 
 
 class NotRunning(RemoteError):
-    """The robot mode is not RUNNING, or is not known; nothing was sent."""
+    """The robot mode is not RUNNING, or is unknown. Nothing was sent."""
 
 
 class NotConfirmed(RemoteError):
-    """A setting was sent, and the robot's states do not show it in time; it may still take effect."""
+    """A setting was sent, but the robot's states did not show it in time. It might still take effect."""
 
 
 class ToleranceExceeded(RemoteError):
-    """The arm was further from where it should be than the trajectory allows."""
+    """The arm was further from its trajectory than the tolerance allows."""
 
 
 class NoContact(RemoteError):
-    """A movement that was to end at a contact went its whole distance without one; the arm stands."""
+    """A move until contact covered its whole distance without a contact. The arm is at rest."""
 
 
 class ScriptError(RemoteError):
-    """The controller complains of a program.
+    """The controller reports an error in a program.
 
     Attributes:
-        line: in the source as it was given, from 1.
-        column: in that line, as the controller counts.
-        text: the controller's text, such as "compile_error_name_not_found:txtmsg:".
+        line: Line number in the source text that was passed, counted from 1.
+        column: Column in that line, as the controller counts.
+        text: Error text of the controller, such as "compile_error_name_not_found:txtmsg:".
     """
 
     def __init__(self, line: int, column: int, text: str) -> None:
@@ -83,7 +83,7 @@ class ScriptError(RemoteError):
 
 
 class CompileError(ScriptError):
-    """The program does not compile; it did not begin."""
+    """The program does not compile, so it did not start."""
 
 
 class ScriptFailed(ScriptError):
@@ -91,11 +91,11 @@ class ScriptFailed(ScriptError):
 
 
 class StatementDiscarded(RemoteError):
-    """Interpreter mode does not take a statement: it does not compile, or no program is in the mode.
+    """Interpreter mode rejected a statement: it does not compile, or no program is in interpreter mode.
 
     Attributes:
-        statement: as it was sent.
-        number: that the controller gave it.
+        statement: Text of the statement, as it was sent.
+        number: Number that the controller gave the statement.
     """
 
     def __init__(self, statement: str, number: int) -> None:
@@ -104,8 +104,8 @@ class StatementDiscarded(RemoteError):
         self.number = number
 
     def __str__(self) -> str:
-        return f"the controller has discarded statement {self.number}, which does not compile: {self.statement!r}"
+        return f"the controller discarded statement {self.number}, because it does not compile: {self.statement!r}"
 
 
 class ProgramStopped(RemoteError):
-    """The program was stopped before its end: at the pendant, by the dashboard, or by another client's program."""
+    """The program was stopped early: at the pendant, by the dashboard, or by another client's program."""

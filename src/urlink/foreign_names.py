@@ -1,6 +1,6 @@
-"""Names of URScript, ur_rtde, urx and the other interfaces of a controller, and what they are called here.
+"""Names of URScript, ur_rtde, urx and the other interfaces of a controller, with their equivalents in urlink.
 
-`linkcore.names` asks this module about a name that a public object does not have.
+`linkcore.names` looks up here the names that a public object does not have.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from linkcore.names import Elsewhere
 if TYPE_CHECKING:
     from linkcore.wire.packet import State
 
-#: what does it here -> the names of it there, in small letters and without underscores
+#: Call of urlink -> equivalent names of other libraries, in lower case and without underscores.
 _NAMES = {
     "robot.motion.move_joints(q)": "movej",
     "robot.motion.move_joints(robot.kinematics.inverse(pose, near))": "movejik",
@@ -49,7 +49,7 @@ _NAMES = {
     "robot.safety.is_enabled": "isrunning",
     "robot.realtime.stats, or urlink.ConnectionEvent": "isconnected",
     "robot.close()": "disconnect",
-    "nothing: connections that were lost come back by themselves": "reconnect",
+    "nothing: lost connections reconnect automatically": "reconnect",
     "robot.kinematics.forward(q)": "getforwardkin getforwardkinematics fk",
     "robot.kinematics.inverse(pose, near)": "getinversekin getinversekinematics ik",
     "urlink.arm.poses.compose(p_from, p_from_to)": "posetrans",
@@ -79,7 +79,7 @@ _NAMES = {
     "robot.dashboard.unlock_protective_stop()": "unlockprotectivestop reset",
     "robot.dashboard.play()": "play",
     "robot.motion.move_joints(q), or robot.motion.move_linear(pose)": "moveto move",
-    "robot.motion.move_joints(q), with the joint positions that are home to you": "home",
+    "robot.motion.move_joints(q), with the joint positions of your home posture": "home",
     "robot.gripper.move(position)": "grippermove",
     "robot.gripper.close()": "closegripper grip",
     "robot.gripper.open()": "opengripper",
@@ -91,7 +91,7 @@ _NAMES = {
 }
 _OWN = {name: own for own, names in _NAMES.items() for name in names.split()}
 
-#: The names of one quantity on the real-time interface, in RTDE, and on the primary interface.
+#: One row for each quantity: its names on the real-time interface, in RTDE, and on the primary interface.
 _QUANTITIES = """
     q_actual                actual_q                    joint_data.q_actual
     q_target                target_q                    joint_data.q_target
@@ -131,12 +131,12 @@ _QUANTITIES = """
 """
 INTERFACES = ("realtime", "rtde", "primary")
 _ROWS = tuple(tuple(line.split()) for line in _QUANTITIES.strip().splitlines())
-#: Short names that other libraries and programs use for a quantity of the real-time interface.
+#: Short names of real-time quantities that other libraries and programs use.
 _SHORT = {"q": "q_actual", "qd": "qd_actual", "tcp": "tool_vector_actual", "pose": "tool_vector_actual"}
 
 
 def own_name(name: str) -> str | None:
-    """What a name of URScript, ur_rtde, urx or one of the interfaces is called here; None if it is none of these.
+    """Return the urlink equivalent of a name of URScript, ur_rtde, urx or an interface; None if it is unknown.
 
     >>> own_name("moveJ"), own_name("get_actual_q"), own_name("spin")
     ('robot.motion.move_joints(q)', 'robot.realtime.wait().q_actual', None)
@@ -148,19 +148,19 @@ def own_name(name: str) -> str | None:
 
 
 def _places(row: tuple[str, ...]) -> str:
-    """Where one quantity is read."""
+    """Return the calls that read one quantity."""
     return f"robot.realtime.wait().{row[0]}, or robot.rtde.outputs({row[1]!r})"
 
 
 def name_on(interface: str, name: str) -> str | None:
-    """The name on one interface of a quantity that has another name on other interfaces; None if none is known.
+    """Return the name of a quantity on one interface, given its name on any interface; None if it is unknown.
 
     >>> name_on("realtime", "actual_q"), name_on("rtde", "q_actual"), name_on("primary", "actual_q")
     ('q_actual', 'actual_q', 'joint_data.q_actual')
 
     Args:
-        interface: One of `INTERFACES`.
-        name: The name there.
+        interface: Interface of the returned name: one of `INTERFACES`.
+        name: Name of the quantity on any interface.
     """
     at = INTERFACES.index(interface)
     for row in _ROWS:
@@ -170,7 +170,7 @@ def name_on(interface: str, name: str) -> str | None:
 
 
 def hint_other_interfaces(kind: type[State], interface: str) -> None:
-    """Have a packet class answer the names of its quantities on other interfaces with a hint."""
+    """Make a packet class raise an error with a hint for names that its quantities have on other interfaces."""
     for name in {*_SHORT, *(part for row in _ROWS for part in (*row[:2], row[2].rpartition(".")[2]))}:
         own = name_on(interface, name)
         field = None if own is None else own.rpartition(".")[2] if kind.FIELDS else own

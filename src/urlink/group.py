@@ -1,7 +1,7 @@
-"""Several arms as one: their motions begin at once, pass in one time, and end together; their states by one clock.
+"""Groups of arms: their motions start, run and end together, and their states are read on one clock.
 
-Each arm is led by a program of its own, as with `follow`. What makes them one is the time of their trajectories
-(`urlink.motion.stream.common_time`), and that what ends one before its time stops all.
+Each arm is driven by its own program, as with `follow`. The trajectories share one time
+(`urlink.motion.stream.common_time`). If the motion of one arm ends early, all arms stop.
 """
 
 from __future__ import annotations
@@ -34,41 +34,41 @@ from .motion.stream.group_motion import GroupMotion, GroupStream, end_all, namin
 from .protocol.realtime.packets import RealtimeState
 from .robot import Robot
 
-#: Peak of speed and of acceleration of the quintic from 0 to 1 in one second, at rest at both ends.
+#: Peak speed and peak acceleration of the quintic from 0 to 1 in one second, at rest at both ends.
 _PEAK_SPEED, _PEAK_ACCELERATION = 1.875, 10.0 / math.sqrt(3.0)
-#: s of a movement at least: of arms that are at their goal already.
+#: Minimum duration of a motion in s, which applies to arms that are already at their goal.
 _SHORTEST = 0.1
-#: States of one arm that wait for those of the others.
+#: Number of states of one arm that are queued until the states of the other arms arrive.
 WAITING = 64
 
 
 class Group(StrictAttributes):
-    """Arms that move together::
+    """Group of arms that move together::
 
         with urlink.connect(LEFT) as left, urlink.connect(RIGHT) as right:
             both = urlink.Group(left, right)
             both.follow([reach_left, reach_right]).wait()
 
-    Motions begin at the same moment, by the clocks of the controllers (`Robot.clock`), and pass as slowly as the arm
-    that is slowest with its program: speed slider, pause, and the controller's own limits. What ends the motion of one
-    arm before its time (a stop, an error, another motion, `cancel`) stops all.
+    Motions start at the same moment, according to the clocks of the controllers (`Robot.clock`). They run as fast as
+    the slowest program, which depends on its speed slider, a pause, and the limits of its controller. If the motion of
+    one arm ends early (a stop, an error, another motion, `cancel`), all arms stop.
 
     Args:
-        robots: at least two, each once.
+        robots: Robots of the group: at least two, each only once.
 
     Attributes:
-        robots: as given.
+        robots: Robots of the group, in the order of the arguments.
 
     Raises:
-        BadValue: fewer than two, or one of them twice.
+        BadValue: If there are fewer than two robots, or a robot is given twice.
     """
 
     def __init__(self, *robots: Robot) -> None:
         for robot in robots:
             if not isinstance(robot, Robot):
-                raise BadValue(f"{robot!r} is no Robot of urlink.connect")
+                raise BadValue(f"{robot!r} is not a Robot returned by urlink.connect")
         if len(robots) < 2 or len({id(robot) for robot in robots}) < len(robots):
-            raise BadValue(f"a group of {len(robots)} robots; expected at least two, each of them once")
+            raise BadValue(f"got {len(robots)} robots; expected at least two, each of them only once")
         self.robots = tuple(robots)
         self._callbacks = CallbackThread("group callbacks")
         self._stopping = CallbackThread("group stops")
@@ -90,20 +90,20 @@ class Group(StrictAttributes):
         link: LinkName = "reverse",
         wait: bool | float = False,
     ) -> GroupMotion:
-        """Follow a trajectory with each arm, all in one time.
+        """Follow one trajectory with each arm, on a common time.
 
-        The arms begin 50 ms after the last of them is at rest and its program has connected. One whose program is
-        paused halts all; once it goes on, it catches up with the others by a tenth of the speed.
+        The arms start 50 ms after the last arm is at rest and its program has connected. If the program of one arm is
+        paused, all arms halt. When it resumes, this arm catches up with the others by a tenth of the speed.
 
         Args:
-            trajectories: one for each arm; see `Motions.follow`. They may have different durations.
-            path_tolerance, goal_tolerance, goal_time, start_tolerance, watchdog, lookahead_time, gain, link: as for
-                `Motions.follow`, of each arm.
-            wait: see `Motions`.
+            trajectories: One trajectory for each arm; see `Motions.follow`. Their durations can differ.
+            path_tolerance, goal_tolerance, goal_time, start_tolerance, watchdog, lookahead_time, gain, link: Options of
+                each arm; see `Motions.follow`.
+            wait: See `Motions`.
 
         Raises:
-            BadValue: not one trajectory for each arm; or one of an arm is refused, and nothing was sent.
-            LinkError: one arm could not begin; none has moved.
+            BadValue: If the number of trajectories is wrong, or the trajectory of one arm is rejected. Nothing is sent.
+            LinkError: If one arm cannot start. No arm has moved.
         """
         seconds = check_wait(wait)
         if len(trajectories) != len(self.robots):
@@ -113,14 +113,14 @@ class Group(StrictAttributes):
         parts = []
         for robot, trajectory in zip(self.robots, trajectories, strict=True):
             if not isinstance(trajectory, Trajectory):
-                raise BadValue(f"{trajectory!r} is no Trajectory")
+                raise BadValue(f"{trajectory!r} is not a Trajectory")
             motions = robot.motion
             trajectory.check(robot.identity.arm)
             trajectory.check(near=motions._context.state().q_target, within=tolerances.start)
             timer = common.member(robot.clock.to_local, 1.0 / robot.firmware.rate)
             servoing = motions._servoing(watchdog, lookahead_time, gain)
             parts.append((motions, Follower(trajectory, tolerances, servoing, timer=timer), timer))
-        # Before the first arm moves: what ends the motion of one arm stops the others in this thread.
+        # Start this thread before the first arm moves: it stops the other arms when the motion of one arm ends.
         self._stopping.start()
         begun: list[Motion] = []
         try:
@@ -135,7 +135,7 @@ class Group(StrictAttributes):
                 with naming(name):
                     program.begin()
         except BaseException:
-            end_all([motion._life for motion in begun], "stopped, since that of another arm could not begin")
+            end_all([motion._life for motion in begun], "stopped, because the motion of another arm could not start")
             raise
         life = self._life("follow")
         life.begin()
@@ -151,22 +151,22 @@ class Group(StrictAttributes):
         time: float | None = None,
         wait: bool | float = False,
     ) -> GroupMotion:
-        """Move each arm from where it stands to joint positions, straight in joint space; all arrive at the same time.
+        """Move each arm to joint positions, straight in joint space. All arms arrive at the same time.
 
-        It is a `follow` of quintic trajectories that are at rest at both ends, so no joint exceeds the speed and the
-        acceleration.
+        Each arm starts at its current position. The call is a `follow` of quintic trajectories that are at rest at both
+        ends, so no joint exceeds the speed or the acceleration.
 
         Args:
-            q: (6,) rad for each arm.
-            speed: rad/s of the joint that moves fastest, of all arms.
-            acceleration: rad/s² of the joint that is accelerated most.
-            time: s that it takes, instead of a speed and an acceleration; these cannot be given with it.
-            wait: see `Motions`.
+            q: Goal joint positions of each arm, shape (6,), in rad.
+            speed: Speed of the fastest joint of all arms, in rad/s.
+            acceleration: Acceleration of the joint with the highest acceleration, in rad/s².
+            time: Duration in seconds. It cannot be combined with `speed` or `acceleration`.
+            wait: See `Motions`.
 
         Raises:
-            BadValue: not one goal for each arm; or beyond the limits of an arm.
-            LocalError: an arm moves.
-            LinkError: one arm could not begin; none has moved.
+            BadValue: If the number of goals is wrong, or a goal exceeds the limits of an arm.
+            LocalError: If an arm is moving.
+            LinkError: If one arm cannot start. No arm has moved.
         """
         check_wait(wait)
         if time is not None:
@@ -178,7 +178,7 @@ class Group(StrictAttributes):
         for robot in self.robots:
             state = robot.motion._context.state()
             if not stands(state.qd_target):
-                raise LocalError(f"{robot.address} moves: a group begins where its arms stand")
+                raise LocalError(f"{robot.address} is moving; all arms of the group must be at rest at the start")
             starts.append(state.q_target)
         if time is None:
             way = max(float(np.abs(goal - start).max()) for goal, start in zip(goals, starts, strict=True))
@@ -205,21 +205,21 @@ class Group(StrictAttributes):
         gain: float = 300.0,
         link: LinkName = "reverse",
     ) -> GroupStream:
-        """Points with times for all arms, appended while they move through those before::
+        """Move all arms through timed points, to which your program appends while the arms move::
 
             with both.stream() as stream:
                 for left, right in planner:
                     stream.append([left, right])
                 stream.wait_until_dry()
 
-        Each program holds the next points of its arm, as that of `Motions.stream`. Where one has none left, or is
-        stopped, all come to a stop within the limits of the stream.
+        Each program buffers the next points of its arm, as with `Motions.stream`. If the buffer of one program is
+        empty, or the program is stopped, all arms stop within the limits of the stream.
 
         Args:
-            buffer, acceleration, jerk, watchdog, lookahead_time, gain, link: as for `Motions.stream`, of each arm.
+            buffer, acceleration, jerk, watchdog, lookahead_time, gain, link: Options of each arm; see `Motions.stream`.
 
         Raises:
-            LocalError: as `Motions.stream`, for one of the arms.
+            LocalError: If one of the arms raises it; see `Motions.stream`.
         """
         common = CommonPace()
         streams = []
@@ -238,10 +238,12 @@ class Group(StrictAttributes):
         return GroupStream(self._life("stream"), streams, self._names, self._stopping)
 
     def stop(self, acceleration: float = 2.0, *, wait: bool | float = False) -> None:
-        """Brake all arms, at `acceleration` in rad/s²; each is sent the stop, also where another one cannot be.
+        """Stop all arms with the deceleration `acceleration`, in rad/s².
+
+        The stop is sent to every arm, even if it cannot be sent to another one.
 
         Raises:
-            LinkError: that of the first one to which the stop could not be sent.
+            LinkError: If the stop cannot be sent to an arm. The error of the first such arm is raised.
         """
         seconds = check_wait(wait)
         stops: list[Motion] = []
@@ -260,7 +262,7 @@ class Group(StrictAttributes):
 
     @property
     def _names(self) -> list[str]:
-        """The addresses, with the number of the robot if two simulated arms have the same address."""
+        """Addresses of the robots, with the index of the robot if several robots have the same address."""
         addresses = [robot.address for robot in self.robots]
         return [
             address if addresses.count(address) == 1 else f"{address} (robots[{number}])"
@@ -282,21 +284,21 @@ class Group(StrictAttributes):
     # -- states ----------------------------------------------------------------------------------------
 
     def states(self, timeout: float | None = 5.0) -> Iterator[tuple[RealtimeState, ...]]:
-        """States of all arms of the same moment, the newest that there are, by the clocks of their controllers.
+        """Iterate over the newest states of all arms at the same moment, matched by the clocks of the controllers.
 
-        Those of the slowest controller, or of the first of the slowest, and of each other arm the one nearest to it: at
-        most half of a cycle of that arm away, and what both clocks may be off (`RobotClock.bound`). Moments of which an
-        arm has no state are left out.
+        The slowest controller sets the moments (the first one, if several are equally slow). From each other arm, the
+        state nearest to the moment is taken. It differs by at most half a cycle of that arm, plus the errors of both
+        clocks (`RobotClock.bound`). Moments without a state from every arm are skipped.
 
         Args:
-            timeout: s within which each arm must send a state; None for ever.
+            timeout: Time within which each arm must send a state, in seconds; None waits forever.
 
         Yields:
-            one state for each arm, in the order of the group.
+            One state for each arm, in the order of the group.
 
         Raises:
-            LinkTimeout: none came from an arm in time.
-            RemoteError, LocalError: as `Stream.iterate`.
+            LinkTimeout: If no state of an arm arrives in time.
+            RemoteError, LocalError: See `Stream.iterate`.
         """
         moments = self._moments()
         others = {each: self.robots[each].realtime.iterate(drop_oldest(WAITING), timeout) for each in moments.others}
@@ -318,26 +320,29 @@ class Group(StrictAttributes):
 
 
 class Moments:
-    """States of several arms of the same moment, found by the time of this computer. Times only go on.
+    """Match of the states of several arms at the same moment, in the time of this computer.
+
+    The times of successive states must increase.
 
     Args:
-        arms: of each, what converts s of its controller to monotonic s of this computer, and its states per second.
+        arms: Two values for each arm: a function that converts the controller's time in seconds to this computer's
+            monotonic time, and the number of states per second.
 
     Attributes:
-        first: number of the arm whose states set the moments: the slowest, or the first of those.
-        others: numbers of the other ones.
+        first: Index of the arm whose states set the moments: the first of the slowest arms.
+        others: Indices of the other arms.
     """
 
     def __init__(self, arms: Sequence[tuple[Callable[[float], float], float]]) -> None:
         self.first = min(range(len(arms)), key=lambda number: arms[number][1])
         self.others = [number for number in range(len(arms)) if number != self.first]
         self._arms = arms
-        #: of each other arm, its state before the moment, and after it
+        # For each other arm: its state before the moment, and its state after the moment.
         self._around: dict[int, tuple[RealtimeState | None, RealtimeState | None]]
         self._around = dict.fromkeys(self.others, (None, None))
 
     def lacking(self, state: RealtimeState) -> int | None:
-        """Number of an arm whose next state is needed for the moment of a state of the first; None if there is none."""
+        """Return the index of an arm whose next state is needed to match `state` of the first arm, or None."""
         local = self._local(self.first, state)
         for number, (_, after) in self._around.items():
             if after is None or self._local(number, after) < local:
@@ -345,11 +350,11 @@ class Moments:
         return None
 
     def take(self, number: int, state: RealtimeState) -> None:
-        """The next state of an arm."""
+        """Store the next state of an arm."""
         self._around[number] = self._around[number][1], state
 
     def at(self, state: RealtimeState) -> tuple[RealtimeState, ...] | None:
-        """The states of all arms, nearest to one of the first; None if one of them has none near it."""
+        """Return the states of all arms nearest to a state of the first arm; None if an arm has no near state."""
         local, found = self._local(self.first, state), {self.first: state}
         for number, around in self._around.items():
             off = {abs(self._local(number, each) - local): each for each in around if each is not None}

@@ -1,10 +1,10 @@
-"""Packets and messages that robots send, their parts, and the enums of their numbers.
+"""Packets and messages that robots send, with their parts and the enums of their fields.
 
     from urlink.packets import RealtimeState, RobotModeData
 
     robot.primary.subscribe(on_mode, RobotModeData)
 
-With the bytes that they are made of, and what the dashboard, the gripper and interpreter mode answer.
+The module also has the raw bytes of a connection, and the replies of the dashboard, the gripper and interpreter mode.
 """
 
 from __future__ import annotations

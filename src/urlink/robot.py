@@ -1,4 +1,4 @@
-"""`connect()`, and `Robot`, the object that users hold."""
+"""`connect()`, and `Robot`, the object that it returns."""
 
 from __future__ import annotations
 
@@ -70,46 +70,47 @@ class View(Protocol):
 def connect(options: ConnectOptions) -> Robot:
     """Connect to a robot, to the simulator, or to a recording.
 
-    Asks the controller who it is; the streams themselves connect when first used. What this process gave up at the same
-    address before, and may still be carried out, is undone first, for at most `timeout` seconds; see
-    docs/motion-ends.md, "What was given up is not carried out". A connection with `read_only` takes nothing back.
+    The call reads the identity of the controller. The streams connect when they are first used. If this process
+    abandoned commands at the same address that the controller might still execute, the call first waits until they are
+    undone, for at most `timeout` seconds; see docs/motion-ends.md. A connection with `read_only` undoes nothing.
 
     Args:
-        address: ``"192.168.56.101"``, ``"ur://host"``, ``"sim://ur5e?firmware=5.11"``,
-            ``"replay:///path/run.urlog?rate=2"``, or a recording by its path: ``"run.urlog"``, or any `pathlib.Path`.
-        timeout: seconds for any connection to be made.
-        read_only: use the ports that take no commands, 30011 to 30013.
-        backoff: how streams reconnect.
-        silence: seconds without a packet after which a stream counts as disconnected.
-        require_enable: whether `robot.safety.enable()` has to be called before the arm can be moved: "never",
+        address: Address of the robot: ``"192.168.56.101"``, ``"ur://host"``, ``"sim://ur5e?firmware=5.11"`` or
+            ``"replay:///path/run.urlog?rate=2"``; or the path of a recording: ``"run.urlog"``, or any `pathlib.Path`.
+        timeout: Maximum time to make any connection, in seconds.
+        read_only: Use ports 30011 to 30013, which accept no commands.
+        backoff: Waiting times between attempts of a stream to reconnect.
+        silence: Time without a packet after which a stream counts as disconnected, in seconds.
+        require_enable: Whether `robot.safety.enable()` must be called before the arm can be moved: "never",
             "on_startup" (once) or "always" (at first and after every stop).
-        stale_after: seconds without a packet of the robot after which motions end with `NotRunning`, and new ones are
-            refused.
-        start_timeout: seconds that a program that was uploaded has to begin. One that begins later finds nobody who
-            lets it go on, and ends without moving the arm.
-        start_register: number of the output register for integers, 0 to 47, in which a program finds its permission to
-            go on. Every client of this library may use the same one, and nobody else. None takes the flags instead.
-        start_flags: numbers of flags, 0 to 31, used likewise on firmwares before 3.9 and 5.3, which lack the register:
-            the more flags, the less likely it is that another client's permission starts a program that was given up.
-            With neither register nor flags each program begins as soon as the controller reads it, however late that
-            is: a motion whose handle has failed long ago can still be carried out then.
-        reverse_host: address at which the robot finds this computer, for set-points that are streamed; None to find
-            it out by the route to the robot.
-        reverse_port: port that it finds there; 0 for a free one.
-        reverse_peer: address that the robot's connections come from; None for the one that it was connected by. A
-            simulator in a container may come from another.
-        commands_via: how outputs and the speed slider are set: "auto" over RTDE where the controller has it and nobody
-            else holds the inputs, and by script otherwise; "script" never claims an input of RTDE.
-        isolate: a process of its own reads the real-time interface: the newest state is there whenever it is asked for,
-            also in a program that holds the interpreter's lock for long. Not on Windows.
+        stale_after: Time without a packet from the robot, in seconds, after which motions end with `NotRunning` and
+            new motions are refused.
+        start_timeout: Time in which an uploaded program must start, in seconds. A program that starts later gets no
+            start permission, and ends without moving the arm.
+        start_register: Number of the integer output register, 0 to 47, in which a program finds its start permission.
+            All clients that use this library may share one register; no other program may use it. None uses the flags
+            instead.
+        start_flags: Numbers of the flags, 0 to 31, that carry the start permission on firmware before 3.9 and 5.3,
+            which lacks the register. The more flags, the less likely it is that the permission of another client
+            starts an abandoned program. With neither register nor flags, each program starts when the controller reads
+            it, however late that is. A motion whose handle failed long ago can then still be executed.
+        reverse_host: Address at which the robot reaches this computer, for streamed set-points. None derives it from
+            the route to the robot.
+        reverse_port: Port on this computer to which the robot connects; 0 for a free port.
+        reverse_peer: Address from which the robot's connections come; None for the address of the robot. A simulator
+            in a container might connect from another address.
+        commands_via: How outputs and the speed slider are set. "auto" uses RTDE if the controller has it and no other
+            client holds the inputs, and a script otherwise. "script" never claims an RTDE input.
+        isolate: Read the real-time interface in a dedicated process. The newest state is then available at any time,
+            even if your program holds the interpreter lock for long. Not supported on Windows.
 
     Raises:
-        BadAddress: nobody can read the address.
-        BadRecording: the recording does not exist, or is not one.
-        BadValue: a time that is not positive, no such policy or port, or a simulated arm that does not run the
+        BadAddress: If the address is invalid.
+        BadRecording: If the recording does not exist, or the file is not a recording.
+        BadValue: If a time is not positive, a policy or port does not exist, or the simulated arm does not run the
             firmware.
-        UnknownModel: no such arm to simulate.
-        ConnectFailed, ConnectionLost, LinkTimeout, WrongPeer: nobody, or somebody else, is there.
+        UnknownModel: If there is no such arm to simulate.
+        ConnectFailed, ConnectionLost, LinkTimeout, WrongPeer: If no controller is at the address, or another server.
     """
     if isinstance(options.place, RecordingAddress):
         refusal = f"{options.name} is a recording, so it cannot be commanded"
@@ -131,12 +132,12 @@ def connect(options: ConnectOptions) -> Robot:
 
 
 def simulated(place: SimulatorAddress) -> tuple[Controller, RobotAddress]:
-    """A simulated controller that serves, and where it is.
+    """Start a simulated controller, and return it with its address.
 
     Raises:
-        UnknownModel, BadValue: no such arm, it does not run the firmware, the file is not of such an arm, or there is
-            no file of a scene.
-        LocalError: no adapter for the scene is installed, or it cannot open it.
+        UnknownModel, BadValue: If there is no such arm, it does not run the firmware, the file belongs to another arm,
+            or the scene file does not exist.
+        LocalError: If no adapter for the scene is installed, or the adapter cannot open the scene.
     """
     from .arm.arm_file import read_arm_file
     from .simulator import Controller, Demonstration
@@ -157,18 +158,18 @@ def assemble(
     controller: Controller | None,
     known: Identity | None = None,
 ) -> Robot:
-    """A robot on the network, with what commands it.
+    """Return a robot on the network, with the objects that command it.
 
     Args:
-        known: its identity, if known; None to ask.
+        known: Identity of the controller; None to ask the controller.
 
     Raises:
-        RemoteError: nobody, or somebody else, is there.
+        RemoteError: If no controller is at the address, or another server.
     """
     address = options.name
 
     def control(robot: Robot) -> Control:
-        # A program that only reads states never imports what commands: more than all the rest of this library.
+        # A program that only reads states must not import the command modules: they are the largest part of urlink.
         from .motion.control import Control
 
         peers = peers_of(place) if controller is None else ()
@@ -181,27 +182,29 @@ def assemble(
 
 
 def peers_of(place: RobotAddress) -> tuple[Hashable, ...]:
-    """By what this process knows a controller again, and each of the services that can be used without a robot."""
+    """Keys by which this process recognises a controller, and its services that can be used without a robot."""
     services = ("dashboard", "robot_api", "gripper")
     parts = (service_of(place.host, place.ports[name]) for name in services if name in place.ports)
     return (place.host.casefold(), frozenset(place.ports.items())), *parts
 
 
 def owes(robot: Robot, place: RobotAddress) -> bool:
-    """This process gave something up at that controller that may still be carried out, and the robot may command it."""
+    """Whether this process abandoned commands that the controller might still execute, and the robot can undo them."""
     return robot._make_control is not None and PendingUndos.is_owed(*peers_of(place))
 
 
 def undo_abandoned(robot: Robot, timeout: float) -> None:
-    """Wait until that is undone, at most `timeout` seconds; the robot goes on with it while it is open."""
+    """Wait up to `timeout` seconds until abandoned commands are undone. The open robot keeps trying after that."""
     robot._commanded().settle(timeout)
 
 
 class Robot(StrictAttributes, Closing):
-    """A robot: its streams, and what it is. A context manager that closes itself; made by `connect`.
+    """Connection to one robot: streams, identity and commands. A context manager; made by `connect`.
+
+    Leaving its ``with`` block closes the robot.
 
     Attributes:
-        address: what it was connected by.
+        address: Address that was passed to `connect`.
     """
 
     def __init__(
@@ -221,14 +224,14 @@ class Robot(StrictAttributes, Closing):
         self._refusal = refusal
         self._source = source
         self._who = KnownIdentity(source.ask, known)
-        #: changed in single steps, so that a signal handler finds it whole
+        # Changed in single steps, so that a signal handler always sees a consistent dict.
         self._streams: dict[str, Stream[Any]] = {}
         self._rtde: MadeOnce[Rtde] = MadeOnce()
         self._registers: MadeOnce[Registers] = MadeOnce()
         self._home = HomeProcess(address)
         self._is_closed = False
 
-    # -- what it says ------------------------------------------------------------------------------
+    # -- streams and identity ----------------------------------------------------------------------
 
     @property
     def realtime(self) -> Stream[RealtimeState]:
@@ -237,27 +240,27 @@ class Robot(StrictAttributes, Closing):
 
     @property
     def primary(self) -> Stream[RobotState]:
-        """Stream of `RobotState` at 10 Hz; with `of` or a class, of its parts and of messages (port 30001)."""
+        """Stream of `RobotState` at 10 Hz (port 30001); its parts and messages are available by class or `of`."""
         return self._stream("primary")
 
     @property
     def secondary(self) -> Stream[RobotState]:
-        """As `primary`, without messages but the version (port 30002)."""
+        """Stream of `RobotState` like `primary`, but with the version message as its only message (port 30002)."""
         return self._stream("secondary")
 
     @property
     def clock(self) -> RobotClock:
-        """The controller's clock beside this computer's, by the real-time stream."""
+        """Relation of the controller's clock to this computer's clock, measured on the real-time stream."""
         return RobotClock(self.realtime, self._who)
 
     @property
     def rtde(self) -> Rtde:
-        """Variables of the controller by name, up to 500 times a second, read and written (port 30004)."""
+        """Access to RTDE: read and write controller variables by name, up to 500 times a second (port 30004)."""
         rtde = self._rtde.made
         if rtde is None:
             from .rtde import Rtde
 
-            who = self._who  # and not this object, which holds the made one
+            who = self._who  # a reference to `self` would be a cycle, because it holds the new object
             made = Rtde(self.address, self._source, lambda: who.identity.firmware, refusal=self._refusal)
             rtde = self._rtde.keep(made)
             if self._is_closed:
@@ -266,53 +269,56 @@ class Robot(StrictAttributes, Closing):
 
     @property
     def registers(self) -> Registers:
-        """General-purpose registers by number, shared with the program on the controller."""
+        """General-purpose registers by number, shared with the program on the controller. See `Registers`."""
         return self._registers.made or self._registers.keep(self.rtde.registers())
 
     @property
     def firmware(self) -> Firmware:
-        """The controller's firmware.
+        """Firmware of the controller.
 
-        After a reconnect the controller is asked again on first access, since it may have come back
-        with another firmware; that can raise what `connect` raises.
+        After a reconnect, the first access asks the controller again, because its firmware might have changed. This
+        access can raise the same errors as `connect`.
         """
         return self._who.identity.firmware
 
     @property
     def model(self) -> str | None:
-        """Name of the arm, such as "UR5e"; None if the controller does not say. See `firmware`."""
+        """Name of the arm, such as "UR5e"; None if the controller does not report it. See `firmware`."""
         return self._who.identity.model
 
     @property
     def identity(self) -> Identity:
-        """All that is known of who the controller is. See `firmware`."""
+        """Identity of the controller: firmware, model and calibration. See `firmware`."""
         return self._who.identity
 
     @property
     def kinematics(self) -> Arm:
-        """Forward and inverse kinematics of this very arm, in the base frame of the controller.
+        """Forward and inverse kinematics of this individual arm, in the base frame of the controller.
 
-        The controller sends its own DH parameters as a connection begins (1.8 and later); with them, the arm computes
-        as the controller does (`Arm.is_calibrated`). Where they did not come, or in a recording without them, it is the
-        published arm of that model. The TCP that is set on the controller is not part of it: pass it as ``tcp=``.
+        Firmware 1.8 or later sends the calibrated DH parameters when a connection starts. With these parameters, the
+        results agree with the controller (`Arm.is_calibrated`). If none were received, or a recording has none, the
+        published parameters of the model are used. The TCP that is set on the controller is not included: pass it as
+        ``tcp=``.
 
-        After a reconnect the controller is asked again on first access, as for `firmware`.
+        After a reconnect, the first access asks the controller again, as for `firmware`.
 
         Raises:
-            LocalError: the controller does not say which arm it has, or nobody knows it.
-            WrongPeer: it sends DH parameters that are not those of its arm.
+            LocalError: If the controller does not report its arm, or the arm is unknown.
+            WrongPeer: If the controller sends DH parameters that do not belong to its arm.
         """
         return self._who.identity.kinematics
 
     @property
     def controller(self) -> Controller:
-        """The simulator behind ``sim://``: its faults, its inputs, its arm.
+        """Simulator behind a ``sim://`` address: its faults, its inputs and its arm.
 
         Raises:
-            LocalError: `connect` does not simulate this robot.
+            LocalError: If this robot is not simulated by `connect`.
         """
         if self._controller is None:
-            raise LocalError(f"{self.address} is no simulator of this program; connect to sim:// for one")
+            raise LocalError(
+                f"{self.address} is not a simulator started by this program; connect to 'sim://' to start one"
+            )
         return self._controller
 
     def record(
@@ -321,20 +327,20 @@ class Robot(StrictAttributes, Closing):
         """Record streams into a new file, from now until the recorder is closed.
 
         Args:
-            path: of the file. One that ends in .mcap gets messages of ROS 2, for Foxglove and `ros2 bag`; every other
-                one a recording, from which `urlink.load` makes all formats.
-            interfaces: "realtime", "primary", "secondary", or a stream that `Rtde.outputs` has made, of which there
-                may be one.
+            path: Path of the new file. A file that ends in .mcap contains ROS 2 messages, for Foxglove and
+                `ros2 bag`. Any other file is a recording, which `urlink.load` can export to all formats.
+            interfaces: Streams to record: "realtime", "primary", "secondary", and at most one stream made by
+                `Rtde.outputs`.
 
         Raises:
-            BadRecording: the file exists, or cannot be made.
-            BadValue: no such interface, two streams of RTDE, or a format that cannot be written live.
-            LocalError: .mcap, and the package ``urlink-view`` is not installed.
-            RemoteError: a stream could not be opened.
+            BadRecording: If the file exists, or cannot be created.
+            BadValue: If an interface does not exist, two RTDE streams are given, or the format cannot be written live.
+            LocalError: If the file is .mcap and the package ``urlink-view`` is not installed.
+            RemoteError: If a stream cannot be opened.
         """
         streams = [("rtde", each) if isinstance(each, Stream) else (each, self._stream(each)) for each in interfaces]
         if len({name for name, _ in streams}) < len(streams):
-            raise BadValue(f"recorded twice: {', '.join(name for name, _ in streams)}; expected each once")
+            raise BadValue(f"interfaces has {', '.join(name for name, _ in streams)}; expected each of them only once")
         recorder = _recorder(path)
         try:
             for name, stream in streams:
@@ -343,7 +349,7 @@ class Robot(StrictAttributes, Closing):
                     {"name": name, "address": self.address, **self.identity.description(), **stream.description()},
                 )
         except BaseException:
-            # A robot that is away leaves no file behind.
+            # If the robot cannot be reached, no file is left behind.
             recorder.close()
             recorder.path.unlink(missing_ok=True)
             raise
@@ -353,27 +359,30 @@ class Robot(StrictAttributes, Closing):
 
     @property
     def safety(self) -> Safety:
-        """The interlock between motions and the arm. All of these raise `LocalError` where commands cannot be sent."""
+        """Interlock between motions and the arm, with its state and policy.
+
+        This and all following command properties raise `LocalError` if the connection cannot send commands.
+        """
         return self._commanded().safety
 
     @property
     def script(self) -> Scripts:
-        """Sends programs and lines of URScript."""
+        """Commands that send URScript programs and lines. See `Scripts`."""
         return self._commanded().script
 
     @property
     def io(self) -> IO:
-        """Inputs and outputs."""
+        """Digital and analogue inputs and outputs. See `IO`."""
         return self._commanded().io
 
     @property
     def motion(self) -> Motions:
-        """Moves the arm."""
+        """Commands that move the arm. See `Motions`."""
         return self._commanded().motion
 
     @property
     def dashboard(self) -> Dashboard:
-        """Power, brakes, installed programs, and unlocking after a protective stop."""
+        """Dashboard commands: power, brakes, installed programs, and unlocking after a protective stop."""
         return self._commanded().dashboard
 
     def interpreter(
@@ -383,35 +392,36 @@ class Robot(StrictAttributes, Closing):
         finish_timeout: float = 60.0,
         on_text: Callable[[str], object] | None = None,
     ) -> Interpreter:
-        """Begin interpreter mode, in which statements of URScript are executed one by one as they are handed over.
+        """Start interpreter mode, in which the controller executes URScript statements one by one.
 
-        It sends a program, which preempts the one that runs, and returns once that takes statements. From 5.10 on.
+        The call uploads a program, which preempts the current program. It returns when the new program accepts
+        statements. Firmware 5.10 or later is required.
 
         Args:
-            start_timeout: seconds for that.
-            finish_timeout: seconds that statements may still take where the block of a ``with`` is left.
-            on_text: called with each line of `textmsg`, in the robot's thread for callbacks.
+            start_timeout: Maximum time until the program accepts statements, in seconds.
+            finish_timeout: Time that pending statements have to finish when a ``with`` block is left, in seconds.
+            on_text: Function that is called with each line of `textmsg`, in the robot's callback thread.
 
         Raises:
-            BadValue: not a time.
-            LocalError: the firmware has no interpreter mode.
-            SafetyStop, NotRunning: the arm may not be moved now: nothing was sent.
-            LinkTimeout: it has not begun in time; nothing of it is left behind.
-            LinkError: it could not be begun, or what has ended it meanwhile.
+            BadValue: If an argument is not a valid time.
+            LocalError: If the firmware has no interpreter mode.
+            SafetyStop, NotRunning: If the arm must not be moved now. Nothing is sent.
+            LinkTimeout: If interpreter mode does not start in time. Nothing of it is left on the controller.
+            LinkError: If interpreter mode cannot be started, or if it ends before it accepts statements.
         """
         return self._commanded().interpreters.begin(start_timeout, finish_timeout, on_text)
 
     @property
     def gripper(self) -> Gripper:
-        """A Robotiq gripper whose URCap runs on the controller (port 63352). Nothing of it is interlocked."""
+        """Robotiq gripper whose URCap runs on the controller (port 63352). Gripper commands are not interlocked."""
         return self._commanded().gripper
 
     @property
     def tool_serial(self) -> ToolSerial:
-        """The RS485 line in the tool connector of an e-Series, which a URCap forwards (port 54321). Not interlocked.
+        """RS485 line in the tool connector of an e-Series, forwarded by a URCap (port 54321). Not interlocked.
 
         Raises:
-            LocalError: a controller that has none.
+            LocalError: If the controller has no such line.
         """
         return self._commanded().tool_serial
 
@@ -424,57 +434,62 @@ class Robot(StrictAttributes, Closing):
         transition_time: float = 0.0,
         confirm: float | None = 1.0,
     ) -> None:
-        """Tell what the arm carries; motion, and a program that runs, go on.
+        """Set the payload of the arm. Motions and a running program continue.
 
         Args:
-            mass: kg; no more than a quarter above what the arm carries by its data sheet, which for a UR5e is that of
-                the UR7e: it reports the same type.
-            cog: centre of gravity in the flange's frame, (3,), m, each within 1 m; not on CB2.
-            inertia: about it: xx, yy, zz, xy, xz, yz, kg m²; from 5.10 on.
-            transition_time: s over which the controller goes over to it, so that an arm that grips or lets go does not
-                jerk; with `cog` and `inertia`, from 5.10 on.
-            confirm: seconds after that within which the robot has to show it, from 5.10 on; before that nothing shows
-                it. None does not wait.
+            mass: Mass in kg, at most a quarter above the payload in the arm's data sheet. A UR5e has the limit of the
+                UR7e, because both arms report the same type.
+            cog: Centre of gravity in the flange frame, shape (3,), in m, each coordinate within 1 m. Not on CB2.
+            inertia: Moments of inertia about the centre of gravity: xx, yy, zz, xy, xz, yz, in kg m². Firmware 5.10 or
+                later.
+            transition_time: Time over which the controller changes to the new payload, in seconds, so that an arm that
+                grips or releases does not jerk. Requires `cog`, `inertia`, and firmware 5.10 or later.
+            confirm: Time after the transition within which the robot's states must show the payload, in seconds.
+                Firmware before 5.10 does not show it. None does not wait.
 
         Raises:
-            BadValue: a number out of range, or what this firmware cannot be set to; nothing was sent.
-            NotRunning: the robot does not run, or nothing is known of it; nothing was sent.
-            NotConfirmed: the robot does not show it. The likely cause is in the message: an e-Series in local control.
-            LocalError: in a callback that was subscribed with ``inline=True``, unless `confirm` is None.
+            BadValue: If a number is out of range, or this firmware does not support the setting. Nothing is sent.
+            NotRunning: If the robot is not running, or its state is unknown. Nothing is sent.
+            NotConfirmed: If the robot does not show the payload in time. The message names the likely cause: an
+                e-Series in local control.
+            LocalError: If called in a callback subscribed with ``inline=True``, unless `confirm` is None.
         """
         self._commanded().settings.payload(mass, cog, inertia, confirm, transition_time)
 
     def set_gravity(self, acceleration: Sequence[float]) -> None:
-        """Set which direction is up, for an arm on a wall, a ceiling or a base that moves; motion goes on.
+        """Set the direction of gravity, for an arm on a wall, a ceiling or a moving base. Motions continue.
 
-        The controller holds the arm up by this: with a wrong one, the arm sags or jumps, or stops with a safety
-        stop. No state shows it, so it is not confirmed, and in local control an e-Series ignores it.
+        The controller uses it to compensate for the weight of the arm. With a wrong direction, the arm sags or jumps,
+        or stops with a safety stop. No state shows the setting, so it is not confirmed. An e-Series in local control
+        ignores it.
 
         Args:
-            acceleration: (3,) m/s² in the base frame, of an arm at rest: upwards, [0, 0, 9.82] for one that stands, and
-                5 to 15 long.
+            acceleration: Acceleration that an arm at rest measures, shape (3,), in m/s², in the base frame. It points
+                upwards: [0, 0, 9.82] for an upright arm. Its norm must be 5 to 15.
 
         Raises:
-            BadValue: not that; nothing was sent.
-            NotRunning: the robot does not run, or nothing is known of it; nothing was sent.
+            BadValue: If `acceleration` is not such a vector. Nothing is sent.
+            NotRunning: If the robot is not running, or its state is unknown. Nothing is sent.
         """
         self._commanded().settings.gravity(acceleration)
 
     def set_tcp(self, pose: Sequence[float], *, confirm: float | None = 1.0) -> None:
-        """Put the tool centre point at a pose in the flange's frame: m, and rotation vector in rad.
+        """Set the tool centre point (TCP) to a pose in the flange frame: position in m, rotation vector in rad.
 
-        It shows from 3.2 on.
+        Firmware 3.2 or later shows the TCP in its states, so that it can be confirmed.
 
         Raises:
-            BadValue, NotRunning, NotConfirmed, LocalError: as `set_payload`.
+            BadValue, NotRunning, NotConfirmed, LocalError: See `set_payload`.
         """
         self._commanded().settings.tcp(pose, confirm)
 
     def set_speed_slider(self, fraction: float, *, confirm: float | None = 1.0) -> None:
-        """Move the speed slider, 0 to 1. It shows from 3.0 on.
+        """Set the speed slider to a fraction from 0 to 1.
+
+        Firmware 3.0 or later shows the slider in its states, so that it can be confirmed.
 
         Raises:
-            BadValue, NotRunning, NotConfirmed, LocalError: as `set_payload`.
+            BadValue, NotRunning, NotConfirmed, LocalError: See `set_payload`.
         """
         self._commanded().settings.speed_slider(fraction, confirm)
 
@@ -486,23 +501,24 @@ class Robot(StrictAttributes, Closing):
         watchdog: float = 0.5,
         link: LinkName = "reverse",
     ) -> Freedrive:
-        """Let a person move the arm by hand, for as long as a block::
+        """Let a person move the arm by hand while a ``with`` block runs::
 
             with robot.freedrive():
                 input("move the arm, then press Enter")
 
-        The payload has to be right (`set_payload`), or the arm drifts. Whatever ends the block ends freedrive; where
-        nothing arrives from this computer any more, the program on the robot does so by itself.
+        The payload must be correct (`set_payload`), otherwise the arm drifts. Freedrive ends when the block ends, for
+        any reason. If messages from this computer stop arriving, the program on the robot ends freedrive on its own.
 
         Args:
-            axes: six of 0 and 1, x, y, z, rx, ry, rz of the frame: the free ones; None for all. From 5.10 on.
-            frame: "base", "tool" (where the tool is now), or a (6,) pose in the base frame.
-            watchdog: seconds without a message from this computer after which the arm stands.
-            link: see `Motions.follow`.
+            axes: Free axes x, y, z, rx, ry, rz of the frame, as six values of 0 or 1; None for all axes. Firmware 5.10
+                or later.
+            frame: Frame of the axes: "base", "tool" (the current tool frame), or a pose in the base frame, shape (6,).
+            watchdog: Time without a message from this computer after which the arm stops, in seconds.
+            link: See `Motions.follow`.
 
         Raises:
-            BadValue: no such axes or frame.
-            LocalError: this firmware has no freedrive for programs, or none along chosen axes.
+            BadValue: If the axes or the frame are invalid.
+            LocalError: If programs on this firmware have no freedrive, or no freedrive along selected axes.
         """
         return self.motion._freedrive(axes, frame, watchdog, link)
 
@@ -518,7 +534,7 @@ class Robot(StrictAttributes, Closing):
         watchdog: float = 0.5,
         link: LinkName = "reverse",
     ) -> Teaching:
-        """Keep waypoints while a person moves the arm, for as long as a block::
+        """Save waypoints while a person moves the arm, until a ``with`` block ends::
 
             with robot.teach(digital_input=0) as teaching:
                 while input("Enter keeps a waypoint, q ends: ") != "q":
@@ -527,16 +543,16 @@ class Robot(StrictAttributes, Closing):
             teaching.taught.play(robot, wait=True)
 
         Args:
-            digital_input: number of an input that keeps a waypoint each time that it is switched on.
-            bank: which digital inputs that is one of.
-            button: the arm is moved with its own freedrive button held, and each time that it is let go keeps a
-                waypoint; no program runs then. Needs RTDE.
-            on_point: called with each waypoint, in the thread that has kept it.
-            axes, frame, watchdog, link: see `freedrive`.
+            digital_input: Number of an input that saves a waypoint each time it is switched on.
+            bank: Bank of the digital input: "standard", "configurable" or "tool".
+            button: If True, the person moves the arm with its own freedrive button pressed, and each release of the
+                button saves a waypoint. No program runs in this case. RTDE is required.
+            on_point: Function that is called with each waypoint, in the thread that saved it.
+            axes, frame, watchdog, link: See `freedrive`.
 
         Raises:
-            BadValue: there is no such input, or as `freedrive`.
-            LocalError: as `freedrive`; or with `button`, the firmware has no RTDE.
+            BadValue: If the input does not exist. See also `freedrive`.
+            LocalError: If `button` is True and the firmware has no RTDE. See also `freedrive`.
         """
         from .motion.teaching import Teaching
         from .script import commands
@@ -551,20 +567,25 @@ class Robot(StrictAttributes, Closing):
         return Teaching(self.realtime, self.model, mode, bit, buttons, on_point or (lambda point: None))
 
     def zero_force_sensor(self) -> None:
-        """Take what the force at the TCP is now for zero, from 3.0 on. Nothing should touch the tool then; nothing
-        shows when it has happened, which is within a few cycles.
+        """Zero the force sensor: the current force at the TCP becomes zero. Firmware 3.0 or later.
+
+        Nothing should touch the tool during the call. The controller zeroes the sensor within a few cycles, but no
+        state shows when.
 
         Raises:
-            LocalError: firmware before 3.0.
-            NotRunning: the robot does not run, or nothing is known of it; nothing was sent.
+            LocalError: If the firmware is older than 3.0.
+            NotRunning: If the robot is not running, or its state is unknown. Nothing is sent.
         """
         self._commanded().settings.zero_force_sensor()
 
     def popup(self, text: str, title: str = "Popup", *, warning: bool = False, error: bool = False) -> None:
-        """Show a text on the pendant, without waiting; the controller does not report whether it is shown or read.
+        """Show a text on the pendant, without waiting.
+
+        The controller does not report whether the text is shown or read.
 
         Raises:
-            BadValue, NotRunning: as `set_payload`. A text can hold no quotes, backslashes or line breaks.
+            BadValue: If the text contains quotes, backslashes or line breaks. Nothing is sent.
+            NotRunning: See `set_payload`.
         """
         self._commanded().settings.popup(text, title, warning, error)
 
@@ -576,7 +597,7 @@ class Robot(StrictAttributes, Closing):
             raise LocalError(self._refusal)
         control = self._control.keep(self._make_control(self))
         if self._is_closed:
-            # `close` may have looked for it before it was there; closing twice does no harm.
+            # `close` might have run before this object existed. Closing twice is harmless.
             control.close(0.0)
         return control
 
@@ -588,21 +609,21 @@ class Robot(StrictAttributes, Closing):
         jog: bool = False,
         port: int = 0,
     ) -> View:
-        """Show the arm in 3D in a browser of this computer; a notebook shows it in the cell.
+        """Show the arm in 3D in a browser on this computer, or in the cell of a notebook.
 
-        It goes on until it is closed, or the block of a ``with`` is left. The package ``urlink-view`` is needed.
+        The view runs until it is closed, or until its ``with`` block is left. It requires the package ``urlink-view``.
 
         Args:
-            plots: names of fields of `RealtimeState` to draw as curves.
-            urdf: a file with bodies for the links, as meshes; None for cylinders and spheres.
-            jog: show buttons that move the arm while they are held; otherwise it is only watched.
-            port: to serve the page at; 0 for a free one.
+            plots: Names of the `RealtimeState` fields to plot.
+            urdf: URDF file with meshes for the links; None draws cylinders and spheres.
+            jog: Whether to show buttons that move the arm while they are pressed.
+            port: Port on which the page is served; 0 for a free port.
 
         Raises:
-            BadValue: there is no such field.
-            ConnectFailed: the port cannot be listened on.
-            LocalError: the package is not installed, the model is unknown, or the file cannot be drawn.
-            RemoteError: the robot cannot be connected to.
+            BadValue: If a field does not exist.
+            ConnectFailed: If the port cannot be opened.
+            LocalError: If the package is not installed, the model is unknown, or the file cannot be drawn.
+            RemoteError: If the robot cannot be reached.
         """
         show = plugin("urlink.robot", "view", "urlink-view", "a view in a browser")
         shown: View = show(self, plots, urdf, jog, port)
@@ -611,9 +632,9 @@ class Robot(StrictAttributes, Closing):
     # -- its end -------------------------------------------------------------------------------------
 
     def close(self, timeout: float = 2.0) -> None:
-        """End motions, close every stream, and the simulator if there is one; in `timeout` seconds. Idempotent.
+        """End motions, and close all streams and the simulator, within `timeout` seconds. Idempotent.
 
-        In a forked process this does nothing: motions and connections are its parent's.
+        In a forked process the call does nothing, because motions and connections belong to the parent process.
         """
         if not self._home.is_here:
             return
@@ -629,9 +650,11 @@ class Robot(StrictAttributes, Closing):
             self._controller.close()
 
     def __del__(self) -> None:
-        # The streams warn for themselves.
+        # Each stream issues its own warning.
         if not getattr(self, "_is_closed", True) and self._controller is not None:
-            warnings.warn(f"{self!r} was not closed; its simulator goes on", ResourceWarning, source=self, stacklevel=2)
+            warnings.warn(
+                f"{self!r} was not closed; its simulator still runs", ResourceWarning, source=self, stacklevel=2
+            )
 
     def _repr_html_(self) -> str:
         known = self._who.last
@@ -656,12 +679,12 @@ class Robot(StrictAttributes, Closing):
             made = self._source.stream(name, f"{self.address} {name}", self._who.doubt)
             known = self._streams.setdefault(name, made)
             if self._is_closed:
-                known.close(0.0)  # `close` has not seen it; what would connect raises `Closed`
+                known.close(0.0)  # `close` ran before this stream existed; from now on, connecting raises `Closed`
         return known
 
 
 def _rtde_of(robot: Robot) -> Callable[[], Rtde]:
-    """A function that returns the RTDE of a robot, and does not keep the robot alive."""
+    """Return a function that gives the RTDE client of a robot, without keeping the robot alive."""
     held = weakref.ref(robot)
 
     def rtde() -> Rtde:
@@ -674,13 +697,13 @@ def _rtde_of(robot: Robot) -> Callable[[], Rtde]:
 
 
 def _recorder(path: str | os.PathLike[str]) -> Recorder:
-    """The recorder for a file, by its suffix."""
+    """Return the recorder for a file, according to its suffix."""
     from linkcore.recording.table_files import format_of
 
     kind = format_of(path)
     if kind is not None and not kind.is_live:
         suffix = PurePath(path).suffix.lower()
-        raise BadValue(f"{os.fspath(path)}: {suffix} is not written live; record a .urlog, and export it")
+        raise BadValue(f"{os.fspath(path)}: {suffix} cannot be written live; record a .urlog file and export it")
     if kind is not None:
         recorder: Recorder = plugin("urlink.recorders", "mcap", "urlink-view", "recording an .mcap file live")(path)
         return recorder

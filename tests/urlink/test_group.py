@@ -616,7 +616,7 @@ def test_awaited() -> None:
                 seen += 1
                 if seen == 5:
                     break
-            with pytest.raises(BadValue, match="no AsyncRobot"):
+            with pytest.raises(BadValue, match="not an AsyncRobot"):
                 AsyncGroup(one, "sim://ur5e")  # type: ignore[arg-type]
 
     asyncio.run(use())
@@ -638,11 +638,11 @@ def test_what_a_group_refuses() -> None:
         path = Trajectory.from_arrays([0, 1], [here, here + 0.1])
         with pytest.raises(BadValue, match="3 trajectories for a group of 2"):
             group.follow([path] * 3)
-        with pytest.raises(BadValue, match="is no Trajectory"):
+        with pytest.raises(BadValue, match="is not a Trajectory"):
             group.follow([path, None])  # type: ignore[list-item]
         one.motion.speed_joints([0, 0, 0, 0, 0, 0.2], duration=0.5)
         one.realtime.wait_until(lambda state: state.qd_target[5] > 0.1)
-        with pytest.raises(LocalError, match="moves: a group begins where its arms stand"):
+        with pytest.raises(LocalError, match="is moving; all arms of the group must be at rest"):
             group.move_joints([here, here])
         with pytest.raises(BadValue, match=r"speed=0\.5 would be ignored"):
             group.move_joints([here, here], 0.5, time=2.0)

@@ -173,7 +173,7 @@ def test_other_interfaces_names_are_answered() -> None:
             (primary.joint_data, "actual_q", "JointData has no 'actual_q'; here it is: q_actual"),
             (outputs.wait(), "q_actual", "Outputs has no 'q_actual'; here it is: actual_q"),
             (outputs, "q_actual", r"its packets have it: wait\(\).actual_q"),
-            (outputs, "qd_actual", r"ask for it: robot.rtde.outputs\('actual_qd'\)"),
+            (outputs, "qd_actual", r"request it with robot.rtde.outputs\('actual_qd'\)"),
             (held.realtime, "q_actual", r"its packets have it: wait\(\).q_actual"),
             (held.realtime, "actual_q", r"its packets have it: wait\(\).q_actual"),
             (held.primary, "q_actual", r"its packets have it: wait\(\).joint_data.q_actual"),

@@ -61,7 +61,7 @@ def test_everything_that_was_streamed_is_in_it(tmp_path: Path) -> None:
     with urlink.connect(f"replay://{CAPTURE}?rate=max") as robot:
         with pytest.raises(urlink.BadRecording, match="never overwrites"):
             robot.record(path)
-        with pytest.raises(urlink.BadValue, match=r"\.csv is not written live"):
+        with pytest.raises(urlink.BadValue, match=r"\.csv cannot be written live"):
             robot.record(tmp_path / "run.csv")
         with pytest.raises(urlink.BadRecording, match="cannot write"):
             robot.record(tmp_path / "nowhere" / "run.mcap")

@@ -1,4 +1,4 @@
-"""Arms that move together, for programs that use asyncio."""
+"""Groups of arms that move together, for programs that use asyncio."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ __all__ = ["AsyncGroup", "AsyncGroupStream"]
 
 
 class AsyncGroupStream(AwaitedHandle[GroupStream]):
-    """As `GroupStream`, awaited; ``await stream`` is its end, as of any handle.
+    """Awaitable version of `GroupStream`; ``await stream`` waits for its end, as for any handle.
 
-    A task that is cancelled while it awaits `append` gives its points up: those that were not sent are dropped.
+    If a task is cancelled while it awaits `append`, the points that were not sent are dropped.
     """
 
     __slots__ = ()
@@ -41,22 +41,23 @@ class AsyncGroupStream(AwaitedHandle[GroupStream]):
 
 
 class AsyncGroup(AwaitedPart[Group]):
-    """As `urlink.Group`, awaited::
+    """Awaitable version of `urlink.Group`::
 
         async with urlink.connect_async(LEFT) as left, urlink.connect_async(RIGHT) as right:
             both = AsyncGroup(left, right)
             await both.follow([reach_left, reach_right], wait=True)
 
-    Calls are made in threads of the first robot.
+    Calls run in threads of the first robot.
 
     Args:
-        robots: at least two, each once, and each with a state: ``await robot.realtime.wait()``.
+        robots: Robots of the group: at least two, each only once. Each robot must have received a state: call
+            ``await robot.realtime.wait()`` first.
 
     Attributes:
-        robots: as given.
+        robots: Robots of the group, in the order of the arguments.
 
     Raises:
-        BadValue: fewer than two, or one of them twice.
+        BadValue: If there are fewer than two robots, or a robot is given twice.
     """
 
     __slots__ = ("robots",)
@@ -64,7 +65,7 @@ class AsyncGroup(AwaitedPart[Group]):
     def __init__(self, *robots: AsyncRobot) -> None:
         for robot in robots:
             if not isinstance(robot, AsyncRobot):
-                raise BadValue(f"{robot!r} is no AsyncRobot of urlink.connect_async")
+                raise BadValue(f"{robot!r} is not an AsyncRobot returned by urlink.connect_async")
         group = Group(*(robot._part for robot in robots))
         super().__init__(group, robots[0]._workers)
         self.robots = robots
@@ -75,7 +76,7 @@ class AsyncGroup(AwaitedPart[Group]):
     stream = block(Group.stream, AsyncGroupStream)
 
     async def states(self, timeout: float | None = 5.0) -> AsyncIterator[tuple[RealtimeState, ...]]:
-        """As `Group.states`: ``async for left, right in both.states()``."""
+        """Iterate over states of all arms, as `Group.states`: ``async for left, right in both.states()``."""
         moments = self._part._moments()
         others = {each: self.robots[each].realtime.iterate(drop_oldest(WAITING), timeout) for each in moments.others}
         async for state in self.robots[moments.first].realtime.iterate(latest, timeout):

@@ -52,9 +52,10 @@ if TYPE_CHECKING:
 P = ParamSpec("P")
 T = TypeVar("T")
 
-#: Calls of one robot that can run at the same time.
+#: Maximum number of concurrent calls for one robot.
 _CALLS = 16
-#: Threads that stop the robot, which are started with it. Two: leaving a block may wait for the arm to come to rest.
+#: Number of threads for stopping the robot, started at the connection. Leaving a block can occupy one of them until the
+#: arm is at rest, so there are two.
 _STOPS = 2
 
 
@@ -71,17 +72,18 @@ def _interpreter(interpreter: Interpreter, workers: Workers) -> AsyncInterpreter
 
 
 class AsyncRobot(AwaitedPart[threaded.Robot]):
-    """A robot: its streams, and what it is. Made by `connect_async`; an asynchronous context manager, which closes it.
+    """Connection to one robot, for asyncio. Made by `connect_async`; an asynchronous context manager.
 
-    It has the names of `Robot`, and they do the same. What may wait for the robot is awaited, a block is entered with
-    ``async with``, and properties are read as they are. The event loop reads the streams; calls that wait are made in
-    threads of the robot, which are started when they are needed.
+    It has the same members as `Robot`, with the same behaviour. Calls that might wait for the robot are awaited, blocks
+    are entered with ``async with``, and properties are read directly. The event loop reads the streams. Calls that wait
+    run in threads of the robot, which are started when they are needed. Leaving the ``async with`` block closes the
+    robot.
 
-    A task that is cancelled, or times out, while it awaits a call gives it up: what has not been sent is not sent, and
-    what it has begun is cancelled, so a moving arm brakes. `asyncio.shield` prevents this.
+    If a task is cancelled or times out while it awaits a call, the call is abandoned: pending data is not sent, and a
+    motion or program that the call started is cancelled, so a moving arm brakes. `asyncio.shield` prevents this.
 
     Attributes:
-        address: the address that was connected to.
+        address: Address that was passed to `connect_async`.
     """
 
     __slots__ = ("_ending", "_streams", "address")
@@ -101,12 +103,12 @@ class AsyncRobot(AwaitedPart[threaded.Robot]):
 
     @property
     def primary(self) -> AsyncStream[RobotState]:
-        """Stream of `RobotState` at 10 Hz; with `of` or a class, of its parts and of messages (port 30001)."""
+        """Stream of `RobotState` at 10 Hz (port 30001); its parts and messages are available by class or `of`."""
         return self._stream("primary")
 
     @property
     def secondary(self) -> AsyncStream[RobotState]:
-        """As `primary`, but of the messages only the version message (port 30002)."""
+        """Stream of `RobotState` like `primary`, but with the version message as its only message (port 30002)."""
         return self._stream("secondary")
 
     def _stream(self, name: str) -> AsyncStream[Any]:
@@ -117,50 +119,51 @@ class AsyncRobot(AwaitedPart[threaded.Robot]):
 
     @property
     def clock(self) -> RobotClock:
-        """The controller's clock beside this computer's; see `Robot.clock`. It awaits nothing: it has to be asked after
-        the first state.
+        """Relation of the controller's clock to this computer's clock; see `Robot.clock`.
+
+        It cannot wait for a state, so use it after the first state has arrived.
         """
         return self._part.clock
 
     @property
     def identity(self) -> Identity:
-        """The last known identity of the controller; `identify` reads it again."""
+        """Last known identity of the controller; `identify` reads it again."""
         return self._part._who.last
 
     async def identify(self) -> Identity:
-        """The identity of the controller, read again after a reconnect.
+        """Return the identity of the controller, which is read again after a reconnect.
 
         Raises:
-            RemoteError: the controller did not answer.
+            RemoteError: If the controller does not answer.
         """
         return await self.call(lambda: self._part.identity)
 
     @property
     def firmware(self) -> Firmware:
-        """The controller's firmware; see `identity`."""
+        """Firmware of the controller; see `identity`."""
         return self.identity.firmware
 
     @property
     def model(self) -> str | None:
-        """Name of the arm, such as "UR5e"; None if the controller does not say. See `identity`."""
+        """Name of the arm, such as "UR5e"; None if the controller does not report it. See `identity`."""
         return self.identity.model
 
     @property
     def kinematics(self) -> Arm:
-        """Forward and inverse kinematics of this arm, calibrated; see `Robot.kinematics` and `identity`."""
+        """Forward and inverse kinematics of this individual arm; see `Robot.kinematics` and `identity`."""
         return self.identity.kinematics
 
     @property
     def controller(self) -> Controller:
-        """The simulator behind ``sim://``; see `Robot.controller`."""
+        """Simulator behind a ``sim://`` address; see `Robot.controller`."""
         return self._part.controller
 
     def record(
         self, path: str | os.PathLike[str], interfaces: Sequence[str | AsyncStream[Any]] = ("realtime", "primary")
     ) -> Block[Recorder]:
-        """Record streams into a new file: ``async with robot.record("run.urlog"):``. A thread of its own writes it.
+        """Record streams into a new file: ``async with robot.record("run.urlog"):``.
 
-        See `Robot.record`.
+        A dedicated thread writes the file. See `Robot.record`.
         """
         streams: Any = [each.stream if isinstance(each, AsyncStream) else each for each in interfaces]
         return Block(self._workers, lambda: self._part.record(path, streams), lambda recorder, workers: recorder)
@@ -169,56 +172,56 @@ class AsyncRobot(AwaitedPart[threaded.Robot]):
 
     @property
     def motion(self) -> AsyncMotions:
-        """Moves the arm; see `Robot.motion`. What begins a motion has to be given `wait`."""
+        """Commands that move the arm; see `Robot.motion`. Calls that start a motion require the argument `wait`."""
         from .parts import AsyncMotions
 
         return AsyncMotions(self._part.motion, self._workers)
 
     @property
     def io(self) -> AsyncIO:
-        """Inputs and outputs; see `Robot.io`."""
+        """Digital and analogue inputs and outputs; see `Robot.io`."""
         from .parts import AsyncIO
 
         return AsyncIO(self._part.io, self._workers)
 
     @property
     def safety(self) -> AsyncSafety:
-        """The interlock between motions and the arm; see `Robot.safety`."""
+        """Interlock between motions and the arm; see `Robot.safety`."""
         from .parts import AsyncSafety
 
         return AsyncSafety(self._part.safety, self._workers)
 
     @property
     def script(self) -> AsyncScripts:
-        """Sends programs and lines of URScript; see `Robot.script`."""
+        """Commands that send URScript programs and lines; see `Robot.script`."""
         from .parts import AsyncScripts
 
         return AsyncScripts(self._part.script, self._workers)
 
     @property
     def dashboard(self) -> AsyncDashboard:
-        """Power, brakes, installed programs, and unlocking after a protective stop; see `Robot.dashboard`."""
+        """Dashboard commands (power, brakes, installed programs, protective stops); see `Robot.dashboard`."""
         from .parts import AsyncDashboard
 
         return AsyncDashboard(self._part.dashboard, self._workers)
 
     @property
     def gripper(self) -> AsyncGripper:
-        """A Robotiq gripper; see `Robot.gripper`. Nothing of it is interlocked."""
+        """Robotiq gripper; see `Robot.gripper`. Gripper commands are not interlocked."""
         from .parts import AsyncGripper
 
         return AsyncGripper(self._part.gripper, self._workers)
 
     @property
     def tool_serial(self) -> AsyncToolSerial:
-        """The RS485 line in the tool connector; see `Robot.tool_serial`. Nothing of it is interlocked."""
+        """RS485 line in the tool connector; see `Robot.tool_serial`. Not interlocked."""
         from .parts import AsyncToolSerial
 
         return AsyncToolSerial(self._part.tool_serial, self._workers)
 
     @property
     def rtde(self) -> AsyncRtde:
-        """Variables of the controller by name; `outputs` gives an `AsyncStream`. See `Robot.rtde`."""
+        """Access to RTDE; `outputs` returns an `AsyncStream`. See `Robot.rtde`."""
         from .parts import AsyncRtde
 
         return AsyncRtde(self._part.rtde, self._workers)
@@ -242,20 +245,20 @@ class AsyncRobot(AwaitedPart[threaded.Robot]):
     view = block(threaded.Robot.view)
 
     async def call(self, function: Callable[P, T], *arguments: P.args, **options: P.kwargs) -> T:
-        """Call a function that blocks, in a thread of the robot.
+        """Call a blocking function in a thread of the robot.
 
         Raises:
-            Closed: the robot was closed.
-            LocalError: the system has no thread left.
+            Closed: If the robot was closed.
+            LocalError: If the operating system cannot start another thread.
         """
         return await self._workers.make(lambda: function(*arguments, **options), is_ordered=False)
 
     # -- its end -------------------------------------------------------------------------------------
 
     async def close(self, timeout: float = 2.0) -> None:
-        """End motions, close every stream, and the simulator if there is one; in `timeout` seconds. Idempotent.
+        """End motions, and close all streams and the simulator, within `timeout` seconds. Idempotent.
 
-        A task that is cancelled meanwhile ends when this is done.
+        A task that is cancelled during this call ends when closing has finished.
         """
         if self._ending is None:
             self._ending = asyncio.create_task(self._close(timeout))
@@ -285,9 +288,9 @@ class AsyncRobot(AwaitedPart[threaded.Robot]):
 async def _connected(options: ConnectOptions) -> AsyncRobot:
     place = options.place
     if options.isolate:
-        raise LocalError("isolate=True is for urlink.connect: the event loop reads by itself")
+        raise LocalError("isolate=True is not supported by connect_async; use urlink.connect")
     if isinstance(place, RecordingAddress):
-        raise LocalError(f"{options.name} is a recording, which urlink.connect plays, and no event loop")
+        raise LocalError(f"{options.name} is a recording, which connect_async cannot play; use urlink.connect")
     loop = running_loop("connect_async")
     workers = Workers(options.name, _CALLS, stopping=0 if options.read_only else _STOPS)
     controller = robot = None
@@ -315,25 +318,26 @@ async def _connected(options: ConnectOptions) -> AsyncRobot:
 
 @takes_connect_options
 def connect_async(options: ConnectOptions) -> Opening[AsyncRobot]:
-    """Connect to a robot or to the simulator; the result is entered or awaited.
+    """Connect to a robot or to the simulator. Enter the result with ``async with``, or await it.
 
     ``async with urlink.connect_async(...) as robot``, or ``robot = await urlink.connect_async(...)``.
 
     Args:
-        address: as for `urlink.connect`, but for recordings.
-        options: the other arguments of `urlink.connect`.
+        address: Address of the robot, as for `urlink.connect`. Recordings are not supported.
+        options: Other arguments of `urlink.connect`.
 
     Raises:
-        BadAddress, BadValue, TypeError: at once, as `urlink.connect`.
-        LocalError: the address is a recording, or no event loop of asyncio runs; raised when it is awaited or entered.
-        ConnectFailed, ConnectionLost, LinkTimeout, WrongPeer: there is no controller at the address; raised when it is
-            awaited or entered.
+        BadAddress, BadValue, TypeError: If an argument is invalid, as for `urlink.connect`. Raised immediately.
+        LocalError: If the address is a recording, or no asyncio event loop runs. Raised when the result is awaited or
+            entered.
+        ConnectFailed, ConnectionLost, LinkTimeout, WrongPeer: If no controller is at the address. Raised when the
+            result is awaited or entered.
     """
     return Opening(partial(_connected, options))
 
 
 async def _identified(place: RobotAddress, options: ConnectOptions) -> Identity:
-    """The identity of the controller at an address, read on the event loop; otherwise as `networked`."""
+    """Read the identity of the controller at an address on the event loop; otherwise as `networked`."""
     suffix = "_readonly" if options.read_only else ""
     try:
         return await _identify(place.host, place.ports["primary" + suffix], options.timeout)
@@ -344,11 +348,11 @@ async def _identified(place: RobotAddress, options: ConnectOptions) -> Identity:
     except ConnectFailed:
         raise first from None
     finally:
-        del first  # it refers to this frame
+        del first  # breaks the reference cycle between the error and this frame
 
 
 async def _identify(host: str, port: int, timeout: float) -> Identity:
-    """As `urlink.session.identity.identify`."""
+    """Read the identity on one port, as `urlink.session.identity.identify`."""
     introduction = Introduction(f"{host}:{port}", timeout)
     transport = AwaitedTcp(host, port, silence=timeout, refused=lambda: refusal_hint(None))
     await transport.connect(timeout)

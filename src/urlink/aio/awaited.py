@@ -1,8 +1,8 @@
-"""How a method that blocks becomes one that is awaited: same name, same arguments, same result, and their types.
+"""Conversion of blocking methods to awaitable methods with the same name, arguments, result and types.
 
-Commands use the same interlock, channel and state machines as those of `urlink.connect`, which block until the robot
-has answered. So each call is made in a thread of the robot, while the event loop goes on reading the streams, an RTDE
-connection among them.
+Commands use the same interlock, channel and state machines as a robot of `urlink.connect`, which block until the robot
+has answered. So each call runs in a thread of the robot, while the event loop continues to read the streams and RTDE
+connections.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ T = TypeVar("T")
 
 
 class AwaitedPart(StrictAttributes, Generic[B]):
-    """A robot, or a part of one such as `robot.motion`, with methods that are awaited.
+    """Robot, or a part of a robot such as `robot.motion`, with awaitable methods.
 
-    An attribute that is not a method is read at once. One that would have to wait, because its stream is not open yet,
-    raises `LocalError`; ``await robot.call(lambda: robot.safety.cause)`` waits for it.
+    Attributes are read immediately. An attribute that would have to wait, because its stream is not open yet, raises
+    `LocalError`; ``await robot.call(lambda: robot.safety.cause)`` waits for it.
 
     Args:
-        part: the same of a robot of `urlink.connect`.
-        workers: the threads that make the calls.
+        part: Same part of a robot of `urlink.connect`.
+        workers: Threads that run the calls.
     """
 
     __slots__ = ("_part", "_workers")
@@ -56,11 +56,11 @@ class AwaitedPart(StrictAttributes, Generic[B]):
 
 
 class attribute(property, Generic[B, T]):  # noqa: N801  # as `property`
-    """An attribute of an `AwaitedPart` that is read at once.
+    """Attribute of an `AwaitedPart` that is read immediately.
 
     Args:
-        of: class of the part, for the type of what `read` is given.
-        read: takes the value from the part.
+        of: Class of the part, which is the argument type of `read`.
+        read: Function that returns the value of the part.
     """
 
     def __init__(self, of: type[B], read: Callable[[B], T]) -> None:
@@ -76,7 +76,7 @@ class attribute(property, Generic[B, T]):  # noqa: N801  # as `property`
 
 
 class AwaitedHandle(AwaitedPart[H]):
-    """A part that is a handle; ``await`` of it is the end of what runs, as of any handle."""
+    """Part that is a handle; ``await`` waits for the end of its motion or program, as for any handle."""
 
     __slots__ = ()
 
@@ -86,11 +86,11 @@ class AwaitedHandle(AwaitedPart[H]):
     error = attribute(Handle, lambda handle: handle.error)
 
     def cancel(self) -> None:
-        """As `Handle.cancel`, which returns at once."""
+        """Cancel as `Handle.cancel`, and return immediately."""
         self._part.cancel()
 
     def add_done_callback(self, callback: Callable[[Self], object]) -> None:
-        """As `Handle.add_done_callback`: in the robot's thread for callbacks."""
+        """Add a callback as `Handle.add_done_callback`. It runs in the robot's callback thread."""
         self._part.add_done_callback(lambda handle: callback(self))
 
     def __await__(self) -> Generator[Any, None, None]:
@@ -98,10 +98,10 @@ class AwaitedHandle(AwaitedPart[H]):
 
 
 def awaited(method: Callable[Concatenate[Any, P], T]) -> Callable[Concatenate[Any, P], Coroutine[Any, Any, T]]:
-    """The method of a `AwaitedPart` that makes this call in a thread of the robot.
+    """Return the method of an `AwaitedPart` that runs a call in a thread of the robot.
 
-    A task that is cancelled while it awaits this abandons the call: what has not been sent is not sent, what the call
-    has started on the robot is cancelled, and a wait in its thread ends.
+    A task that is cancelled while it awaits the method abandons the call: pending data is not sent, a motion or program
+    that the call started is cancelled, and a wait in its thread ends.
     """
 
     @functools.wraps(method)
@@ -113,9 +113,9 @@ def awaited(method: Callable[Concatenate[Any, P], T]) -> Callable[Concatenate[An
 
 
 def stopping(method: Callable[Concatenate[Any, P], T]) -> Callable[Concatenate[Any, P], Coroutine[Any, Any, T]]:
-    """As `awaited`, for a call that stops or closes something: it never queues behind a call that waits.
+    """Like `awaited`, for a call that stops or closes something. It never queues behind a waiting call.
 
-    It is made even if its task is cancelled meanwhile; the task ends at once.
+    The call runs even if its task is cancelled in the meantime; the task ends immediately.
     """
 
     @functools.wraps(method)
@@ -127,10 +127,10 @@ def stopping(method: Callable[Concatenate[Any, P], T]) -> Callable[Concatenate[A
 
 
 def motion(method: Callable[Concatenate[Any, P], T]) -> Callable[Concatenate[Any, P], Coroutine[Any, Any, T]]:
-    """As `awaited`, for what begins to move the arm and returns its handle: `wait` has to be given.
+    """Like `awaited`, for a call that starts a motion and returns its handle. The argument `wait` is required.
 
-    `await` before such a name reads as if it waited for the arm, and did so in the first releases. Without `wait` it
-    would now go on at once, while the arm moves; so that is refused.
+    `await` before such a call looks as if it waited for the arm. Without `wait`, the program would continue
+    immediately while the arm moves, so a call without `wait` is rejected.
     """
     call = awaited(method)
 
@@ -138,8 +138,8 @@ def motion(method: Callable[Concatenate[Any, P], T]) -> Callable[Concatenate[Any
     async def decided(part: AwaitedPart[Any], /, *arguments: P.args, **options: P.kwargs) -> T:
         if "wait" not in options:
             raise BadValue(
-                f"{method.__name__}() was awaited without `wait`; nothing was sent. Pass wait=True to go on once the "
-                "arm has arrived, or wait=False to go on once it was sent, with its handle, which can be awaited"
+                f"{method.__name__}() was awaited without `wait`, so nothing was sent; pass wait=True to wait until "
+                "the arm has arrived, or wait=False to get the handle after sending, which can be awaited"
             )
         return await call(part, *arguments, **options)
 
@@ -147,14 +147,15 @@ def motion(method: Callable[Concatenate[Any, P], T]) -> Callable[Concatenate[Any
 
 
 class Block(StrictAttributes, Generic[T]):
-    """``async with robot.motion.servo() as servo``: entered and always left in a thread of the robot; or awaited.
+    """Block such as ``async with robot.motion.servo() as servo``, entered and left in a thread of the robot.
 
-    Awaited, it is what the same call of `urlink.connect` returns without a ``with``.
+    If it is awaited instead, the result is the object that the same call of a robot of `urlink.connect` returns without
+    a ``with``.
 
     Args:
-        workers: the threads.
-        make: the call that returns what can be entered.
-        given: converts that for programs that use asyncio.
+        workers: Threads of the robot.
+        make: Call that returns the context manager.
+        given: Function that converts the context manager for programs that use asyncio.
     """
 
     __slots__ = ("_entered", "_given", "_make", "_workers")
@@ -166,7 +167,7 @@ class Block(StrictAttributes, Generic[T]):
         self._entered: Any = None
 
     def _hint(self, name: str) -> str:
-        return f"; it is not entered yet, write 'async with ... as block:' and then block.{name}"
+        return f"; the block is not entered yet: write 'async with ... as block:' and then block.{name}"
 
     def __await__(self) -> Generator[Any, None, T]:
         return self._made().__await__()
@@ -191,14 +192,14 @@ class Block(StrictAttributes, Generic[T]):
         try:
             await asyncio.wait({leaving})
         except asyncio.CancelledError:
-            if isinstance(self._entered, Handle):  # it waits for its program, for as long as that takes
+            if isinstance(self._entered, Handle):  # leaving a handle waits for its program without a limit
                 self._workers.stop(self._entered.cancel)
             await asyncio.wait({leaving})
             raise
         try:
             left.result()
         finally:
-            del left  # an error refers to this frame, and the future to the error
+            del left  # breaks a reference cycle: the future holds the error, and the error holds this frame
 
 
 @overload
@@ -208,7 +209,7 @@ def block(
     method: Callable[Concatenate[Any, P], C], given: Callable[[C, Workers], T]
 ) -> Callable[Concatenate[Any, P], Block[T]]: ...
 def block(method: Callable[..., Any], given: Callable[..., Any] = lambda made, workers: made) -> Any:
-    """The method of a `AwaitedPart` whose result is entered with ``async with``."""
+    """Return the method of an `AwaitedPart` whose result is entered with ``async with``."""
 
     @functools.wraps(method)
     def call(part: AwaitedPart[Any], /, *arguments: Any, **options: Any) -> Block[Any]:
@@ -222,7 +223,7 @@ def _leave(made: AbstractContextManager[Any]) -> None:
 
 
 def _end(value: Any) -> None:
-    """End what a call has made that was given up."""
+    """End the result of an abandoned call."""
     if isinstance(value, Handle):
         _leave(value)
     elif hasattr(value, "close"):  # a stream, a recorder, inputs
@@ -230,11 +231,11 @@ def _end(value: Any) -> None:
 
 
 class AwaitedRtde(RtdeTransport):
-    """As `RtdeTransport`, for an event loop.
+    """`RtdeTransport` for an event loop.
 
     Args:
-        transport: the TCP connection.
-        plan: what to request.
+        transport: TCP connection.
+        plan: Requests to send.
     """
 
     def __init__(self, transport: AwaitedTcp, plan: Requests) -> None:
@@ -244,13 +245,13 @@ class AwaitedRtde(RtdeTransport):
         self.disconnect = transport.disconnect
 
     async def connect(self, timeout: float) -> None:
-        """Connect, request what the plan says, and wait for the first data package; see `RtdeTransport.open`."""
+        """Connect, send the requests of the plan, and wait for the first data package; see `RtdeTransport.open`."""
         until = clock.now() + timeout
         await self._tcp.connect(timeout)
         dialogue = RtdeDialogue(self._plan)
         try:
             while not dialogue.is_over:
-                # The first bytes on a connection: the buffer of the kernel has room for them.
+                # These are the first bytes on the connection, so the buffer of the kernel has room for them.
                 self._tcp.send(dialogue.protocol.requests(), 0.0)
                 try:
                     dialogue.receive(*await self._tcp.receive_awaited(max(until - clock.now(), 0.001)))

@@ -1,6 +1,6 @@
-"""The parts of an `AsyncRobot`. Each method is the one of the blocking class that stands behind its name, awaited.
+"""Parts of an `AsyncRobot`. Each method is the awaitable version of the blocking method with the same name.
 
-Imported when the first part is used: a program that only reads states never imports what commands.
+The module is imported when the first part is used, so a program that only reads states never imports command modules.
 """
 
 from __future__ import annotations
@@ -49,9 +49,9 @@ T = TypeVar("T", bound=Outputs)
 
 
 class AsyncPointStream(AwaitedHandle[PointStream]):
-    """As `PointStream`, awaited; ``await stream`` is its end, as of any handle.
+    """Awaitable version of `PointStream`; ``await stream`` waits for its end, as for any handle.
 
-    A task that is cancelled while it awaits `append` gives its points up: those that were not sent are dropped.
+    If a task is cancelled while it awaits `append`, the points that were not sent are dropped.
     """
 
     __slots__ = ()
@@ -73,7 +73,10 @@ class AsyncPointStream(AwaitedHandle[PointStream]):
 
 
 class AsyncMotions(AwaitedPart[Motions]):
-    """As `Motions`, awaited. What begins a motion has to be given `wait`, but for `stop`, which nothing delays."""
+    """Awaitable version of `Motions`.
+
+    Calls that start a motion require the argument `wait`, except `stop`, which is never delayed.
+    """
 
     __slots__ = ()
 
@@ -97,7 +100,7 @@ class AsyncMotions(AwaitedPart[Motions]):
 
 
 class AsyncSafety(AwaitedPart[Safety]):
-    """As `Safety`, awaited."""
+    """Awaitable version of `Safety`."""
 
     __slots__ = ()
 
@@ -124,7 +127,7 @@ class AsyncSafety(AwaitedPart[Safety]):
 
 
 class AsyncScripts(AwaitedPart[Scripts]):
-    """As `Scripts`, awaited. `run` has to be given `wait`."""
+    """Awaitable version of `Scripts`. `run` requires the argument `wait`."""
 
     __slots__ = ()
 
@@ -133,7 +136,7 @@ class AsyncScripts(AwaitedPart[Scripts]):
 
 
 class AsyncIO(AwaitedPart[IO]):
-    """As `IO`, awaited."""
+    """Awaitable version of `IO`."""
 
     __slots__ = ()
 
@@ -161,7 +164,7 @@ class AsyncIO(AwaitedPart[IO]):
 
 
 class AsyncDashboard(AwaitedPart[Dashboard]):
-    """As `Dashboard`, awaited."""
+    """Awaitable version of `Dashboard`."""
 
     __slots__ = ()
 
@@ -210,7 +213,7 @@ class AsyncDashboard(AwaitedPart[Dashboard]):
 
 
 class AsyncGripper(AwaitedPart[Gripper]):
-    """As `Gripper`, awaited."""
+    """Awaitable version of `Gripper`."""
 
     __slots__ = ()
 
@@ -230,7 +233,7 @@ class AsyncGripper(AwaitedPart[Gripper]):
 
 
 class AsyncToolSerial(AwaitedPart[ToolSerial]):
-    """As `ToolSerial`, awaited."""
+    """Awaitable version of `ToolSerial`."""
 
     __slots__ = ()
 
@@ -242,7 +245,7 @@ class AsyncToolSerial(AwaitedPart[ToolSerial]):
 
 
 class AsyncInterpreter(AwaitedHandle[Interpreter]):
-    """As `Interpreter`, awaited; ``await interpreter`` is the end of its program, as of any handle."""
+    """Awaitable version of `Interpreter`; ``await interpreter`` waits for the end of its program."""
 
     __slots__ = ()
 
@@ -255,14 +258,14 @@ class AsyncInterpreter(AwaitedHandle[Interpreter]):
     wait_executed = awaited(Interpreter.wait_executed)
 
     async def state(self) -> InterpreterState:
-        """`Interpreter.state`: a method here, since the controller is asked."""
+        """Return `Interpreter.state`. It is a method here, because the controller is asked."""
         return await self._workers.make(lambda: self._part.state)
 
     texts = attribute(Interpreter, lambda part: part.texts)
 
 
 class AsyncTeaching(AwaitedPart[Teaching]):
-    """As `Teaching`, awaited."""
+    """Awaitable version of `Teaching`."""
 
     __slots__ = ()
 
@@ -273,7 +276,7 @@ class AsyncTeaching(AwaitedPart[Teaching]):
 
 
 class AsyncRegisters(AwaitedPart[Registers]):
-    """As `Registers`, awaited."""
+    """Awaitable version of `Registers`."""
 
     __slots__ = ()
 
@@ -286,7 +289,7 @@ class AsyncRegisters(AwaitedPart[Registers]):
 
 
 class AsyncInputs(AwaitedPart[Inputs]):
-    """As `Inputs`, awaited."""
+    """Awaitable version of `Inputs`."""
 
     __slots__ = ()
 
@@ -299,7 +302,7 @@ class AsyncInputs(AwaitedPart[Inputs]):
 
 
 class AsyncOutputStream(AsyncStream[T]):
-    """As `OutputStream`, for programs that use asyncio."""
+    """Version of `OutputStream` for programs that use asyncio."""
 
     __slots__ = ("_part",)
 
@@ -308,7 +311,7 @@ class AsyncOutputStream(AsyncStream[T]):
         self._part = outputs
 
     async def description(self) -> dict[str, Any]:
-        """As `OutputStream.description`, which connects."""
+        """Return `OutputStream.description`, and connect if necessary."""
         await self.start()
         return await super().description()
 
@@ -321,7 +324,7 @@ class AsyncOutputStream(AsyncStream[T]):
 
 
 class AsyncRtde(AwaitedPart[Rtde]):
-    """As `Rtde`, awaited."""
+    """Awaitable version of `Rtde`."""
 
     __slots__ = ()
 
@@ -341,7 +344,7 @@ class AsyncRtde(AwaitedPart[Rtde]):
     def outputs(
         self, *names: Any, frequency: float | None = None, missing: Missing = "error"
     ) -> Block[AsyncOutputStream[Any]]:
-        """As `Rtde.outputs`: ``async with robot.rtde.outputs("actual_q") as stream``, or awaited."""
+        """Return a stream as `Rtde.outputs`: ``async with robot.rtde.outputs("actual_q") as stream``, or awaited."""
         rtde = self._part
 
         def made() -> OutputStream[Any]:
@@ -350,7 +353,7 @@ class AsyncRtde(AwaitedPart[Rtde]):
         return Block(self._workers, made, lambda stream, workers: AsyncOutputStream(stream))
 
     async def registers(self, *, lower: bool = False) -> AsyncRegisters:
-        """As `Rtde.registers`."""
+        """Return registers as `Rtde.registers`."""
         return AsyncRegisters(self._part.registers(lower=lower), self._workers)
 
     is_recorded = attribute(Rtde, lambda part: part.is_recorded)

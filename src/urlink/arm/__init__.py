@@ -1,1 +1,1 @@
-"""The arm: models, kinematics, dynamics, poses, and the descriptions of an arm that other software reads."""
+"""Models, kinematics, dynamics and poses of arms, and descriptions of an arm for other software."""

@@ -26,20 +26,21 @@ from .urdf import JOINTS, LINKS, RADIUS, link_frames, numbers
 def to_mjcf(
     arm: Arm | Model | str, *, name: str | None = None, motors: Motors | None = None, shapes: bool = False
 ) -> str:
-    """The arm as the text of an MJCF file.
+    """Return the arm as the text of an MJCF file.
 
     Args:
-        arm: an `Arm`, which may be calibrated, or the name of a model, or a `Model`.
-        name: of the model in the file; by default that of the arm, in lower case.
-        motors: in its joints; None for those of the model.
-        shapes: give the links spheres and capsules, which touch things; neighbours touch each other too.
+        arm: Calibrated or published `Arm`, `Model`, or name of a model.
+        name: Name of the model in the file; by default the name of the arm in lower case.
+        motors: Motors of the joints; None for the motors of the model.
+        shapes: Whether the links have spheres and capsules for collisions. Neighbouring links collide with each other
+            too.
 
     Returns:
         XML; write it to a file with the ending `.xml`. `tool0` is a site: the flange as the controller reports it. Each
         joint has a motor of its name, whose control is a torque in Nm.
 
     Raises:
-        UnknownModel: no arm is called that.
+        UnknownModel: If no arm has this name.
 
     >>> text = to_mjcf("UR10e")
     >>> text.splitlines()[1], text.count("armature=")

@@ -1,4 +1,4 @@
-"""The motors and gears in the joints of an arm: what the published masses leave out.
+"""Motors and gears in the joints of an arm, which the published masses do not include.
 
     >>> from urlink.arm.motors import motors_of
     >>> motors_of("UR10e").rotor_inertias
@@ -31,13 +31,13 @@ FULL_SPEED = number("friction_full_speed")
 
 @dataclass(frozen=True)
 class Motors:
-    """The motors and gears of one arm, seen from the joints, base to wrist 3.
+    """Motors and gears of one arm, with values at the joints, from base to wrist 3.
 
     Attributes:
-        rotor_inertias: (6,) of rotor and gear, times the square of the ratio, kg m².
-        torque_constants: (6,) Nm at the joint per A.
-        coulomb: (6,) A, the current of friction that does not depend on the speed.
-        viscous: (6,) A s/rad, that of friction that grows with it.
+        rotor_inertias: Inertias of rotor and gear times the square of the gear ratio, shape (6,), in kg m².
+        torque_constants: Torques at the joint per current, shape (6,), in Nm per A.
+        coulomb: Currents of the friction that does not depend on the speed, shape (6,), in A.
+        viscous: Currents of the friction that grows with the speed, shape (6,), in A s/rad.
     """
 
     rotor_inertias: tuple[float, ...]
@@ -46,14 +46,14 @@ class Motors:
     viscous: tuple[float, ...]
 
     def current(self, torque: Sequence[float], qd: Sequence[float]) -> list[float]:
-        """The currents with which the joints exert torques while they turn.
+        """Return the motor currents for given joint torques and speeds.
 
         Args:
-            torque: (6,) Nm of rigid bodies and rotors.
-            qd: (6,) joint speeds, rad/s.
+            torque: Torques of rigid bodies and rotors, shape (6,), in Nm.
+            qd: Joint speeds, shape (6,), in rad/s.
 
         Returns:
-            (6,) A.
+            Currents, shape (6,), in A.
         """
         return [
             float(m) / k + friction(c, b, v)
@@ -88,16 +88,16 @@ def force_size(name: str) -> str:
 
 
 def motors_of(arm: Model | str) -> Motors:
-    """The motors of an arm, as far as they are known.
+    """Return the motors of an arm, as far as they are known.
 
     Raises:
-        UnknownModel: no arm is called that.
+        UnknownModel: If no arm has this name.
     """
     name = (arm if isinstance(arm, Model) else model(arm)).name
     sizes = joint_sizes(name)
 
     def of(parameter: str) -> tuple[float, ...]:
-        # That of this very arm, if it was logged.
+        # Prefer the value of this arm, if it was logged.
         if (parameter, name) in parameters():
             return numbers(parameter, name)
         return tuple(number(parameter, size) for size in sizes)

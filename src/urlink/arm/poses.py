@@ -1,8 +1,8 @@
-"""Poses and rotations, and computing with them.
+"""Calculations with poses and rotations.
 
-A pose is what Universal Robots calls one: x, y, z in m and a rotation vector in rad, whose direction is the axis and
-whose length is the angle. It says where a frame stands in another one. All functions take one pose, (6,), or any number
-of them, (..., 6), and broadcast as numpy does; they return new float64 arrays.
+A pose has the format of Universal Robots: x, y, z in m, and a rotation vector in rad, whose direction is the axis and
+whose length is the angle. It gives the position and orientation of one frame in another frame. All functions accept one
+pose, shape (6,), or any number of poses, shape (..., 6). They broadcast like numpy, and return new float64 arrays.
 
     >>> from urlink import poses
     >>> table = [0.4, -0.2, 0.1, 0, 0, 1.5707963267948966]       # in the base frame, turned by 90 degrees
@@ -54,17 +54,19 @@ _GIMBAL_LOCK = 1e-14
 
 
 def compose(first: ArrayLike, second: ArrayLike) -> FloatArray:
-    """`second`, given in the frame that `first` describes, in the frame of `first`. URScript's pose_trans.
+    """Transform `second` from the frame that `first` describes to the reference frame of `first`.
+
+    It is the equivalent of pose_trans in URScript.
 
     Args:
-        first: (..., 6) poses.
-        second: (..., 6) poses.
+        first: Poses, shape (..., 6).
+        second: Poses, shape (..., 6).
 
     Returns:
-        (..., 6) poses.
+        Poses, shape (..., 6).
 
     Raises:
-        BadValue: not poses, or shapes that do not broadcast.
+        BadValue: If the arguments are not poses, or their shapes do not broadcast.
     """
     if rigid.is_single(first) and rigid.is_single(second):
         return np.array(rigid.to_pose(rigid.product(_one(first), _one(second))))
@@ -73,16 +75,18 @@ def compose(first: ArrayLike, second: ArrayLike) -> FloatArray:
 
 
 def invert(pose: ArrayLike) -> FloatArray:
-    """The pose that undoes another one: where its reference frame stands in its own. URScript's pose_inv.
+    """Return the inverse pose: the pose of the reference frame in the frame that `pose` describes.
+
+    It is the equivalent of pose_inv in URScript.
 
     Args:
-        pose: (..., 6) poses.
+        pose: Poses, shape (..., 6).
 
     Returns:
-        (..., 6) poses.
+        Poses, shape (..., 6).
 
     Raises:
-        BadValue: not poses.
+        BadValue: If the argument is not a pose.
 
     >>> invert([0.4, 0, 0, 0, 0, 0]).tolist()[:2]
     [-0.4, -0.0]
@@ -94,20 +98,20 @@ def invert(pose: ArrayLike) -> FloatArray:
 
 
 def interpolate(first: ArrayLike, second: ArrayLike, fraction: ArrayLike) -> FloatArray:
-    """Between two poses: the position on a straight line, the rotation about one axis, by at most 180 degrees.
+    """Interpolate between two poses: the position on a straight line, the rotation about one axis.
 
-    That is the path of `movel`, and URScript's interpolate_pose.
+    The rotation is at most 180 degrees. The result is on the path of `movel`, and equals interpolate_pose in URScript.
 
     Args:
-        first: (..., 6) poses, which `fraction` 0 gives.
-        second: (..., 6) poses, which `fraction` 1 gives.
-        fraction: (...) any numbers; beyond 0 to 1 the path goes on.
+        first: Poses at the fraction 0, shape (..., 6).
+        second: Poses at the fraction 1, shape (..., 6).
+        fraction: Fractions, shape (...). Values outside 0 to 1 extrapolate the path.
 
     Returns:
-        (..., 6) poses.
+        Poses, shape (..., 6).
 
     Raises:
-        BadValue: not poses and numbers, or shapes that do not broadcast.
+        BadValue: If the arguments are not poses and numbers, or their shapes do not broadcast.
 
     >>> interpolate([0, 0, 0, 0, 0, 0], [1, 0, 0, 0, 0, 2], [0.0, 0.25, 1.0]).tolist()[1]
     [0.25, 0.0, 0.0, 0.0, 0.0, 0.5]
@@ -130,17 +134,17 @@ def interpolate(first: ArrayLike, second: ArrayLike, fraction: ArrayLike) -> Flo
 
 
 def transform(pose: ArrayLike, points: ArrayLike) -> FloatArray:
-    """Points given in the frame that `pose` describes, in the frame that the pose is given in.
+    """Transform points from the frame that `pose` describes to the reference frame of the pose.
 
     Args:
-        pose: (..., 6) poses.
-        points: (..., 3) points, m.
+        pose: Poses, shape (..., 6).
+        points: Points, shape (..., 3), in m.
 
     Returns:
-        (..., 3) points, m.
+        Points, shape (..., 3), in m.
 
     Raises:
-        BadValue: not poses and points, or shapes that do not broadcast.
+        BadValue: If the arguments are not poses and points, or their shapes do not broadcast.
 
     >>> transform([0, 0, 1, 0, 0, 0], [[0.1, 0, 0], [0.2, 0, 0]]).tolist()
     [[0.1, 0.0, 1.0], [0.2, 0.0, 1.0]]
@@ -160,10 +164,10 @@ def transform(pose: ArrayLike, points: ArrayLike) -> FloatArray:
 
 
 def to_matrix(pose: ArrayLike) -> FloatArray:
-    """The (..., 4, 4) homogeneous matrices of (..., 6) poses.
+    """Convert poses, shape (..., 6), to homogeneous matrices, shape (..., 4, 4).
 
     Raises:
-        BadValue: not poses.
+        BadValue: If the argument is not a pose.
     """
     if rigid.is_single(pose):
         return rigid.to_matrix(_one(pose))
@@ -172,10 +176,10 @@ def to_matrix(pose: ArrayLike) -> FloatArray:
 
 
 def from_matrix(matrix: ArrayLike) -> FloatArray:
-    """The (..., 6) poses of (..., 4, 4) homogeneous matrices.
+    """Convert homogeneous matrices, shape (..., 4, 4), to poses, shape (..., 6).
 
     Raises:
-        BadValue: not such matrices, or one whose upper left part is not a rotation.
+        BadValue: If a matrix is not homogeneous, or its upper left part is not a rotation.
     """
     given = rigid.rows(matrix, (4, 4), "homogeneous matrices")
     _check_rotations(given[..., :3, :3])
@@ -185,10 +189,10 @@ def from_matrix(matrix: ArrayLike) -> FloatArray:
 
 
 def rotvec_to_matrix(rotvec: ArrayLike) -> FloatArray:
-    """The (..., 3, 3) rotation matrices of (..., 3) rotation vectors, rad.
+    """Convert rotation vectors, shape (..., 3), in rad, to rotation matrices, shape (..., 3, 3).
 
     Raises:
-        BadValue: not rotation vectors.
+        BadValue: If the argument is not a rotation vector.
 
     >>> rotvec_to_matrix([0, 0, 1.5707963267948966]).round(6).tolist()
     [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
@@ -199,10 +203,10 @@ def rotvec_to_matrix(rotvec: ArrayLike) -> FloatArray:
 
 
 def matrix_to_rotvec(matrix: ArrayLike) -> FloatArray:
-    """The (..., 3) rotation vectors, rad, of (..., 3, 3) rotation matrices.
+    """Convert rotation matrices, shape (..., 3, 3), to rotation vectors, shape (..., 3), in rad.
 
     Raises:
-        BadValue: not matrices of that shape, or one that is not a rotation.
+        BadValue: If the shape is wrong, or a matrix is not a rotation.
     """
     given = rigid.rows(matrix, (3, 3), "rotation matrices")
     _check_rotations(given)
@@ -217,10 +221,12 @@ def matrix_to_rotvec(matrix: ArrayLike) -> FloatArray:
 
 
 def rotvec_to_quaternion(rotvec: ArrayLike) -> FloatArray:
-    """The (..., 4) unit quaternions x, y, z, w of (..., 3) rotation vectors, rad; w is at least 0.
+    """Convert rotation vectors, shape (..., 3), in rad, to unit quaternions x, y, z, w, shape (..., 4).
+
+    The component w is at least 0.
 
     Raises:
-        BadValue: not rotation vectors.
+        BadValue: If the argument is not a rotation vector.
 
     >>> rotvec_to_quaternion([0, 0, 3.141592653589793]).round(6).tolist()
     [0.0, 0.0, 1.0, 0.0]
@@ -230,16 +236,18 @@ def rotvec_to_quaternion(rotvec: ArrayLike) -> FloatArray:
 
 
 def quaternion_to_rotvec(quaternion: ArrayLike) -> FloatArray:
-    """The (..., 3) rotation vectors, rad, of (..., 4) quaternions x, y, z, w of any length but 0.
+    """Convert quaternions x, y, z, w, shape (..., 4), to rotation vectors, shape (..., 3), in rad.
+
+    The quaternions can have any length except 0.
 
     Raises:
-        BadValue: not quaternions, or one of length 0.
+        BadValue: If the argument is not a quaternion, or a quaternion has the length 0.
     """
     given = rigid.rows(quaternion, (4,), "quaternions")
-    # Of length 1 before they are squared, so that no length is too small or too large.
+    # Normalise before squaring, so that no length is too small or too large.
     largest = np.abs(given).max(axis=-1, keepdims=True)
     if not largest.all():
-        raise BadValue(f"a quaternion of length 0 is no rotation; at {list(np.argwhere(largest[..., 0] == 0.0)[0])}")
+        raise BadValue(f"a quaternion of length 0 is not a rotation; at {list(np.argwhere(largest[..., 0] == 0.0)[0])}")
     x, y, z, w = (given / largest).reshape(-1, 4).T
     length = np.sqrt(x * x + y * y + z * z)
     # Of the two quaternions of a rotation, the one whose angle is at most pi.
@@ -251,30 +259,30 @@ def quaternion_to_rotvec(quaternion: ArrayLike) -> FloatArray:
 
 
 def rotvec_to_rpy(rotvec: ArrayLike) -> FloatArray:
-    """Roll, pitch and yaw, (..., 3) in rad, of (..., 3) rotation vectors, rad. The pitch is -pi/2 to pi/2.
+    """Convert rotation vectors, shape (..., 3), in rad, to roll, pitch and yaw, shape (..., 3), in rad.
 
-    Where the pitch is ±pi/2, roll and yaw turn about the same axis; the roll is given as 0 then.
+    The pitch is -pi/2 to pi/2. If the pitch is ±pi/2, roll and yaw turn about the same axis; the roll is then 0.
 
     Raises:
-        BadValue: not rotation vectors.
+        BadValue: If the argument is not a rotation vector.
     """
     given = rigid.rows(rotvec, (3,), "rotation vectors")
     r00, r01, r02, r10, r11, r12, r20, _, _ = _rotations(given)[:9]
     level = np.hypot(r00, r10)
     locked = level < _GIMBAL_LOCK
     yaw = np.where(locked, np.arctan2(-r01, r11), np.arctan2(r10, r00))
-    # The roll of what is left when the yaw is taken off. Close to a pitch of ±pi/2 the yaw has few digits, and only a
-    # roll that is found with that very yaw gives back the rotation.
+    # Roll of the rotation after the yaw is removed. Close to a pitch of ±pi/2 the yaw has few digits, and only a roll
+    # that is computed with the same yaw reproduces the rotation.
     s, c = np.sin(yaw), np.cos(yaw)
     roll = np.where(locked, 0.0, np.arctan2(s * r02 - c * r12, c * r11 - s * r01))
     return np.stack((roll, np.arctan2(-r20, level), yaw), axis=-1).reshape(given.shape)
 
 
 def rpy_to_rotvec(rpy: ArrayLike) -> FloatArray:
-    """The (..., 3) rotation vectors, rad, of (..., 3) roll, pitch and yaw, rad.
+    """Convert roll, pitch and yaw, shape (..., 3), in rad, to rotation vectors, shape (..., 3), in rad.
 
     Raises:
-        BadValue: not three finite numbers each.
+        BadValue: If the values are not three finite numbers each.
 
     >>> rpy_to_rotvec([[0.1, 0, 0], [0, 0, 0.2]]).round(6).tolist()
     [[0.1, 0.0, 0.0], [0.0, 0.0, 0.2]]
@@ -304,10 +312,10 @@ def _rotations(rotvecs: FloatArray) -> Rigid[FloatArray]:
 
 
 def _check_rotations(matrices: FloatArray) -> None:
-    """Raise BadValue for a matrix that turns no frame."""
+    """Raise BadValue if a matrix is not a rotation."""
     off = np.abs(matrices @ np.swapaxes(matrices, -1, -2) - np.eye(3)).max(axis=(-1, -2))
     wrong = (off > _ORTHONORMAL) | (np.linalg.det(matrices) < 0.0)
     if wrong.any():
         at = [int(i) for i in np.argwhere(wrong)[0]]
         where = f" at {at}" if at else ""
-        raise BadValue(f"the matrix{where} is no rotation: its columns must be orthonormal and right-handed")
+        raise BadValue(f"the matrix{where} is not a rotation; its columns must be orthonormal and right-handed")

@@ -1,6 +1,6 @@
-"""Decoding of packets without a robot or a thread.
+"""Decoding of packets without a connection.
 
-`decode`: bytes to typed states. `schema`: what a firmware puts on the wire, as a construct schema.
+`decode` converts bytes to typed states. `schema` returns the packet layout of a firmware as a construct schema.
 """
 
 from __future__ import annotations
@@ -39,25 +39,24 @@ def decode(data: bytes, interface: Interface, firmware: str | Firmware | None = 
 def decode(
     data: bytes, interface: Interface, firmware: str | Firmware | None = None
 ) -> list[RealtimeState] | list[State]:
-    """Decode one or many whole packets.
+    """Decode one or more whole packets.
 
     With ``URLINK_STRICT=1`` in the environment, tails and unknown types are errors.
 
     Args:
-        data: the bytes, whole packets, one after the other.
-        interface: "realtime" (port 30003), "primary" (30001) or "secondary" (30002).
-        firmware: the controller's version, such as "5.11"; None works it out from lengths. A packet
-            longer than the firmware's layout is decoded as far as it is known, the rest is its tail.
+        data: Bytes of whole packets, one after the other.
+        interface: Interface name: "realtime" (port 30003), "primary" (30001) or "secondary" (30002).
+        firmware: Firmware version, such as "5.11"; None infers it from the packet sizes. If a packet is longer than the
+            layout of the firmware, the known fields are decoded, and the rest becomes the tail.
 
     Returns:
-        One state per packet, in order; on the primary interface `RobotState`, robot messages and
-        other packages.
+        One state per packet, in order. The primary interface has `RobotState`, robot messages and other packages.
 
     Raises:
-        PacketError: the bytes are not such packets, a packet is cut off, or is shorter than the
-            firmware's layout; says which, both sizes and the offset in `data`.
-        BadVersion: `firmware` is not a version, or one that nothing is known about.
-        BadValue: no such interface.
+        PacketError: If the bytes are not packets of the interface, or a packet is cut off or shorter than the layout of
+            the firmware. The error has the packet, both sizes and the offset in `data`.
+        BadVersion: If `firmware` is not a version, or is unknown.
+        BadValue: If the interface does not exist.
 
     >>> from urlink.packets import RealtimeState
     >>> packet = bytes(RealtimeState("3.4", q_actual=[0, -1.57, 0, -1.57, 0, 0]))
@@ -65,11 +64,11 @@ def decode(
     (1060, -1.57)
     """
     if interface not in INTERFACES:
-        raise BadValue(f"no interface {interface!r}; expected one of {', '.join(INTERFACES)}")
+        raise BadValue(f"unknown interface {interface!r}; expected one of {', '.join(INTERFACES)}")
     try:
         version = None if firmware is None else _known(firmware)
-    except TypeError:  # cannot be hashed, or compared with versions
-        raise BadVersion(f"{firmware!r} is not a firmware; expected something like '5.11'") from None
+    except TypeError:  # not hashable, or not comparable with versions
+        raise BadVersion(f"{firmware!r} is not a firmware version; expected a string such as '5.11'") from None
     data = bytes(data)
     end = len(data)
     boundary: RealtimeBoundary | PackageBoundary
@@ -90,7 +89,7 @@ def decode(
                 raise PacketError("cut off", packet=name, expected=need, actual=end - at)
             if not size:
                 begin = data[at : at + 8].hex(" ")
-                raise PacketError(f"no packet of the {interface} interface begins with {begin}", packet=name)
+                raise PacketError(f"no packet of the {interface} interface starts with {begin}", packet=name)
             states.append(decode_frame(data[at : at + size]))
         except PacketError as error:
             shown = None if version is None else str(version)
@@ -101,12 +100,12 @@ def decode(
 
 @lru_cache
 def _known(firmware: str | Firmware) -> Firmware:
-    """As `known_firmware`, kept: a recording asks for each of its packets."""
+    """Cached `known_firmware`, because a recording calls it for each packet."""
     return known_firmware(firmware)
 
 
 def _strict_decoder(interface: Interface, version: Firmware | None) -> Callable[[bytes], State]:
-    """Takes only packets of which every byte is known."""
+    """Return a decoder that accepts only packets in which every byte is known."""
     if interface != "realtime":
         return strictly(PackageDecoder(version))
     decode_state = partial(RealtimeState.LAYOUTS.decode, version=version)
@@ -121,32 +120,32 @@ def _strict_decoder(interface: Interface, version: Firmware | None) -> Callable[
 
 @lru_cache
 def _package_decoder(version: Firmware | None) -> PackageDecoder:
-    """One that is kept, since it learns how the packages of a size are cut; its counters are not used."""
+    """Return a cached decoder, which remembers the layouts of package sizes. Its counters are not used."""
     return PackageDecoder(version)
 
 
 def schema(packet: type[State] | Recipe, version: str | Firmware | None = None) -> Construct[Any, Any]:
-    """The construct schema of one packet, as a firmware sends it: it parses, builds and checks sizes.
+    """Return the construct schema of one packet of a firmware. It parses, builds and checks sizes.
 
-    Made of the declaration from which the decoder, the simulator and the tables of layouts are derived. construct
-    is imported with the first call. Use `decode` where speed counts: it is more than 50 times as fast.
+    The schema, the decoder, the simulator and the layout tables use the same declaration. The first call imports
+    construct. If speed matters, use `decode`: it is more than 50 times as fast.
 
-    ``parse`` takes one whole packet, or a stream that begins with one. It raises `construct.ConstructError` where the
-    size in the header is not that of the layout, where there are fewer bytes than that, and where the type is another
-    packet's. Vectors are lists, codes their enums; what a controller sends joint by joint is a list of structs.
-    ``build`` takes the same names, and fills in size and type. ``print`` shows the fields with offsets, types and
-    units.
+    ``parse`` accepts one whole packet, or a stream that starts with one. It raises `construct.ConstructError` if the
+    size in the header differs from the layout, if bytes are missing, or if the type belongs to another packet. Vectors
+    are lists, and codes are their enums. Values that a controller sends joint by joint are a list of structs.
+    ``build`` accepts the same names, and fills in the size and the type. ``print`` shows the fields with offsets, types
+    and units.
 
     Args:
-        packet: a packet class, such as `RealtimeState` or `JointData`; `RobotState`, whose `packages` have a `type` and
-            `fields` each; or the `recipe` of a stream of RTDE.
-        version: of the controller's software, such as "5.11"; None for the newest. Packets of RTDE go by the version of
-            the protocol, "1.0" or "2.0", instead, and a recipe by nothing.
+        packet: Packet class, such as `RealtimeState` or `JointData`; `RobotState`, whose `packages` have a `type` and
+            `fields` each; or the `recipe` of an RTDE stream.
+        version: Firmware version, such as "5.11"; None for the newest. For RTDE packets, the version of the protocol,
+            "1.0" or "2.0". Ignored for a recipe.
 
     Raises:
-        BadVersion: `version` is not a version, or nothing is known about it.
-        PacketError: that version does not send the packet.
-        BadValue: `packet` is nothing that has a layout.
+        BadVersion: If `version` is not a version, or is unknown.
+        PacketError: If that version does not send the packet.
+        BadValue: If `packet` has no layout.
 
     >>> from urlink import schema
     >>> from urlink.packets import RealtimeState
@@ -166,20 +165,20 @@ def schema(packet: type[State] | Recipe, version: str | Firmware | None = None) 
     if packet is RobotState:
         return _robot_state(None if version is None else known_firmware(version))
     if not (isinstance(packet, type) and issubclass(packet, State) and hasattr(packet, "LAYOUTS")):
-        raise BadValue(f"{packet!r} is no class of packets, such as RealtimeState, nor a recipe of RTDE")
-    # Packets of RTDE have their layouts by the version of the protocol.
+        raise BadValue(f"{packet!r} has no layout; expected a packet class such as RealtimeState, or an RTDE recipe")
+    # The layouts of RTDE packets depend on the version of the protocol.
     if version is not None and packet.LAYOUTS.of().header not in (HEADER, DATA_HEADER):
         version = known_firmware(version)
     return packet_schema(_layout(packet, version))
 
 
 def _layout(packet: type[State], version: str | Firmware | None) -> Layout:
-    """With its block, if it has one."""
+    """Return the layout of a packet, including its optional blocks."""
     return packet.LAYOUTS.of(version, dict.fromkeys(packet.LAYOUTS.blocks, True))
 
 
 def _robot_state(version: Firmware | None) -> Any:
-    """A package whose body is sub-packages of any number and order; one of an unknown type is its bytes."""
+    """Return the schema of a package with any number of sub-packages, in any order. Unknown types are kept as bytes."""
     import construct
 
     from linkcore.wire.schema import checked_fields, sized
@@ -187,7 +186,7 @@ def _robot_state(version: Firmware | None) -> Any:
 
     fields: dict[int, Any] = {}
     for kind, classes in SUB_PACKAGES.items():
-        for each in classes:  # of two with the same number, a version sends one
+        for each in classes:  # if two classes have the same number, a version sends only one of them
             try:
                 layout = _layout(each, version)
             except PacketError:
@@ -197,7 +196,7 @@ def _robot_state(version: Firmware | None) -> Any:
     part = construct.Struct(
         "type" / kind, "fields" / construct.Switch(construct.this.type, fields, construct.GreedyBytes)
     )
-    # A sub-package that fits no layout ends the row, and what is left of the package is an error.
+    # A sub-package without a matching layout ends the list, and the rest of the package is an error.
     parts = construct.Struct(
         "type" / construct.Const(ROBOT_STATE, kind),
         "packages" / construct.GreedyRange(sized("sub-package", PACKAGE, part)),

@@ -1,6 +1,6 @@
-"""How the packets of each interface begin: headers, possible sizes, and by which bytes a peer is recognised.
+"""Headers and possible sizes of the packets of each interface, and the first bytes that identify a peer.
 
-Shared by the interfaces, since each of them reports a connection to the wrong port.
+All interfaces share this module, because each of them reports a connection to the wrong port.
 Sources: docs/protocols/realtime.md and primary.md, sections Framing; docs/protocols/dashboard.md, section Lines.
 """
 
@@ -8,31 +8,31 @@ from __future__ import annotations
 
 from linkcore.wire.fields import Header, Int8ub, Int32sb
 
-#: Real-time interface: the size and nothing else. No byte holds the type of packet.
+#: Header of the real-time interface, which contains only the size. No byte holds the type of packet.
 REALTIME = Header(size=Int32sb)
 
-#: Primary and secondary interface, packages and sub-packages alike. The size counts the header.
+#: Header of packages and sub-packages of the primary and secondary interface. The size includes the header.
 PACKAGE = Header(size=Int32sb, type=Int8ub)
 
-#: Real-time sizes are 4 + 8k. Outside this range, or with another remainder, the frame boundary is lost.
+#: Valid real-time sizes, which are 4 + 8k. A size outside this range, or with another remainder, means a lost boundary.
 REALTIME_SIZES = range(500, 4097)
 
-#: The largest package seen is 1471 bytes; program state grows with the user's variables.
+#: Valid package sizes. The largest observed package is 1471 bytes; program state grows with the user's variables.
 PACKAGE_SIZES = range(5, 65537)
 
-#: The first bytes of the dashboard server.
+#: First bytes that the dashboard server sends.
 DASHBOARD_GREETING = b"Connected: Universal"
 
 REALTIME_INTERFACE = "the real-time interface (port 30003)"
 PACKAGE_INTERFACE = "a primary or secondary interface (port 30001 or 30002)"
 _DASHBOARD = "the dashboard server (port 29999)"
 
-#: Types of packages. In place of that byte, a real-time packet has the top of a time: 0x00, or 0x3f and up.
+#: Types of packages. At this position, a real-time packet has the first byte of a time: 0x00, or 0x3f and above.
 ROBOT_STATE, ROBOT_MESSAGE = 0x10, 0x14
 
 
 def interface_of(first: bytes | bytearray) -> str | None:
-    """The interface whose connections begin with such bytes, five or more; None for no interface of a controller."""
+    """Return the interface that sends these first bytes (at least five), or None if no known interface does."""
     if DASHBOARD_GREETING.startswith(bytes(first[: len(DASHBOARD_GREETING)])):
         return _DASHBOARD
     size, kind = int.from_bytes(first[:4], "big"), first[4]

@@ -1,7 +1,8 @@
-"""Interpreter mode (port 30020), sans-IO: one statement per line out, one reply per line back.
+"""Protocol of interpreter mode (port 30020), sans-IO: one statement per line, and one reply per line.
 
-`ack: NUMBER: TEXT` or `discard: NUMBER: TEXT` for a statement, `state: NUMBER: TEXT` for a word that asks something;
-public clients match replies loosely. Source: docs/protocols/urscript.md, section Interpreter mode.
+The reply to a statement is `ack: NUMBER: TEXT` or `discard: NUMBER: TEXT`. The reply to a query word is
+`state: NUMBER: TEXT`. Public clients match replies loosely. Source: docs/protocols/urscript.md, section Interpreter
+mode.
 """
 
 from __future__ import annotations
@@ -11,23 +12,23 @@ from typing import NamedTuple
 
 from linkcore.errors import BadValue, LocalError, PacketError, WrongPeer
 
-#: Words that are not statements.
+#: Command words of interpreter mode, which are not statements.
 WORDS = ("skipbuffer", "abort", "statelastexecuted", "statelastinterpreted", "statelastcleared", "stateunexecuted")
-#: Bytes. The limit of a controller is not known; this is far more than a statement has.
+#: Maximum length of a statement, in bytes. The limit of a controller is unknown; statements are far shorter than this.
 LONGEST_STATEMENT = 8000
-#: Bytes of a reply: the text of the statement comes back.
+#: Maximum length of a reply, in bytes. A reply contains the text of the statement.
 LONGEST_REPLY = LONGEST_STATEMENT + 1000
 
 _REPLY = re.compile(r"(\w+): *(-?[0-9]{1,9}): *(.*)", re.DOTALL)
 
 
 class Reply(NamedTuple):
-    """The reply of a controller.
+    """Reply of a controller.
 
     Attributes:
-        word: "ack", "discard" or "state".
-        number: of the statement, or the value that was queried.
-        text: the statement that was sent.
+        word: Kind of reply: "ack", "discard" or "state".
+        number: Number of the statement, or the queried value.
+        text: Text of the statement that was sent.
     """
 
     word: str
@@ -36,31 +37,34 @@ class Reply(NamedTuple):
 
 
 def statement_line(text: str) -> str:
-    """A statement as one line: line ends in it, which mean nothing in URScript, become blanks, and comments go.
+    """Return a statement as one line. Line ends, which have no meaning in URScript, become blanks.
+
+    Comments are removed.
 
     Raises:
-        BadValue: no text, nothing but comments, a control character, a word that is not a statement, or too long.
+        BadValue: If the text is not a string, is empty or only comments, has a control character, is a command word, or
+            is too long.
 
     >>> statement_line("movej(\\n  q)  # there")
     'movej( q)'
     """
     if not isinstance(text, str):
-        raise BadValue(f"a statement is text; got {type(text).__name__}")
+        raise BadValue(f"the statement is {type(text).__name__}; expected a string")
     line = " ".join(filter(None, (_without_comment(each).strip() for each in text.splitlines())))
     if not line:
-        raise BadValue(f"{text[:80]!r} is no statement")
+        raise BadValue(f"{text[:80]!r} is not a statement")
     if line in WORDS:
-        raise BadValue(f"{line!r} is no statement; interpreter mode has methods for such words")
+        raise BadValue(f"{line!r} is not a statement; use the method of Interpreter for this word")
     for character in line:
         if character != "\t" and not character.isprintable():
-            raise BadValue(f"{character!r} in {line[:80]!r}: a statement holds no control characters")
+            raise BadValue(f"{character!r} in {line[:80]!r}: a statement must not contain control characters")
     if len(line.encode()) > LONGEST_STATEMENT:
-        raise BadValue(f"a statement of {len(line.encode())} bytes; at most {LONGEST_STATEMENT} are sent")
+        raise BadValue(f"the statement has {len(line.encode())} bytes; expected at most {LONGEST_STATEMENT}")
     return line
 
 
 def _without_comment(line: str) -> str:
-    """The line up to a comment, which would hide what follows it once all stands on one line."""
+    """Return the line without its comment, which would hide the following lines after joining."""
     quote = ""
     for at, character in enumerate(line):
         if quote:
@@ -73,26 +77,26 @@ def _without_comment(line: str) -> str:
 
 
 def parse_reply(line: str) -> Reply:
-    """What a line of the controller says.
+    """Parse one line from the controller.
 
     Raises:
-        PacketError: it says nothing that is known.
+        PacketError: If the line is not a known reply.
 
     >>> parse_reply("ack: 3: sync()")
     Reply(word='ack', number=3, text='sync()')
     """
     found = _REPLY.fullmatch(line)
     if found is None or found[1] not in ("ack", "discard", "state"):
-        raise PacketError(f"{line[:200]!r} is no answer that is known", packet="reply of interpreter mode")
+        raise PacketError(f"{line[:200]!r} is not a known reply", packet="reply of interpreter mode")
     return Reply(found[1], int(found[2]), found[3])
 
 
 class InterpreterProtocol:
-    """One connection: a line and its answer in turn. It has no greeting, and answers end where they say so.
+    """State of one connection, on which lines and replies alternate. There is no greeting.
 
     Attributes:
-        is_greeted: always.
-        settling: None.
+        is_greeted: Always True.
+        settling: Always None, because each reply has an explicit end.
     """
 
     is_greeted = True
@@ -104,14 +108,14 @@ class InterpreterProtocol:
 
     @property
     def is_in_step(self) -> bool:
-        """Nothing was asked that was not answered, and nothing came that was not asked for."""
+        """Whether every line was answered, and no unexpected bytes have arrived."""
         return not self._is_asked and not self._rest
 
     def ask(self, text: str) -> bytes:
-        """The bytes of a line.
+        """Return the bytes of a line to send.
 
         Raises:
-            LocalError: the answer to the line before this one has not come.
+            LocalError: If the reply to the previous line has not arrived.
         """
         if not self.is_in_step:
             raise LocalError(f"{text!r} cannot be sent on a connection that is out of step")
@@ -119,19 +123,19 @@ class InterpreterProtocol:
         return text.encode() + b"\n"
 
     def feed(self, data: bytes) -> str | None:
-        """The answer, once it is whole.
+        """Process received bytes, and return the reply when it is complete.
 
         Raises:
-            WrongPeer: a line, or what came with nothing asked, is longer than `LONGEST_REPLY`.
+            WrongPeer: If a line, or the unexpected data, is longer than `LONGEST_REPLY`.
         """
         self._rest += data
         line, end, rest = self._rest.partition(b"\n")
         if len(line) > LONGEST_REPLY:
-            raise WrongPeer(f"interpreter mode says short lines, but here is one that begins with {line[:32]!r}")
+            raise WrongPeer(f"the line that starts with {line[:32]!r} is too long for a reply of interpreter mode")
         if not self._is_asked and len(self._rest) > LONGEST_REPLY:
             raise WrongPeer(
-                f"interpreter mode answers when it is asked, but here are {len(self._rest)} bytes that nothing asked "
-                f"for, which begin with {line[:32]!r}"
+                f"received {len(self._rest)} bytes without a request, which start with {line[:32]!r}; interpreter mode "
+                "sends only replies"
             )
         if not end or not self._is_asked:
             return None

@@ -1,7 +1,7 @@
-"""The ports of controllers: client interfaces, dashboard, Robot API and those of URCaps; and why one is closed.
+"""Ports of controllers (client interfaces, dashboard, Robot API, URCaps), and a hint why a port is closed.
 
-From 5.17 on, and on PolyScope X, the ports of the client interfaces are closed until a person switches their services
-on at the pendant (docs/protocols/urscript.md, Services that are off).
+On firmware 5.17 or later, and on PolyScope X, the ports of the client interfaces are closed until a person switches
+their services on at the pendant (docs/protocols/urscript.md, Services that are off).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Literal, get_args
 
 from .firmware import Firmware
 
-#: name -> the number it has on a real controller
+#: Name of the port -> its number on a real controller.
 PORTS: Mapping[str, int] = MappingProxyType(
     {
         "primary": 30001,
@@ -30,18 +30,18 @@ PORTS: Mapping[str, int] = MappingProxyType(
     }
 )
 
-#: Those of the client interfaces on which typed states come.
+#: Client interfaces that send typed states.
 Interface = Literal["realtime", "primary", "secondary"]
 INTERFACES: tuple[Interface, ...] = get_args(Interface)
 
 
 def interface_of(port: str) -> str:
-    """The interface of a port: its own name; of a read-only port, that of its writable twin."""
+    """Return the interface of a port name. A read-only port belongs to the same interface as its writable port."""
     return port.removesuffix("_readonly")
 
 
 def service_of(host: str, port: int) -> Hashable:
-    """By what this process knows a service again."""
+    """Return the key by which this process recognises a service."""
     return host.casefold(), port
 
 
@@ -50,10 +50,10 @@ _SINCE = Firmware(5, 17)
 
 
 def refusal_hint(firmware: Firmware | None) -> str:
-    """The hint for a connection that a controller refuses; "" for a controller without a setting for it.
+    """Return a hint for a refused connection; "" if the firmware cannot switch services off.
 
     Args:
-        firmware: of the controller; None where nobody knows it.
+        firmware: Firmware of the controller; None if it is unknown.
 
     >>> refusal_hint(Firmware(5, 25))
     'on firmware 5.25 the service may be switched off (Settings > Security > Services at the pendant)'

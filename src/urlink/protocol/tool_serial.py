@@ -1,7 +1,7 @@
-"""`robot.tool_serial`: the RS485 line in the tool connector of an e-Series, over the network.
+"""Client behind `robot.tool_serial`: the RS485 line in the tool connector of an e-Series, over the network.
 
 A URCap of the vendor ("RS485 daemon", on PolyScope X "Tool Comm Forwarder") copies bytes between the line and port
-54321 of the controller. There is no protocol of its own around them.
+54321 of the controller. The bytes have no additional framing.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from linkcore.net.undo import MAY_STILL
 from linkcore.pending_call import interruptible
 from linkcore.threads import Closing, alone
 
-#: The message where the port is refused.
+#: Hint in the error if the port is closed.
 _NEEDED = (
     "the tool's serial line is served by a URCap: the vendor's RS485 daemon, on PolyScope X the Tool Comm Forwarder; "
     "no other URCap, such as that of a gripper, may use the line"
@@ -27,22 +27,23 @@ _NEEDED = (
 
 
 class ToolSerial(StrictAttributes, Closing):
-    """The bytes of the RS485 line in the tool connector. Connects when it is first used; threads take turns.
+    """RS485 line in the tool connector. It connects when it is first used; threads take turns.
 
-    The line is set by `robot.io.set_tool_communication`. Nothing of it is interlocked: what is mounted there does what
-    it is commanded, also in a stop. Whoever is connected to the port shares the line with this computer: whose bytes
-    come then is not known.
+    `robot.io.set_tool_communication` configures the line. The line is not interlocked: the device at the tool executes
+    commands even during a stop. All clients that are connected to the port share the line, so received bytes can be the
+    reply to another client.
 
     All methods that use the line raise
 
-    - `BadValue` for an unusable argument; nothing has been sent then;
-    - `ConnectFailed` where no URCap serves it, `ConnectionLost` where it went away, `LinkTimeout` where nothing came;
+    - `BadValue` if an argument is invalid; nothing is sent then;
+    - `ConnectFailed` if no URCap serves the line, `ConnectionLost` if the connection is lost, and `LinkTimeout` if
+      nothing arrives in time;
     - `Closed` after the robot was closed.
 
     Args:
-        host: of the controller.
-        port: 54321 on a real one.
-        timeout: seconds to connect.
+        host: Host name or address of the controller.
+        port: Port number, 54321 on a real controller.
+        timeout: Maximum time to connect, in seconds.
     """
 
     def __init__(self, host: str, port: int, *, timeout: float = 5.0) -> None:
@@ -54,16 +55,16 @@ class ToolSerial(StrictAttributes, Closing):
         self._rest = b""
 
     def ask(self, request: bytes, size: int, *, timeout: float = 1.0) -> bytes:
-        """Discard what has come unasked, write a request, and read its answer.
+        """Discard unread bytes, write a request, and read its reply.
 
         Args:
-            request: at least one byte.
-            size: bytes of the answer.
-            timeout: seconds for all of it.
+            request: Bytes to write, at least one.
+            size: Length of the reply, in bytes.
+            timeout: Maximum time for the whole call, in seconds.
 
         Raises:
-            LinkTimeout: not all of the answer came; the device may still carry the request out. The connection is
-                closed, so that what comes later is not taken for the answer to the next request.
+            LinkTimeout: If the reply is not complete in time. The device might still execute the request. The
+                connection is closed, so that late bytes are not taken as the reply to the next request.
         """
         until = self._check(timeout, request=request, size=size)
         with self._turn(timeout):
@@ -77,16 +78,16 @@ class ToolSerial(StrictAttributes, Closing):
                 raise
 
     def write(self, data: bytes, *, timeout: float = 1.0) -> None:
-        """Write bytes. They are on their way when it returns."""
+        """Write bytes, and return after they are handed to the network."""
         until = self._check(timeout, request=data)
         with self._turn(timeout):
             self._send(data, until)
 
     def read(self, size: int, *, timeout: float = 1.0) -> bytes:
-        """So many bytes.
+        """Read `size` bytes.
 
         Raises:
-            LinkTimeout: not all of them came; those that did are kept for the next `read`.
+            LinkTimeout: If fewer bytes arrive in time. The received bytes are kept for the next `read`.
         """
         until = self._check(timeout, size=size)
         with self._turn(timeout):
@@ -94,20 +95,20 @@ class ToolSerial(StrictAttributes, Closing):
             return self._take(size, until, timeout)
 
     def discard(self) -> bytes:
-        """The bytes that have come so far, and were not read."""
+        """Return the bytes that have arrived but were not read, and remove them."""
         with self._turn(self._timeout):
             return self._discard(clock.now() + self._timeout)
 
     def close(self) -> None:
-        """Disconnect for good. Idempotent; `robot.close()` does it too."""
+        """Disconnect permanently. Idempotent; `robot.close()` calls it too."""
         self._is_closed = True
         self._transport.close()
 
-    # -- inside, by the thread that has its turn -----------------------------------------------------------
+    # -- internal, called only by the thread that has its turn ---------------------------------------------
 
     @contextlib.contextmanager
     def _turn(self, timeout: float) -> Iterator[None]:
-        otherwise = f"for {timeout:g} s another thread used the tool's serial line; nothing was sent"
+        otherwise = f"another thread used the tool's serial line for {timeout:g} s; nothing was sent"
         with alone(self._lock, timeout, otherwise):
             try:
                 with interruptible(self._transport.abort):
@@ -118,9 +119,9 @@ class ToolSerial(StrictAttributes, Closing):
 
     def _check(self, timeout: float, *, request: bytes = b"\0", size: int = 1) -> float:
         if not isinstance(request, (bytes, bytearray)) or not request:
-            raise BadValue(f"{request!r} was to be written; expected at least one byte, as bytes")
+            raise BadValue(f"cannot write {request!r}; expected a bytes object with at least one byte")
         if not isinstance(size, int) or isinstance(size, bool) or size < 1:
-            raise BadValue(f"size={size!r}; expected a whole number of bytes from 1 on")
+            raise BadValue(f"size={size!r}; expected a whole number of bytes, at least 1")
         return clock.now() + check_seconds(timeout, "timeout", positive=True, finite=True)
 
     def _connect(self, until: float) -> None:
@@ -148,7 +149,7 @@ class ToolSerial(StrictAttributes, Closing):
             try:
                 data, _ = self._transport.receive(clock.left(until))
             except LinkTimeout:
-                came = f"{len(self._rest)} of {size} bytes came within {timeout:g} s"
+                came = f"only {len(self._rest)} of {size} bytes arrived within {timeout:g} s"
                 raise LinkTimeout(f"the tool's serial line at {self._transport.name}: {came}") from None
             except ConnectionLost:
                 self._disconnect()
@@ -158,7 +159,7 @@ class ToolSerial(StrictAttributes, Closing):
         return taken
 
     def _discard(self, until: float) -> bytes:
-        """What has come; a connection that has ended meanwhile is made anew."""
+        """Return the unread bytes. If the connection has ended in the meantime, connect again."""
         if not self._is_open:
             return b""
         found, self._rest = self._rest, b""

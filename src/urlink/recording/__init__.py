@@ -1,1 +1,1 @@
-"""Recordings as arrays, pictures and files of other programs."""
+"""Recordings as arrays, plots and files for other programs."""

@@ -1,4 +1,4 @@
-"""`load` and `Recording`: what was recorded of a robot, as arrays."""
+"""`load` and `Recording`: the recorded data of a robot, as arrays."""
 
 from __future__ import annotations
 
@@ -43,25 +43,25 @@ from .ros_messages import description_topic, log_topic, topics_of
 def load(path: str | os.PathLike[str], *, progress: Progress | None = None) -> Recording:
     """Load a recording as arrays.
 
-    Damaged and unfinished parts are left out; `Recording.missing` lists them.
+    Damaged and unfinished parts are skipped; `Recording.missing` lists them.
 
     Args:
-        path: of the file.
-        progress: called with the fraction that is done, 0 to 1, while the records are found, and again for each stream,
-            when it is first used, while its packets are found.
+        path: Path of the file.
+        progress: Function that is called with the completed fraction, 0 to 1, while the file is indexed. It is called
+            again when each stream is first used, while its packets are indexed.
 
     Raises:
-        BadRecording: no such file, or not a recording of a robot.
+        BadRecording: If the file does not exist, or is not a recording of a robot.
     """
     return Recording(path, progress=progress)
 
 
 class Recording(StrictAttributes):
-    """What was recorded of a robot, as arrays; made by `load`.
+    """Recorded data of a robot, as arrays; made by `load`.
 
     Attributes:
-        path: of the file.
-        channels: name of each stream -> what the recorder wrote about it.
+        path: Path of the file.
+        channels: Name of each stream -> its description by the recorder.
     """
 
     def __init__(self, path: str | os.PathLike[str], *, progress: Progress | None = None) -> None:
@@ -74,7 +74,7 @@ class Recording(StrictAttributes):
             info = described(self.path, int(index.channel[record]), index.payload(record), "name")
             self.channels[info["name"]] = info
             self._numbers[info["name"]] = int(index.channel[record])
-        # Each stream is written by its own thread, so the first record need not have the earliest stamp.
+        # Each stream has its own writer thread, so the first record might not have the earliest stamp.
         times = index.monotonic[index.kind == Kind.BYTES]
         self._start, self._stop = (int(times.min()), int(times.max())) if len(times) else (0, 0)
 
@@ -82,7 +82,7 @@ class Recording(StrictAttributes):
 
     @property
     def firmware(self) -> Firmware | None:
-        """Firmware of the controller when the recording began; None if it was not recorded."""
+        """Firmware of the controller at the start of the recording; None if it was not recorded."""
         said = self._said("firmware")
         return None if said is None else Firmware.parse(said)
 
@@ -94,7 +94,7 @@ class Recording(StrictAttributes):
     def _said(self, key: str) -> str | None:
         said = next((info[key] for info in self.channels.values() if info.get(key) is not None), None)
         if said is not None and not isinstance(said, str):
-            raise BadRecording(f"{self.path}: the {key} is {said!r:.80}, and no text")
+            raise BadRecording(f"{self.path}: the {key} is {said!r:.80}; expected a string")
         return said
 
     @property
@@ -102,13 +102,13 @@ class Recording(StrictAttributes):
         """Kinematics of the recorded arm, calibrated if its DH parameters were recorded; see `Robot.kinematics`.
 
         Raises:
-            LocalError: the model was not recorded, or is unknown.
-            BadRecording: the firmware was not recorded, or the recorded DH parameters are invalid.
+            LocalError: If the model was not recorded, or is unknown.
+            BadRecording: If the firmware was not recorded, or the recorded DH parameters are invalid.
         """
         for info in self.channels.values():
             if "firmware" in info:
                 return described_identity(info).kinematics
-        raise BadRecording(f"{self.path} does not say what firmware it was recorded from")
+        raise BadRecording(f"{self.path} does not name the firmware of the controller")
 
     def _arm(self) -> Arm | None:
         with contextlib.suppress(LocalError, WrongPeer):
@@ -121,7 +121,7 @@ class Recording(StrictAttributes):
 
     @property
     def duration(self) -> float:
-        """From the first bytes to the last, s."""
+        """Time from the first bytes to the last, in seconds."""
         return (self._stop - self._start) / 1e9
 
     @property
@@ -131,15 +131,15 @@ class Recording(StrictAttributes):
 
     @property
     def left_out(self) -> int:
-        """Bytes of the file that are unfinished or damaged."""
+        """Number of bytes of the file that are unfinished or damaged."""
         return self._index.left_out
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """What was lost or cannot be read, one text each; empty if nothing is missing. Reads the whole recording."""
-        said = [f"{gap.size} bytes from {gap.offset} on are damaged or unfinished" for gap in self._index.gaps]
+        """Lost and unreadable parts, one string each; empty if nothing is missing. Reads the whole recording."""
+        said = [f"{gap.size} bytes at offset {gap.offset} are damaged or unfinished" for gap in self._index.gaps]
         if not self.is_complete:
-            said.append("it was not closed in good order")
+            said.append("it was not closed properly")
         for name, table in self.tables.items():
             said += [f"{name}: {each}" for each in table.missing]
         return tuple(said)
@@ -148,13 +148,13 @@ class Recording(StrictAttributes):
 
     @cached_property
     def realtime(self) -> Table:
-        """The real-time states: ``run.realtime["q_actual"]`` is (n, 6).
+        """Real-time states: ``run.realtime["q_actual"]`` has the shape (n, 6).
 
         Raises:
-            BadRecording: the recording does not hold them.
+            BadRecording: If the recording does not contain them.
         """
         channel = self._channel("realtime", RealtimeProtocol, RealtimeState)
-        # Who recorded fewer packets than the robot sends has recorded how many.
+        # A recorder that stores fewer packets than the robot sends also stores its rate.
         rate = self._info("realtime").get("rate")
         if isinstance(rate, (int, float)) and 0 < rate < float("inf"):
             periods: tuple[float, ...] = (1.0 / rate,)
@@ -164,28 +164,28 @@ class Recording(StrictAttributes):
 
     @cached_property
     def primary(self) -> RobotStates:
-        """The robot states of the primary interface, their sub-packages, and the messages.
+        """Robot states of the primary interface, with their sub-packages and messages.
 
         Raises:
-            BadRecording: the recording does not hold them.
+            BadRecording: If the recording does not contain them.
         """
         return self._robot_states("primary")
 
     @cached_property
     def secondary(self) -> RobotStates:
-        """The robot states of the secondary interface.
+        """Robot states of the secondary interface.
 
         Raises:
-            BadRecording: the recording does not hold them.
+            BadRecording: If the recording does not contain them.
         """
         return self._robot_states("secondary")
 
     @cached_property
     def rtde(self) -> Table:
-        """The variables of an RTDE stream, by name.
+        """Variables of an RTDE stream, by name.
 
         Raises:
-            BadRecording: the recording does not hold them.
+            BadRecording: If the recording does not contain them.
         """
         plan = recorded_plan(self._info("rtde"), Outputs)
         channel = self._channel("rtde", lambda: RtdeProtocol(plan), Outputs)
@@ -195,12 +195,12 @@ class Recording(StrictAttributes):
 
     @property
     def tables(self) -> dict[str, Table]:
-        """Every stream that was recorded, by its name."""
+        """Recorded streams, by name."""
         return {
             name: getattr(self, name) for name in ("realtime", "primary", "secondary", "rtde") if name in self.channels
         }
 
-    # -- out of it ---------------------------------------------------------------------------------
+    # -- export and plots --------------------------------------------------------------------------
 
     def export(
         self,
@@ -210,23 +210,23 @@ class Recording(StrictAttributes):
         *,
         progress: Progress | None = None,
     ) -> Path:
-        """Write the recording to a file of another program. It replaces a file of the same name once it is complete.
+        """Export the recording to a file for another program. When complete, it replaces a file of the same name.
 
         Args:
-            path: its suffix names the format; `urlink export --help` lists the formats.
+            path: Path of the new file. The suffix selects the format; `urlink export --help` lists the formats.
             fields: Names, such as ``["q_actual", "joint_data.T_motor", "rtde.actual_q"]``, or one name as a string;
-                ``"q_actual_3"`` is one joint. None for all; a file of a format for one table then holds the
-                first table that was recorded.
-            rate: rows per second to resample to; None for the packets as they came.
-            progress: called with the fraction that is done, 0 to 1.
+                ``"q_actual_3"`` is one joint. None exports all fields; a .csv or .parquet file then contains the first
+                recorded table.
+            rate: Rows per second to resample to; None exports the packets as they were received.
+            progress: Function that is called with the completed fraction, 0 to 1.
 
         Returns:
-            The path.
+            Path of the file.
 
         Raises:
-            BadValue: unknown suffix or field, or fields of several tables for a format that holds one.
-            BadRecording: the file cannot be written.
-            LocalError: the package that writes the format is not installed; the message says how to install it.
+            BadValue: If a suffix or field is unknown, or fields of several tables are given for a one-table format.
+            BadRecording: If the file cannot be written.
+            LocalError: If the package for the format is not installed. The message explains how to install it.
         """
         tables = self.tables
         kind = format_of(path)
@@ -236,14 +236,14 @@ class Recording(StrictAttributes):
         return export(path, chosen(tables, fields, rate), progress, self._about(), writers)
 
     def plot(self, *fields: str, start: float = 0.0, end: float = float("inf")) -> Plot:
-        """Fields over time, one panel each. A notebook shows it; `Plot.save` writes it to a file.
+        """Plot fields over time, one panel each. A notebook shows the plot; `Plot.save` writes it to a file.
 
         Args:
-            fields: named as for `export`.
-            start, end: the part to draw, s since the recording began.
+            fields: Names of the fields, as for `export`.
+            start, end: Time range to plot, in seconds since the start of the recording.
 
         Raises:
-            BadValue: no field was given, or an unknown or non-numeric one, or `end` is before `start`.
+            BadValue: If no field is given, a field is unknown or not numeric, or `end` is before `start`.
         """
         tables = chosen(self.tables, fields) if fields else {}
         curves = []
@@ -266,7 +266,7 @@ class Recording(StrictAttributes):
         return Plot(curves, f"{self.path.name}  {who}".strip())
 
     def _about(self) -> dict[str, str]:
-        """What an exported file says of itself."""
+        """Return the metadata of an exported file."""
         said = {"robot": self.model, "firmware": self.firmware, "address": self._said("address")}
         records = np.flatnonzero(self._index.kind == Kind.BYTES)
         if len(records):
@@ -325,18 +325,18 @@ class Recording(StrictAttributes):
         missing = self._missing(name, channel)
         columns = PacketColumns(channel.parts)
         if columns.partial:
-            missing.append(f"only in some of its parts, since the firmware changed: {', '.join(columns.partial)}")
+            missing.append(f"recorded only in part, because the firmware changed: {', '.join(columns.partial)}")
         return Table(f"{self.path.name} ({name})", columns, time, wall, begins, missing, clock)
 
     def _timed(self, records: Any) -> tuple[Any, Any]:
-        """Times of records by their numbers: s since the recording began, and wall time."""
+        """Return the times of records by number: seconds since the start of the recording, and wall time."""
         index = self._index
         return (index.monotonic[records] - self._start) / 1e9, index.wall[records].astype("M8[ns]")
 
     def _missing(self, name: str, channel: Channel) -> list[str]:
-        said = [f"connected again {len(channel.begins)} times"] if channel.begins else []
+        said = [f"reconnected {len(channel.begins)} times"] if channel.begins else []
         if channel.skipped:
-            said.append(f"{channel.skipped} bytes belong to no whole packet")
+            said.append(f"{channel.skipped} bytes do not belong to a complete packet")
         if channel.failed:
             said.append(f"{len(channel.failed)} packets could not be read; the first: {channel.failed[0]}")
         return said

@@ -1,6 +1,6 @@
-"""RTDE for users: variables of the controller by name, read as a stream and written as inputs.
+"""RTDE client: read variables of the controller by name as a stream, and write them as inputs.
 
-`robot.rtde` is a `Rtde`. A class of one's own says which variables it is about, and what types they have::
+`robot.rtde` is an `Rtde`. Your own class can declare the variables and their types::
 
     class Cell(urlink.rtde.Outputs):
         actual_q: Vector

@@ -1,7 +1,7 @@
-"""Inputs that are claimed when they are needed: for the registers of `robot.registers`, and for a robot's settings.
+"""Claims of RTDE inputs on demand, for the registers of `robot.registers` and for the settings of a robot.
 
-An input belongs to one client at a time, and most other clients fail where one is taken. A register stays claimed; for
-settings, nothing is held for longer than a burst of them: whoever asks later gets it.
+An input belongs to one client at a time, and most other clients fail if an input is in use. A register stays claimed.
+Inputs for settings are released after a burst of settings, so that another client can claim them.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ from ..protocol.rtde.recipes import Outputs, Recipe
 from ..protocol.rtde.transport import RtdeTransport
 from .inputs import checked, dialogue_of, put_whole
 
-#: Seconds that connecting and claiming may take. In a local network it is a few cycles of the controller.
+#: Maximum time for connecting and claiming, in seconds. In a local network, it takes a few cycles of the controller.
 CLAIM_TIMEOUT = 0.25
-#: Seconds after the last setting at which everything is given back.
+#: Time after the last setting at which all inputs are released, in seconds.
 HOLD = 2.0
-#: Packages a second meanwhile. The first of them ends connecting, and each is an occasion to give back.
+#: Packages per second while inputs are claimed. The first one completes the connection; each one checks `HOLD`.
 _HEARTBEAT = 50.0
 
 
 class Claims:
-    """A connection on which sets of inputs are claimed as they are needed.
+    """Connection on which sets of inputs are claimed when they are needed.
 
     Args:
-        connection: of the plan, which it gives whoever reads it.
-        transport: of the connection.
-        plan: what is asked for again when the connection has to be made again.
-        timeout: seconds for a claim to be answered.
+        connection: Connection that sends the requests of `plan`.
+        transport: Transport of the connection.
+        plan: Requests that are repeated after a reconnect.
+        timeout: Maximum time until the controller answers a claim, in seconds.
     """
 
     def __init__(self, connection: Connection, transport: RtdeTransport, plan: Requests, timeout: float) -> None:
@@ -46,54 +46,56 @@ class Claims:
         self._transport = transport
         self._plan = plan
         self._timeout = timeout
-        self._lock = threading.RLock()  # one claim at a time, since a reply does not say what it answers
+        self._lock = threading.RLock()  # one claim at a time, because a reply does not identify its request
 
     @property
     def is_over(self) -> bool:
-        """It was closed."""
+        """Whether it was closed."""
         return self._connection.is_over
 
     def write(self, values: Mapping[str, Any]) -> None:
-        """Write a set of inputs in one package, and claim it first where that has not been done.
+        """Write a set of inputs in one package, and claim the set first if necessary.
 
         Raises:
-            BadValue: a variable cannot have this value; nothing was sent.
-            InputInUse, NoSuchVariable: another client has one, or the controller lacks it.
-            RemoteError, Closed: there is no connection, or nothing was answered in time.
+            BadValue: If a variable cannot have this value. Nothing is sent.
+            InputInUse: If another client holds an input.
+            NoSuchVariable: If the controller does not have a variable.
+            RemoteError, Closed: If there is no connection, or no answer arrives in time.
         """
         self.claim(tuple(values))
         self._connection.send(self._package(values), self._timeout)
 
     def put(self, values: Mapping[str, Any]) -> None:
-        """Write a set that has been claimed, without waiting.
+        """Write a claimed set of inputs, without waiting.
 
         Raises:
-            BadValue: a variable cannot have this value; nothing was sent.
-            ConnectionLost: there is no connection, or the controller does not read; it is given up then.
-            Closed: it was closed.
+            BadValue: If a variable cannot have this value. Nothing is sent.
+            ConnectionLost: If not connected, or if the controller does not read; in the second case the connection is
+                aborted.
+            Closed: If it was closed.
         """
         put_whole(self._connection, self._package(values))
 
     def has(self, names: tuple[str, ...]) -> bool:
-        """This set is claimed on the present connection."""
+        """Whether this set is claimed on the current connection."""
         return self._connection.state is ConnectionState.CONNECTED and names in self._plan.inputs
 
     def claim(self, names: tuple[str, ...]) -> None:
-        """Claim a set of inputs where that has not been done.
+        """Claim a set of inputs, unless it is claimed already.
 
         Raises:
-            InputInUse, NoSuchVariable, RemoteError, Closed: as `write`.
+            InputInUse, NoSuchVariable, RemoteError, Closed: See `write`.
         """
         self._connection.start()
-        # Alone: a signal handler may come here while the main thread, which it keeps, waits for a reply.
-        otherwise = f"{self._connection.name}: another claim is not answered yet, after {self._timeout:g} s"
+        # `alone`, because a signal handler can run this while the interrupted main thread waits for a reply.
+        otherwise = f"{self._connection.name}: another claim was not answered within {self._timeout:g} s"
         with alone(self._lock, self._timeout, otherwise):
             dialogue = dialogue_of(self._connection, self._transport)
             if names in self._plan.inputs:
                 return
             recipe = self._claim(names)
             if self._transport.dialogue is not dialogue:
-                raise ConnectionLost(f"{self._connection.name}: the connection was lost while {names} were claimed")
+                raise ConnectionLost(f"{self._connection.name}: the connection was lost while claiming {names}")
             dialogue.claims.append(recipe)
             self._plan.inputs.append(names)
 
@@ -110,14 +112,14 @@ class Claims:
         queue = connection.open_queue(InputsReply, block)
         reply = None
         try:
-            # Data is paused meanwhile, as the vendor asks for before a recipe is changed.
+            # Pause the data, because the vendor requires this before a recipe is changed.
             requests = (PauseRequest(), InputsRequest(names=join_names(names)), StartRequest())
             connection.send(b"".join(map(bytes, requests)), self._timeout)
             reply = queue.next(clock.left(until))
         finally:
             connection.close_queue(queue)
             if reply is None:
-                connection.abort()  # a reply that comes late would be taken for that to the next claim
+                connection.abort()  # otherwise a late reply would be taken as the reply to the next claim
         if reply is None:
             raise LinkTimeout(
                 f"{connection.name}: the claim of {', '.join(names)} was not answered within {self._timeout:g} s"
@@ -130,33 +132,34 @@ class Claims:
 
 
 class BriefClaims:
-    """Claims of one robot, on one connection that is there as long as they are.
+    """Short claims of one robot, on one connection that exists only as long as the claims.
 
     Args:
-        connect: makes the connection and the claims of a plan; the connection is not kept up when it is lost.
+        connect: Function that makes the connection and the claims of a plan. A lost connection does not reconnect.
     """
 
     def __init__(self, connect: Callable[[Requests], Claims]) -> None:
         self._connect = connect
         self._lock = threading.RLock()  # one claim at a time
-        #: replaced as a whole, so that whoever gives back needs no lock
+        # Replaced as a whole, so that releasing needs no lock.
         self._standing: Claims | None = None
         self._used = 0.0
         self._is_closed = False
 
     def claim(self, names: tuple[str, ...], *, wait: bool) -> Callable[[Mapping[str, Any]], None] | None:
-        """What writes these inputs, masks included, without waiting; None where that would have to be waited for.
+        """Return a function that writes these inputs without waiting, masks included; None if a wait is necessary.
 
         Args:
-            names: of the inputs.
-            wait: until they are claimed, `CLAIM_TIMEOUT` at most; otherwise they have to be.
+            names: Names of the inputs.
+            wait: Whether to wait until the inputs are claimed, for at most `CLAIM_TIMEOUT`. If False, the result is
+                None unless they are claimed already.
 
         Raises:
-            InputInUse, NoSuchVariable: they cannot be had.
-            LinkError: RTDE cannot be had.
+            InputInUse, NoSuchVariable: If the inputs cannot be claimed.
+            LinkError: If RTDE is not available.
         """
         self._used = clock.now()
-        # In a signal handler, who has the lock waits for this very call to end.
+        # In a signal handler, the holder of the lock waits for this call to end.
         if is_mine(self._lock):
             return None
         with acquired(self._lock, CLAIM_TIMEOUT if wait else 0.0) as is_held:
@@ -174,7 +177,7 @@ class BriefClaims:
         return claims.put
 
     def _open(self, names: tuple[str, ...]) -> Claims:
-        """Claims on a new connection, which begins with these."""
+        """Open a new connection, whose first claim has these names."""
         claims = self._connect(Requests(("timestamp",), _HEARTBEAT, inputs=[names]))
         connection = claims._connection
 
@@ -182,29 +185,29 @@ class BriefClaims:
             if clock.now() - self._used > HOLD:
                 self.give_back()
 
-        self._standing = claims  # before it connects: whoever closes the robot meanwhile ends that too
+        self._standing = claims  # before connecting, so that closing the robot also ends the attempt
         try:
             if self._is_closed:
                 raise Closed(f"{connection.name} was closed")
             connection.subscribe_inline(Outputs, look)
         except BaseException:
-            self.abort()  # in a process that was held up, it may come up yet
+            self.abort()  # in a delayed process, the connection might still be established
             raise
         return claims
 
     def give_back(self, timeout: float = 1.0) -> None:
-        """Disconnect, in good order: what was written arrives. From any thread; idempotent."""
+        """Disconnect in an orderly way, so that written values arrive. Callable from any thread; idempotent."""
         standing, self._standing = self._standing, None
         if standing is not None:
             standing.close(timeout)
 
     def abort(self) -> None:
-        """Disconnect, and discard what has not arrived."""
+        """Disconnect, and discard values that have not arrived."""
         standing, self._standing = self._standing, None
         if standing is not None:
             standing._connection.abandon()
 
     def close(self, timeout: float) -> None:
-        """Give everything back, for good. Idempotent."""
+        """Release all inputs permanently. Idempotent."""
         self._is_closed = True
         self.give_back(timeout)

@@ -1,4 +1,4 @@
-"""`robot.rtde`: outputs as streams, inputs, registers, and the claims of inputs."""
+"""Client behind `robot.rtde`: outputs as streams, inputs, registers, and the claims of inputs."""
 
 from __future__ import annotations
 
@@ -40,16 +40,17 @@ from .registers import Registers
 if TYPE_CHECKING:
     from .names import AnyOutputs, InputName, OutputName
 
-#: What to do where the controller lacks a variable.
+#: Behaviour if the controller does not have a variable.
 Missing = Literal["error", "leave_out"]
 
 T = TypeVar("T", bound=Outputs)
 K = TypeVar("K", bound=OutputStream[Any] | Inputs | Claims)
 
-#: The vendor says 3.4, a test program 3.3, and the vendor's Python client asks for a late 3.2: what is older has none.
+#: First firmware with RTDE. The vendor documents 3.4 and a test program 3.3. The vendor's Python client requires a late
+#: 3.2.
 _FIRST = Firmware(3, 2)
 
-#: Packages a second on a connection that is there for its inputs: they say that the controller is alive.
+#: Packages per second on a connection for inputs. They show that the controller is alive.
 _HEARTBEAT = 10.0
 
 #: The lowest frequency that a controller accepts (vendor's guide).
@@ -57,15 +58,15 @@ _LEAST_FREQUENCY = 1.0
 
 
 class Rtde(StrictAttributes):
-    """The RTDE interface of a controller (port 30004). Nothing connects before it is used.
+    """RTDE interface of a controller (port 30004). A connection is made when it is first used.
 
-    Each recipe of outputs and each set of inputs has a connection of its own.
+    Each recipe of outputs and each set of inputs has its own connection.
 
     Args:
-        name: for messages and threads.
-        source: where bytes come from.
-        firmware: what is known of the controller's firmware.
-        refusal: why nothing can be written; empty where it can.
+        name: Name of the robot, used in messages and thread names.
+        source: Source of the received bytes.
+        firmware: Function that returns the firmware of the controller.
+        refusal: Reason why inputs cannot be written; empty if they can be written.
     """
 
     def __init__(self, name: str, source: Source, firmware: Callable[[], Firmware], *, refusal: str = "") -> None:
@@ -73,16 +74,16 @@ class Rtde(StrictAttributes):
         self._source = source
         self._firmware = firmware
         self._refusal = refusal
-        self._lock = threading.RLock()  # re-entrant, since a signal handler may close the robot
+        self._lock = threading.RLock()  # re-entrant, because a signal handler might close the robot
         self._open: list[OutputStream[Any] | Inputs | Claims] = []
         self._claims: MadeOnce[Claims] = MadeOnce()
-        rtde = weakref.proxy(self)  # which keeps the claims, and must not be kept by them
+        rtde = weakref.proxy(self)  # weak, because this object holds the claims
         self._brief = BriefClaims(lambda plan: rtde._connect_briefly(plan))
         self._is_closed = False
 
     @property
     def is_recorded(self) -> bool:
-        """It is a recording, which holds what was recorded and nothing else."""
+        """Whether this is a recording, which contains only the recorded variables."""
         return self._source.channel is not None
 
     # -- reading -----------------------------------------------------------------------------------------
@@ -96,28 +97,30 @@ class Rtde(StrictAttributes):
         self, *names: OutputName | str, frequency: float | None = None, missing: Missing = "error"
     ) -> OutputStream[AnyOutputs]: ...
     def outputs(self, *names: Any, frequency: float | None = None, missing: Missing = "error") -> OutputStream[Any]:
-        """A stream of variables, by their names or by a class that declares them.
+        """Return a stream of variables, selected by names or by a class that declares them.
 
-        ``robot.rtde.outputs("actual_q", "actual_TCP_pose", frequency=125)`` has both in each state. A class derived
-        from `Outputs` declares them by annotations; one that may be None is left out where the controller lacks it.
+        ``robot.rtde.outputs("actual_q", "actual_TCP_pose", frequency=125)`` has both variables in each state. A class
+        derived from `Outputs` declares variables by annotations. A variable whose type allows None is skipped if the
+        controller does not have it.
 
         Args:
-            names: of the variables (`urlink.rtde.OUTPUTS` has all that are known), or one class.
-            frequency: packages a second, 1 to 125 on CB3 and to 500 later; None for the most. The controller sends
-                each so-manieth cycle, so it sends no less than this, and at most twice as many.
-            missing: what to do about a variable that the controller lacks: "error", or "leave_out", after which it
-                reads as None and stands in `OutputStream.left_out`.
+            names: Names of the variables (`urlink.rtde.OUTPUTS` lists all known ones), or one class.
+            frequency: Packages per second, 1 to 125 on CB3 and 1 to 500 on later controllers; None for the maximum. The
+                controller sends a package every n-th cycle, so the actual rate is at least this one, and at most twice
+                as high.
+            missing: Behaviour for a variable that the controller does not have: "error", or "leave_out". With
+                "leave_out", the variable reads as None and is listed in `OutputStream.left_out`.
 
         Returns:
-            The stream; it connects when it is first used. It is a context manager that closes itself; one that is not
-            closed stays connected until the robot is closed.
+            The stream, which connects when it is first used. It is a context manager, which closes it. Without that, it
+            stays connected until the robot is closed.
 
         Raises:
-            BadValue: a name that cannot be one, one that comes twice, more than 2048 bytes of names, or a frequency
-                that the controller does not have.
-            LocalError: the firmware has no RTDE.
-            BadRecording: the recording holds no RTDE, or not these variables.
-            Closed: the robot was closed.
+            BadValue: If a name is invalid or given twice, the names exceed 2048 bytes, the controller does not support
+                the frequency, or the recording does not contain a variable.
+            LocalError: If the firmware has no RTDE.
+            BadRecording: If the recording contains no RTDE stream.
+            Closed: If the robot was closed.
         """
         check_choice(missing, "missing", get_args(Missing))
         kind: type[Outputs] = Outputs
@@ -137,7 +140,7 @@ class Rtde(StrictAttributes):
             return self._recorded(wanted, optional, kind)
         most = self._check_there().rate
         if frequency is not None and not _LEAST_FREQUENCY <= check_number(frequency, "frequency") <= most:
-            raise BadValue(f"frequency={frequency!r}; this controller sends 1 to {most} packages a second")
+            raise BadValue(f"frequency={frequency!r}; expected 1 to {most} packages per second on this controller")
         plan = Requests(wanted, frequency, optional, kind=kind)
         connection, transport = self._connection(plan, "rtde")
         return self._keep(OutputStream(connection, plan, transport))
@@ -152,54 +155,56 @@ class Rtde(StrictAttributes):
         return self._keep(OutputStream(connection, plan, None, lossless=self._source.is_lossless))
 
     def _check_there(self) -> Firmware:
-        """The firmware, if it has RTDE.
+        """Return the firmware, if it has RTDE.
 
         Raises:
-            LocalError: it has none.
-            Closed: the robot was closed.
+            LocalError: If the firmware has no RTDE.
+            Closed: If the robot was closed.
         """
         if self._is_closed:
             raise Closed(f"{self._name} was closed")
         firmware = self._firmware()
         if firmware < _FIRST:
-            raise LocalError(f"firmware {firmware} has no RTDE, which came with 3.3; robot.realtime has states too")
+            raise LocalError(f"firmware {firmware} has no RTDE; use robot.realtime, or firmware 3.3 or later")
         return firmware
 
     # -- writing -----------------------------------------------------------------------------------------
 
     def inputs(self, *names: InputName | str) -> Inputs:
-        """Claim variables in order to write them; connects at once.
+        """Connect immediately, and claim variables in order to write them.
 
         Args:
-            names: of the variables (`urlink.rtde.INPUTS` has all that are known); masks are added by themselves.
+            names: Names of the variables (`urlink.rtde.INPUTS` lists all known ones). Masks are added automatically.
 
         Raises:
-            BadValue: a name that cannot be one, one that comes twice, or more than 2048 bytes of names.
-            InputInUse: another client, or a fieldbus, holds one; says which.
-            NoSuchVariable: the controller lacks one.
-            RemoteError: the controller cannot be reached, or does not answer.
-            LocalError: a recording, or a connection that was made with ``read_only=True``.
-            Closed: the robot was closed.
+            BadValue: If a name is invalid or given twice, or the names exceed 2048 bytes.
+            InputInUse: If another client or a fieldbus holds an input. The message names the input.
+            NoSuchVariable: If the controller does not have a variable.
+            RemoteError: If the controller cannot be reached, or does not answer.
+            LocalError: If this is a recording, or the connection was made with ``read_only=True``.
+            Closed: If the robot was closed.
         """
         self._check_writable()
         wanted = with_masks(names)
-        self._brief.give_back()  # a setting of this very robot may have one of them
+        self._brief.give_back()  # a setting of the same robot might hold one of them
         plan = Requests(("timestamp",), _HEARTBEAT, inputs=[wanted])
         connection, transport = self._connection(plan, "rtde inputs")
-        # Kept before it connects: whoever closes the robot meanwhile ends that too.
+        # Stored before connecting, so that closing the robot also ends the attempt.
         inputs = self._keep(Inputs(connection, transport, wanted, self._source.timeout))
         inputs._claim()
         return inputs
 
     def registers(self, *, lower: bool = False) -> Registers:
-        """The general-purpose registers by number; with `lower` also those that are for fieldbuses and PLCs.
+        """Return the general-purpose registers by number.
 
-        `robot.registers` is the one without.
+        Args:
+            lower: Whether to include the lower registers, which are meant for fieldbuses and PLCs. `robot.registers`
+                does not include them.
         """
         return Registers(self._claimed, self.outputs, self._source.timeout, lower=lower)
 
     def _claimed(self) -> Claims:
-        """The connection on which registers are claimed."""
+        """Return the connection on which registers are claimed."""
         self._check_writable()
         claims = self._claims.made
         if claims is None:
@@ -212,10 +217,10 @@ class Rtde(StrictAttributes):
         return claims
 
     def _brief_claims(self) -> BriefClaims:
-        """For the settings of this robot.
+        """Return the claims for the settings of this robot.
 
         Raises:
-            LocalError: nothing can be written, or the firmware has no RTDE.
+            LocalError: If inputs cannot be written, or the firmware has no RTDE.
         """
         self._check_writable()
         return self._brief
@@ -226,18 +231,19 @@ class Rtde(StrictAttributes):
         return Claims(connection, transport, plan, CLAIM_TIMEOUT)
 
     def who_holds(self) -> dict[str, str]:
-        """Try each input, and say of those that cannot be had why.
+        """Try to claim each input, and report why inputs are not available.
 
-        Each one that is free is claimed for as long as this takes, some milliseconds; who asks for it meanwhile is
-        refused. What this robot object holds itself is in use, too.
+        Each free input is claimed during this call, which takes a few milliseconds. Other clients that claim it in this
+        time are refused. Inputs that this robot object holds are reported as in use, too.
 
         Returns:
-            name -> "in use" (by another client or a fieldbus) or "not there" (this controller lacks it).
+            Name of each unavailable input -> "in use" (by another client or a fieldbus) or "not there" (this controller
+            does not have it).
 
         Raises:
-            RemoteError: the controller cannot be reached, or does not answer.
-            LocalError: a recording, or a connection that was made with ``read_only=True``.
-            Closed: the robot was closed.
+            RemoteError: If the controller cannot be reached, or does not answer.
+            LocalError: If this is a recording, or the connection was made with ``read_only=True``.
+            Closed: If the robot was closed.
         """
         self._check_writable()
         self._brief.give_back()
@@ -246,15 +252,15 @@ class Rtde(StrictAttributes):
         return {name: said[type] for name, type in zip(INPUTS, types, strict=True) if type in said}
 
     def missing(self) -> tuple[str, ...]:
-        """The outputs of the table that this controller does not have, found out by a request for all of them.
+        """Return the outputs of `OUTPUTS` that this controller does not have. The call requests all of them.
 
         Raises:
-            RemoteError: the controller cannot be reached, or does not answer.
-            BadValue: of a recording, which has nobody to ask.
-            Closed: the robot was closed.
+            RemoteError: If the controller cannot be reached, or does not answer.
+            BadValue: If this is a recording, because there is no controller to ask.
+            Closed: If the robot was closed.
         """
         if self.is_recorded:
-            raise BadValue(f"{self._name} is a recording; it has what was recorded: {', '.join(self.outputs().names)}")
+            raise BadValue(f"{self._name} is a recording; it contains only {', '.join(self.outputs().names)}")
         self._check_there()
         parts: list[list[str]] = [[]]
         for name in OUTPUTS:
@@ -266,10 +272,10 @@ class Rtde(StrictAttributes):
         return tuple(name for name, type in zip(OUTPUTS, types, strict=True) if type == NOT_FOUND)
 
     def _types(self, requests: Sequence[OutputsRequest | InputsRequest]) -> list[str]:
-        """The types that the controller answers to requests, on a connection on which nothing is started.
+        """Return the types that the controller sends in reply to requests. No data is started on the connection.
 
         Raises:
-            RemoteError: the controller cannot be reached, does not answer, or answers another number of types.
+            RemoteError: If the controller cannot be reached, does not answer, or sends a wrong number of types.
         """
         until = clock.now() + self._source.timeout
         transport = RtdeTransport(self._source.transport("rtde"), Requests())
@@ -286,20 +292,20 @@ class Rtde(StrictAttributes):
         for request, reply in zip(requests, replies, strict=True):
             names, answered = split_names(request.names), split_names(reply.types)
             if len(answered) != len(names):
-                raise RtdeRefused(f"{transport.name}: {len(answered)} types for {len(names)} names", names)
+                raise RtdeRefused(f"{transport.name}: received {len(answered)} types for {len(names)} names", names)
             types += answered
         return types
 
     @staticmethod
     def _replies(transport: RtdeTransport, count: int, until: float) -> list[OutputsReply | InputsReply]:
-        """The answers about so many recipes; what else comes is passed over."""
-        # The dialogue's bytes come first.
+        """Return the replies to `count` recipes, and skip all other packets."""
+        # Bytes that arrived during the dialogue come first.
         receiver = Receiver(transport.name, RtdeProtocol(Requests()), StreamCounters())
         replies: list[OutputsReply | InputsReply] = []
         while len(replies) < count:
             left = until - clock.now()
             if left <= 0:
-                raise LinkTimeout(f"{transport.name}: {len(replies)} of {count} requests were answered in time")
+                raise LinkTimeout(f"{transport.name}: only {len(replies)} of {count} requests were answered in time")
             data, stamp = transport.receive(left)
             replies += [
                 packet for packet in receiver.feed(data, stamp) if isinstance(packet, (OutputsReply, InputsReply))
@@ -319,10 +325,10 @@ class Rtde(StrictAttributes):
         return connection_of(f"{self._name} {what}", transport, plan, source), transport
 
     def _keep(self, opened: K) -> K:
-        """Close this with the robot.
+        """Register an object that must be closed together with the robot.
 
         Raises:
-            Closed: that has been closed already.
+            Closed: If the robot was closed already.
         """
         with self._lock:
             is_closed = self._is_closed

@@ -1,4 +1,4 @@
-"""Inputs: variables that are claimed and written, with the masks that belong to them."""
+"""RTDE inputs: claimed variables that a client writes, with their masks."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from ..protocol.rtde.transport import RtdeTransport
 
 
 class _Masked(NamedTuple):
-    """A mask, and the bits of it that say that a variable is to be taken."""
+    """Mask variable, and the bits in it that make the controller apply a variable."""
 
     mask: str
     bits: int
-    is_bits: bool  # the variable is bits too, of which each may be left as it is
+    is_bits: bool  # whether the variable is a bit field, whose bits can be left unchanged one by one
 
 
 _MASKED = {
@@ -47,10 +47,10 @@ _RANGES = {"UINT8": (0, 2**8 - 1), "UINT32": (0, 2**32 - 1), "INT32": (-(2**31),
 
 
 def with_masks(names: Sequence[str]) -> tuple[str, ...]:
-    """The names, and before each what makes the controller take it: its mask, and the type of an analogue output.
+    """Return the names, each preceded by its mask and, for an analogue output, its type variable.
 
     Raises:
-        BadValue: a name that cannot be asked for, a mask without a value, or more than 2048 bytes of names.
+        BadValue: If a name is invalid, a mask has no value, or the names exceed 2048 bytes.
     """
     names = check_names(names)
     wanted: dict[str, None] = {}
@@ -63,15 +63,15 @@ def with_masks(names: Sequence[str]) -> tuple[str, ...]:
     for name in names:
         values = [value for value, masked in _MASKED.items() if masked.mask == name and value in names]
         if name in _MASKS and not values:
-            raise BadValue(f"{name} was asked for without what it is the mask of")
+            raise BadValue(f"{name} is a mask; request the variable that it belongs to as well")
     return check_names(tuple(wanted))
 
 
 def checked(name: str, type: str, value: Any) -> Any:
-    """A value as it can be sent.
+    """Return a value converted to its RTDE type.
 
     Raises:
-        BadValue: not of the type, out of its range, or not finite.
+        BadValue: If the value does not have the type, is out of range, or is not finite.
     """
     if type == "BOOL":
         if not isinstance(value, (bool, np.bool_)) and value not in (0, 1):
@@ -99,13 +99,13 @@ def checked(name: str, type: str, value: Any) -> Any:
 
 
 class Inputs(StrictAttributes, Closing):
-    """Variables that are claimed for as long as this is open. A context manager; made by `Rtde.inputs`.
+    """Set of variables that are claimed until this object is closed. A context manager; made by `Rtde.inputs`.
 
-    They are claimed again when the connection was lost and made again; what was sent before is not sent again. A
-    controller keeps the last values, also after this was closed.
+    After a reconnect, the variables are claimed again, but earlier values are not sent again. The controller keeps the
+    last values, even after this object is closed.
 
     Attributes:
-        names: of the variables that can be sent, without the masks, which are set by themselves.
+        names: Names of the variables that can be sent, without the masks, which are set automatically.
     """
 
     def __init__(self, connection: Connection, transport: RtdeTransport, names: Sequence[str], timeout: float) -> None:
@@ -117,10 +117,10 @@ class Inputs(StrictAttributes, Closing):
         self._sending = threading.RLock()
 
     def _claim(self) -> None:
-        """Connect and claim them; closed if that fails.
+        """Connect and claim the variables. If this fails, the object is closed.
 
         Raises:
-            InputInUse, NoSuchVariable, RemoteError, Closed: they cannot be had.
+            InputInUse, NoSuchVariable, RemoteError, Closed: If the variables cannot be claimed.
         """
         try:
             self._connection.start()
@@ -132,31 +132,34 @@ class Inputs(StrictAttributes, Closing):
 
     @property
     def connection(self) -> ConnectionState:
-        """The state of the connection."""
+        """State of the connection."""
         return self._connection.state
 
     @property
     def is_over(self) -> bool:
-        """It was closed, or its connection has been given up for good."""
+        """Whether it was closed, or its connection has finally failed."""
         return self._connection.is_over
 
     def send(self, /, **values: Any) -> None:
-        """Write variables, all of them in one package, so in the same control cycle.
+        """Write variables in one package, so that they take effect in the same control cycle.
 
-        Bits of digital outputs are given as a mapping of those to be set, ``standard_digital_output={0: True, 3:
-        False}``, or as a number, which sets all of them. What has a mask and is not given stays as it is. What has no
-        mask, such as a register, is sent each time: the first time all of it has to be given, later it is as it was.
+        Digital outputs are a mapping of the bits to change, ``standard_digital_output={0: True, 3: False}``, or a
+        number that sets all bits. A variable that has a mask and is not given stays unchanged. A variable without a
+        mask, such as a register, is part of every package: the first call must contain all of these variables, and
+        later calls repeat the last value.
 
         Raises:
-            BadValue: no such variable here, one that is missing, or a value that it cannot have; nothing was sent.
-            ConnectionLost: there is no connection at present; nothing was sent, and nothing is kept for later.
-            LinkTimeout: the controller does not take it.
+            BadValue: If a variable is unknown or missing, or its value is invalid. Nothing is sent.
+            ConnectionLost: If there is no connection now. Nothing is sent, now or later.
+            LinkTimeout: If the controller does not accept the package in time.
         """
         unknown = values.keys() - set(self.names)
         if unknown or not values:
-            raise BadValue(f"cannot send {', '.join(sorted(unknown)) or 'nothing'}; there is {', '.join(self.names)}")
-        # In turn: a package made beside another one would put back what that one changes. Alone: a
-        # signal handler may come here while the main thread, which it keeps, sends.
+            raise BadValue(
+                f"cannot send {', '.join(sorted(unknown)) or 'nothing'}; expected some of {', '.join(self.names)}"
+            )
+        # One at a time, because concurrent packages would overwrite each other's changes. `alone`, because a signal
+        # handler can run this while the interrupted main thread sends.
         otherwise = f"{self._connection.name}: another package was not sent within {self._timeout:g} s"
         with alone(self._sending, self._timeout, otherwise):
             recipe = self._recipe()
@@ -165,20 +168,20 @@ class Inputs(StrictAttributes, Closing):
             self._last |= {name: value for name, value in package.items() if name not in _MASKS}
 
     def _write(self, values: Mapping[str, Any]) -> None:
-        """Write every variable of the recipe, masks included, without waiting and unchecked: for set-points.
+        """Write every variable of the recipe, masks included, without waiting and without checks. For set-points.
 
         Raises:
-            BadValue: a value that its type cannot hold; nothing was sent.
-            ConnectionLost, Closed: as `put_whole`.
+            BadValue: If the type of a variable cannot hold its value. Nothing is sent.
+            ConnectionLost, Closed: See `put_whole`.
         """
         put_whole(self._connection, self._recipe().encode(values))
 
     def _recipe(self) -> Recipe:
-        """What was claimed on the present connection, or on the one before if there is none."""
+        """Return the recipe claimed on the current connection, or on the previous one if there is none."""
         return dialogue_of(self._connection, self._transport).claims[0]
 
     def _package(self, recipe: Recipe, values: Mapping[str, Any]) -> dict[str, Any]:
-        """The value of each variable of the recipe, masks included."""
+        """Return the value of each variable of the recipe, masks included."""
         package: dict[str, Any] = {name: 0 for name in recipe.names if name in _MASKS}
         has_analog = any(name in _FRACTIONS and name != "speed_slider_fraction" for name in values)
         missing = []
@@ -198,11 +201,11 @@ class Inputs(StrictAttributes, Closing):
                 if masked is not None:
                     package[masked.mask] |= masked.bits
         if missing:
-            raise BadValue(f"the first time {', '.join(missing)} has to be given too, since it is sent each time")
+            raise BadValue(f"missing {', '.join(missing)}; the first send must contain every variable without a mask")
         return package
 
     def close(self, timeout: float = 2.0) -> None:
-        """Disconnect, which releases the variables; a controller may take a while for that. Idempotent."""
+        """Disconnect, which releases the variables. The controller might need some time for that. Idempotent."""
         self._connection.close(timeout)
 
     def __repr__(self) -> str:
@@ -210,10 +213,10 @@ class Inputs(StrictAttributes, Closing):
 
 
 def dialogue_of(connection: Connection, transport: RtdeTransport) -> RtdeProtocol:
-    """The dialogue of the present connection, or of the one before if there is none.
+    """Return the dialogue of the current connection, or of the previous one if there is none.
 
     Raises:
-        ConnectionLost: there has not been one.
+        ConnectionLost: If there has been no connection yet.
     """
     if transport.dialogue is None:
         raise ConnectionLost(f"{connection.name} is not connected")
@@ -221,23 +224,23 @@ def dialogue_of(connection: Connection, transport: RtdeTransport) -> RtdeProtoco
 
 
 def put_whole(connection: Connection, package: bytes) -> None:
-    """Hand a package to the kernel at once, whole.
+    """Pass a whole package to the kernel without waiting.
 
     Raises:
-        ConnectionLost: there is no connection, or the controller does not read; it is given up then, since what follows
-            would be read as the rest of the package.
-        Closed: it was closed.
+        ConnectionLost: If there is no connection, or the controller does not read. In the second case the connection is
+            aborted, because the controller would read later data as the rest of this package.
+        Closed: If it was closed.
     """
     if connection.send_some(package) < len(package):
         connection.abort()
-        raise ConnectionLost(f"{connection.name}: the controller does not read what is written")
+        raise ConnectionLost(f"{connection.name}: the controller does not read the data that is sent to it")
 
 
 def _bits(name: str, value: Any, all: int) -> tuple[int, int]:
-    """Mask and bits of digital outputs.
+    """Return the mask and the bits of digital outputs.
 
     Raises:
-        BadValue: a bit that is not there, or not a value of the input.
+        BadValue: If a bit does not exist, or the value is invalid.
     """
     if not isinstance(value, Mapping):
         bits = checked(name, "UINT8", value)

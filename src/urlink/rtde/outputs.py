@@ -1,4 +1,4 @@
-"""The stream of one recipe of outputs: what users iterate, subscribe to, and record."""
+"""Stream of one recipe of outputs, which can be iterated, subscribed to, and recorded."""
 
 from __future__ import annotations
 
@@ -26,22 +26,22 @@ if TYPE_CHECKING:
 
 T = TypeVar("T", bound=Outputs)
 
-#: Packets that a controller may send late or not at all, before a connection counts as lost.
+#: Number of packets that can be late or missing before a connection counts as lost.
 _LATE = 5
 
 
 def declared(kind: type[Outputs]) -> tuple[tuple[str, ...], frozenset[str]]:
-    """The variables that a class declares as annotations, and those among them that may be None.
+    """Return the variables that a class declares as annotations, and the subset whose type allows None.
 
     Raises:
-        BadValue: it declares none, or one that cannot be asked for.
+        BadValue: If the class declares no variable, or an invalid name.
     """
     names: dict[str, Any] = {}
     for base in reversed(kind.__mro__):
         if issubclass(base, Outputs) and base is not Outputs:
             names |= inspect.get_annotations(base)
     if not names:
-        raise BadValue(f"{kind.__name__} declares no variable; expected something like 'actual_q: Vector'")
+        raise BadValue(f"{kind.__name__} declares no variable; expected an annotation such as 'actual_q: Vector'")
     return check_names(tuple(names)), frozenset(name for name, hint in names.items() if _may_be_none(hint))
 
 
@@ -52,7 +52,10 @@ def _may_be_none(hint: Any) -> bool:
 
 
 def connection_of(name: str, transport: Transport, plan: Requests, source: Source) -> Connection:
-    """A connection that asks for what the plan says, each time it is made; it is kept up as the source says."""
+    """Return a connection that sends the requests of the plan each time it connects.
+
+    It reconnects according to the settings of the source.
+    """
     silence = source.silence
     if silence is not None and plan.frequency is not None:
         silence = max(silence, _LATE / plan.frequency)
@@ -64,26 +67,26 @@ def connection_of(name: str, transport: Transport, plan: Requests, source: Sourc
 
 
 def recorded_plan(info: Mapping[str, Any], kind: type[Outputs]) -> Requests:
-    """The plan of a recorded stream, from the description of its channel.
+    """Return the plan of a recorded stream, from the description of its channel.
 
     Raises:
-        BadRecording: it does not say what it should.
+        BadRecording: If the description is incomplete or invalid.
     """
     try:
         recipe = Recipe(info["names"], info["types"], info["number"])
         return Requests(tuple(info["asked"]), info["frequency"], frozenset(info["asked"]), kind=kind, recorded=recipe)
     except (KeyError, TypeError, BadValue) as error:
-        raise BadRecording(f"the recording does not say which RTDE variables it holds ({error})") from None
+        raise BadRecording(f"the recording does not describe its RTDE variables: {error}") from None
 
 
 class OutputStream(Stream[T], Closing):
-    """The data packages of one recipe, on a connection of its own. Made by `Rtde.outputs`.
+    """Stream of the data packages of one recipe, on its own connection. Made by `Rtde.outputs`.
 
-    Text from the controller and its replies come on it too: ``stream.of(RtdeMessage)``.
+    The stream also carries text messages and replies of the controller: ``stream.of(RtdeMessage)``.
 
     Attributes:
-        names: of the variables that were asked for.
-        frequency: packages a second that were asked for; None for the most that the controller sends.
+        names: Names of the requested variables.
+        frequency: Requested packages per second; None for the maximum of the controller.
     """
 
     def __init__(
@@ -100,7 +103,7 @@ class OutputStream(Stream[T], Closing):
         own = name if name in self._plan.outputs else name_on("rtde", name)
         if own is None:
             return super()._hint(name)
-        return self._field_hint(own) if own in self._plan.outputs else f"; ask for it: robot.rtde.outputs({own!r})"
+        return self._field_hint(own) if own in self._plan.outputs else f"; request it with robot.rtde.outputs({own!r})"
 
     @property
     def _dialogue(self) -> RtdeProtocol | None:
@@ -108,36 +111,38 @@ class OutputStream(Stream[T], Closing):
 
     @property
     def recipe(self) -> Recipe | None:
-        """Names and types of what comes, in order; None before the first connection."""
+        """Names and types of the received variables, in order; None before the first connection."""
         dialogue = self._dialogue
         return self._plan.recorded if dialogue is None else dialogue.recipe
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """Variables that were asked for and that the controller does not have; they read as None."""
+        """Requested variables that the controller does not have; they read as None."""
         recipe = self.recipe
         return () if recipe is None else tuple(name for name in self.names if name not in recipe.names)
 
     @property
     def controller(self) -> Firmware | None:
-        """The controller's version, from this connection; None before the first, and of a recording."""
+        """Firmware that the controller reported on this connection; None before the first, and for a recording."""
         dialogue = self._dialogue
         return None if dialogue is None else dialogue.controller
 
     @property
     def is_over(self) -> bool:
-        """No state will ever come again: it was closed, or a recording has ended."""
+        """Whether no more states will arrive, because the stream was closed or the recording has ended."""
         return self._connection.is_over
 
     def description(self) -> dict[str, Any]:
-        """The recipe, which a recording needs, since it may begin after the controller has sent it; connects for that.
+        """Connect if necessary, and return the recipe for the description of a recording.
+
+        A recording needs the recipe, because it can start after the controller has sent it.
 
         Raises:
-            RemoteError, LocalError, Closed: as `start`.
+            RemoteError, LocalError, Closed: See `start`.
         """
         self.start()
         recipe = self.recipe
-        assert recipe is not None, "a connection that has been made has its recipe"
+        assert recipe is not None, "a connected stream has its recipe"
         return {
             "asked": list(self.names),
             "frequency": self.frequency,

@@ -1,1 +1,1 @@
-"""Finding and knowing one controller: its address, its options, its identity, and its clock."""
+"""Connection data of one controller: address, options, identity, and clock."""

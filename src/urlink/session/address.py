@@ -1,4 +1,4 @@
-"""Addresses of robots, of simulated arms and of recordings."""
+"""Addresses of robots, simulators and recordings."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from linkcore.errors import BadAddress, BadVersion
 from ..protocol.firmware import Firmware, existing_firmware
 from ..protocol.ports import PORTS
 
-#: Whether a simulated arm stands still until a program commands it, or moves slowly about its home posture.
+#: Whether a simulated arm rests until a program commands it, or moves slowly around its home posture.
 Motion = Literal["still", "demo"]
 
 
 @dataclass(frozen=True)
 class RobotAddress:
-    """A controller on the network: ``192.168.56.101`` or ``ur://192.168.56.101?primary=40001``."""
+    """Controller on the network: ``192.168.56.101`` or ``ur://192.168.56.101?primary=40001``."""
 
     host: str
     ports: Mapping[str, int] = field(default_factory=lambda: dict(PORTS))
 
     def __str__(self) -> str:
-        """The address as `parse_address` reads it, with the ports that are not the usual ones."""
-        # From this machine a server that listens everywhere is reached here.
+        """Address in the format of `parse_address`, with the ports that differ from the defaults."""
+        # A server that listens on all interfaces is reached at the loopback address from this computer.
         host = {"0.0.0.0": "127.0.0.1", "::": "::1", "": "127.0.0.1"}.get(self.host, self.host)
         host = f"[{host}]" if ":" in host else host
         options = "&".join(f"{name}={port}" for name, port in self.ports.items() if PORTS.get(name) != port)
@@ -36,10 +36,10 @@ class RobotAddress:
 
 @dataclass(frozen=True)
 class SimulatorAddress:
-    """The built-in simulator: ``sim://``, ``sim://ur10?firmware=3.4&motion=demo``; a motion of None is "still".
+    """Built-in simulator: ``sim://``, ``sim://ur10?firmware=3.4&motion=demo``; a motion of None means "still".
 
-    ``sim://ur5e?like=arm.json`` is the arm of which that file was identified; ``sim://ur5e?scene=table.xml`` stands
-    among the bodies of that file, by an adapter such as urlink-mujoco.
+    ``sim://ur5e?like=arm.json`` simulates the arm whose identified parameters are in that file.
+    ``sim://ur5e?scene=table.xml`` places the arm among the bodies of that file, with an adapter such as urlink-mujoco.
     """
 
     model: str | None = None
@@ -51,7 +51,7 @@ class SimulatorAddress:
 
 @dataclass(frozen=True)
 class RecordingAddress:
-    """A recording: ``replay:///path/run.urlog?rate=2``; rate 0 is as fast as possible."""
+    """Recording: ``replay:///path/run.urlog?rate=2``; a rate of 0 plays as fast as possible."""
 
     path: Path
     rate: float = 1.0
@@ -61,10 +61,10 @@ Address = RobotAddress | SimulatorAddress | RecordingAddress
 
 
 def parse_address(text: str | os.PathLike[str]) -> Address:
-    """Read an address. A path is that of a recording, and so is a text that ends in ``.urlog`` and names no scheme.
+    """Parse an address. A path, or a string without a scheme that ends in ``.urlog``, is a recording.
 
     Raises:
-        BadAddress: says what is wrong and what was expected.
+        BadAddress: If the address is invalid. The message describes the error and the expected format.
 
     >>> parse_address("sim://ur10?motion=demo")
     SimulatorAddress(model='ur10', firmware=None, motion='demo', like=None, scene=None)
@@ -75,20 +75,23 @@ def parse_address(text: str | os.PathLike[str]) -> Address:
         return RecordingAddress(Path(text))
     if not isinstance(text, str):
         raise BadAddress(
-            f"{text!r} is no address; expected text such as '192.168.56.101' or 'sim://', or the path of a recording"
+            f"{text!r} is not an address; expected a string such as '192.168.56.101' or 'sim://', or the path of a "
+            "recording"
         )
     original, text = text, text.strip()
     if "://" not in text and text.lower().endswith(".urlog"):
         return RecordingAddress(Path(text))
     if not text or any(character.isspace() or not character.isprintable() for character in text):
-        hint = "; a space in the name of a file is written %20" if text.startswith("replay:") else ""
-        raise BadAddress(f"{original!r} is no address; expected a host, ur://host, sim://model or replay:///file{hint}")
+        hint = "; write a space in a file name as %20" if text.startswith("replay:") else ""
+        raise BadAddress(
+            f"{original!r} is not an address; expected a host, ur://host, sim://model or replay:///file{hint}"
+        )
     try:
         parts = urlsplit(text if "://" in text else f"ur://{text}")
-    except ValueError as error:  # half a bracket, or what no host name may hold
-        raise BadAddress(f"{text!r} is no address: {error}") from None
+    except ValueError as error:  # an unbalanced bracket, or a character that host names must not contain
+        raise BadAddress(f"{text!r} is not an address: {error}") from None
     if parts.fragment or text.endswith("#"):
-        raise BadAddress(f"{text!r}: nothing is known of #{parts.fragment}; in the name of a file # is written %23")
+        raise BadAddress(f"{text!r}: unexpected #{parts.fragment}; write # in a file name as %23")
     options = dict(parse_qsl(parts.query, keep_blank_values=True))
     if parts.scheme == "ur":
         return _robot(text, parts.hostname, parts.netloc, parts.path, options)
@@ -96,7 +99,7 @@ def parse_address(text: str | os.PathLike[str]) -> Address:
         return _simulator(text, parts.netloc or parts.path.strip("/"), options)
     if parts.scheme == "replay":
         return _recording(text, unquote(parts.netloc + parts.path), options)
-    raise BadAddress(f"{text!r}: unknown kind {parts.scheme!r}; expected ur, sim or replay")
+    raise BadAddress(f"{text!r}: unknown scheme {parts.scheme!r}; expected ur, sim or replay")
 
 
 def _robot(text: str, host: str | None, netloc: str, path: str, options: dict[str, str]) -> RobotAddress:
@@ -104,10 +107,10 @@ def _robot(text: str, host: str | None, netloc: str, path: str, options: dict[st
         raise BadAddress(f"{text!r}: expected a host name or address, as in ur://192.168.56.101")
     if netloc.rpartition("]")[2].count(":") and not netloc.endswith(("]", ":")):
         raise BadAddress(
-            f"{text!r}: a robot has a port for each interface, so one number is not enough; "
+            f"{text!r}: one port number is not enough, because a robot has a port for each interface; "
             f"expected ur://{host}?realtime=30003&primary=30001"
         )
-    host = host.replace("%25", "%")  # before the network card of a link-local address, as URLs write it
+    host = host.replace("%25", "%")  # URL notation of the % before the network card of a link-local address
     ports = dict(PORTS)
     for name, value in options.items():
         if name not in ports:
@@ -123,9 +126,9 @@ def _simulator(text: str, model: str, options: dict[str, str]) -> SimulatorAddre
     if options:
         raise BadAddress(f"{text!r}: unknown option {next(iter(options))!r}; expected firmware, motion, like or scene")
     if like == "":
-        raise BadAddress(f"{text!r}: like= names no file; expected like=arm.json, as urlink identify writes it")
+        raise BadAddress(f"{text!r}: like= names no file; expected like=arm.json, written by urlink identify")
     if scene == "":
-        raise BadAddress(f"{text!r}: scene= names no file; expected scene=table.xml, of the bodies around the arm")
+        raise BadAddress(f"{text!r}: scene= names no file; expected scene=table.xml, with the bodies around the arm")
     if motion not in (None, "still", "demo"):
         raise BadAddress(f"{text!r}: motion={motion!r}; expected {' or '.join(get_args(Motion))}")
     try:

@@ -1,4 +1,4 @@
-"""The options of `connect` and `connect_async`: checked, and collected once."""
+"""Options of a connection: the checked arguments of `connect` and `connect_async`, defined once for both."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from linkcore.streaming.connection_life import Backoff
 
 from .address import Address, RecordingAddress, parse_address
 
-#: How settings may be sent: RTDE inputs where they are free, else URScript; or URScript alone.
+#: How settings are sent: "auto" uses RTDE inputs if they are free, otherwise URScript; "script" uses only URScript.
 CommandsVia = Literal["auto", "script"]
 
-#: Whether a person has to call `enable()`: never; once; at first and after every stop.
+#: When `enable()` must be called: never; once; at first and after every stop.
 Policy = Literal["never", "on_startup", "always"]
 
-#: Seconds after which the last state is too old to permit a motion, by default: ten states of the primary interface.
+#: Default age in seconds above which the last state is too old to permit a motion: ten states of the primary interface.
 STALE_AFTER = 1.0
 
-#: Seconds; a timeout below that is a mistake.
+#: Shortest accepted timeout, in seconds. A shorter one is assumed to be an error.
 _SHORTEST = 1e-3
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -32,14 +32,14 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class ConnectOptions:
-    """The arguments of `urlink.connect`, where each is described, as they should be.
+    """Checked arguments of `urlink.connect`, which describes each of them.
 
     Attributes:
-        name: the address as text.
-        place: what it means.
+        name: Address as a string.
+        place: Parsed address.
 
     Raises:
-        BadAddress, BadValue: as `urlink.connect`.
+        BadAddress, BadValue: See `urlink.connect`.
     """
 
     address: str | os.PathLike[str]
@@ -72,30 +72,35 @@ class ConnectOptions:
         for name in ("reverse_host", "reverse_peer"):
             host = getattr(self, name)
             if host is not None and (not isinstance(host, str) or not host.strip()):
-                raise BadValue(f"{name} is {host!r}; expected a host name or address, or None")
+                raise BadValue(f"{name}={host!r}; expected a host name or address, or None")
         check_choice(self.commands_via, "commands_via", get_args(CommandsVia))
         if self.require_enable not in get_args(Policy):
             raise BadValue(f"require_enable={self.require_enable!r}; expected one of {', '.join(get_args(Policy))}")
         if self.backoff is not None and not isinstance(self.backoff, Backoff):
-            raise BadValue(f"backoff is {self.backoff!r}; expected an urlink.Backoff")
+            raise BadValue(f"backoff={self.backoff!r}; expected a urlink.Backoff")
         checked["place"] = place = parse_address(self.address)
         checked["name"] = name = os.fspath(self.address)
         if self.isolate and isinstance(place, RecordingAddress):
-            raise BadValue(f"isolate={self.isolate!r}: {name} is a recording, which no other process can read sooner")
-        vars(self).update(checked)  # it is frozen for others
+            raise BadValue(
+                f"isolate={self.isolate!r} is not supported for the recording {name}; expected isolate=False"
+            )
+        vars(self).update(checked)  # bypasses the frozen dataclass
 
 
 def _each_once(flags: Collection[int]) -> tuple[int, ...]:
     if not isinstance(flags, Collection):
-        raise BadValue(f"start_flags is {flags!r}; expected numbers of flags, such as (30, 31), or () for none")
+        raise BadValue(f"start_flags={flags!r}; expected numbers of flags, such as (30, 31), or () for none")
     numbers = tuple(check_whole(flag, "start_flags", 0, 31) for flag in flags)
     if len(set(numbers)) < len(numbers):
-        raise BadValue(f"start_flags is {flags!r}; expected each flag once")
+        raise BadValue(f"start_flags={flags!r}; expected each flag only once")
     return numbers
 
 
 def _taking(options: Callable[P, ConnectOptions]) -> Callable[[Callable[[ConnectOptions], T]], Callable[P, T]]:
-    """Makes a function of these options one of their arguments, which type checkers and `inspect.signature` see."""
+    """Return a decorator that gives a function of the options the arguments of the options instead.
+
+    Type checkers and `inspect.signature` see these arguments.
+    """
 
     def taking(function: Callable[[ConnectOptions], T]) -> Callable[P, T]:
         signature = inspect.signature(options)
@@ -103,11 +108,11 @@ def _taking(options: Callable[P, ConnectOptions]) -> Callable[[Callable[[Connect
 
         @functools.wraps(function)
         def taken(*arguments: P.args, **named: P.kwargs) -> T:
-            signature.bind(*arguments, **named)  # whose TypeError does not name the class
+            signature.bind(*arguments, **named)  # its TypeError does not name the class of the options
             try:
                 return function(options(*arguments, **named))
             except RemoteError as error:
-                # Without the frames and the error of the operating system below: the message has what they have.
+                # The message is complete, so drop the inner frames and the error of the operating system.
                 raise error.with_traceback(None) from None
 
         taken.__signature__ = signature.replace(return_annotation=returned)  # type: ignore[attr-defined]
@@ -116,5 +121,5 @@ def _taking(options: Callable[P, ConnectOptions]) -> Callable[[Callable[[Connect
     return taking
 
 
-#: Decorates `connect` and `connect_async`, which have the arguments of `ConnectOptions`, and no others.
+#: Decorator of `connect` and `connect_async`, which have exactly the arguments of `ConnectOptions`.
 takes_connect_options = _taking(ConnectOptions)

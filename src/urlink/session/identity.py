@@ -1,4 +1,4 @@
-"""The identity of a controller: firmware, model and calibration, from its first packets."""
+"""Identity of a controller: firmware, model and calibration, read from its first packets."""
 
 from __future__ import annotations
 
@@ -30,19 +30,19 @@ from ..protocol.primary.robot_state import ConfigurationData, KinematicsInfo, Ro
 if TYPE_CHECKING:
     from ..arm.kinematics import Arm, DenavitHartenberg
 
-#: How long to wait for the rest once a part is known: the first state follows within 0.1 s.
+#: Time to wait for the other parts of the identity after the first, in seconds. The first state follows within 0.1 s.
 _GRACE = 1.0
 
 
 @dataclass(frozen=True)
 class Identity:
-    """What is known of a controller.
+    """Identity of a controller.
 
     Attributes:
-        firmware: its version; where it did not say, the oldest that sends such states.
-        said_so: whether the firmware was reported by the controller.
-        model: name of the arm, such as "UR5e"; None where no configuration came.
-        dh_table: its Denavit-Hartenberg parameters as calibrated; None where they did not come.
+        firmware: Firmware version. If the controller did not report it, the oldest one that sends such states.
+        said_so: Whether the controller reported the firmware.
+        model: Name of the arm, such as "UR5e"; None if no configuration was received.
+        dh_table: Calibrated Denavit-Hartenberg parameters; None if they were not received.
     """
 
     firmware: Firmware
@@ -52,26 +52,26 @@ class Identity:
 
     @property
     def arm(self) -> Model | None:
-        """Geometry and limits of the arm; None where the controller does not report its model, or it is not known."""
+        """Geometry and limits of the arm; None if the controller does not report a model, or the model is unknown."""
         return None if self.model is None else MODELS.get(self.model)
 
     @cached_property
     def kinematics(self) -> Arm:
-        """Forward and inverse kinematics, see `Robot.kinematics`.
+        """Forward and inverse kinematics; see `Robot.kinematics`.
 
         Raises:
-            LocalError: it is not known which arm this is.
-            WrongPeer: the parameters that came are not those of such an arm.
+            LocalError: If the arm is unknown.
+            WrongPeer: If the received DH parameters do not belong to such an arm.
         """
-        # Imported here: it takes some 30 ms, which a program that only listens need not spend.
+        # Imported here, because the import takes about 30 ms, which a program that only reads states can save.
         from ..arm.kinematics import Arm
 
         arm = self.arm
         if arm is None:
             what = (
-                "does not say which arm it has" if self.model is None else f"has an arm that is not known, {self.model}"
+                "does not report its arm model" if self.model is None else f"reports the unknown arm model {self.model}"
             )
-            raise LocalError(f"the controller {what}; urlink.kinematics.Arm takes the name of one")
+            raise LocalError(f"the controller {what}; create a urlink.kinematics.Arm with the name of a model instead")
         if self.dh_table is None:
             return Arm(arm)
         try:
@@ -80,9 +80,9 @@ class Identity:
             raise WrongPeer(f"the controller of a {arm.name} sends unusable DH parameters: {error}") from None
 
     def description(self) -> dict[str, Any]:
-        """The identity as a recording stores it, since the first state, which has it too, is seldom recorded.
+        """Return the identity as a recording stores it, as values that JSON supports.
 
-        JSON can hold it.
+        A recording needs it, because it rarely contains the first state, which has the identity too.
         """
         said: dict[str, Any] = {"firmware": str(self.firmware), "model": self.model}
         if self.dh_table is not None:
@@ -92,18 +92,17 @@ class Identity:
 
 
 def described_identity(said: Mapping[str, Any]) -> Identity:
-    """The identity that `Identity.description` has stored in a recording.
+    """Return the identity that `Identity.description` has stored in a recording.
 
     Raises:
-        BadRecording: it names no firmware, its model is not a text, or what it has under ``dh_table`` are no DH
-            parameters.
-        BadVersion: the firmware is not a version.
+        BadRecording: If the firmware is missing, the model is not a string, or ``dh_table`` has no valid DH parameters.
+        BadVersion: If the firmware is not a version.
     """
     firmware, model, written = said.get("firmware"), said.get("model"), said.get("dh_table")
     if not isinstance(firmware, str):
-        raise BadRecording(f"channel {said.get('name')!r} does not say what firmware it was recorded from")
+        raise BadRecording(f"channel {said.get('name')!r} does not name the firmware of the controller")
     if not isinstance(model, str | None):
-        raise BadRecording(f"channel {said.get('name')!r}: the model is {model!r:.80}, and no text")
+        raise BadRecording(f"channel {said.get('name')!r}: the model is {model!r:.80}; expected a string")
     table = None
     if written is not None:
         from ..arm.kinematics import DhTable
@@ -112,19 +111,19 @@ def described_identity(said: Mapping[str, Any]) -> Identity:
             table = DhTable(**written)
         except TypeError as error:
             name = said.get("name")
-            raise BadRecording(f"channel {name!r} has no DH parameters under dh_table: {error}") from None
+            raise BadRecording(f"channel {name!r} has invalid DH parameters in dh_table: {error}") from None
     return Identity(Firmware.parse(firmware), said_so=True, model=model, dh_table=table)
 
 
 class KnownIdentity:
-    """The last known identity of the controller; it is asked anew after each reconnect.
+    """Last known identity of the controller, which is read again after each reconnect.
 
     Args:
-        ask: asks it.
-        known: what it has answered already; None to ask now.
+        ask: Function that reads the identity from the controller.
+        known: Identity that was read already; None to read it now.
 
     Attributes:
-        last: the last answer.
+        last: Identity that was read last.
     """
 
     def __init__(self, ask: Callable[[], Identity], known: Identity | None = None) -> None:
@@ -133,19 +132,19 @@ class KnownIdentity:
         self.last = ask() if known is None else known
 
     def doubt(self) -> None:
-        """It was connected to anew, and may be another one."""
+        """Record a reconnect, after which the controller might be another one."""
         self._doubts += 1
 
     @property
     def identity(self) -> Identity:
-        """Who it is.
+        """Identity of the controller, read again if there was a reconnect.
 
         Raises:
-            RemoteError: it had to be asked, and did not answer.
+            RemoteError: If the identity must be read, and the controller does not answer.
         """
         if (doubts := self._doubts) != self._answered:
             self.last = self._ask()
-            self._answered = doubts  # one that has come up meanwhile stays
+            self._answered = doubts  # a reconnect during the call stays recorded
         return self.last
 
 
@@ -153,10 +152,10 @@ def identify(host: str, port: int, timeout: float) -> Identity:
     """Connect to a primary or secondary interface, read the controller's identity, and disconnect.
 
     Raises:
-        ConnectFailed: nobody answers there.
-        ConnectionLost: it closed the connection before it identified itself.
-        LinkTimeout: silent, or not done within `timeout` seconds.
-        WrongPeer: something else is talking.
+        ConnectFailed: If nothing listens at the address.
+        ConnectionLost: If the controller closes the connection before it has identified itself.
+        LinkTimeout: If the controller sends nothing, or has not identified itself within `timeout` seconds.
+        WrongPeer: If the peer is not a controller.
     """
     introduction = Introduction(f"{host}:{port}", timeout)
     transport = TcpTransport(host, port, silence=min(0.1, timeout), refused=lambda: refusal_hint(None))
@@ -175,11 +174,11 @@ def identify(host: str, port: int, timeout: float) -> Identity:
 
 
 class Introduction:
-    """The packets with which a controller begins a connection, sans-IO.
+    """Decoder of the first packets of a connection, from which the identity is read. Sans-IO.
 
     Args:
-        name: of the peer, for messages.
-        timeout: seconds from now on.
+        name: Name of the peer, used in messages.
+        timeout: Maximum time from now until the identity is known, in seconds.
     """
 
     def __init__(self, name: str, timeout: float) -> None:
@@ -195,67 +194,67 @@ class Introduction:
 
     @property
     def left(self) -> float:
-        """Seconds that are left to listen."""
+        """Remaining time, in seconds."""
         return clock.left(self._until)
 
     @property
     def is_over(self) -> bool:
-        """Nothing more is to be expected, or time is up."""
+        """Whether no more packets are needed or expected, or the time has expired."""
         firmware = self._protocol.firmware
         is_told = firmware is not None and (self._configuration is not None or _says_no_more(firmware, self._state))
         return is_told or self._lost is not None or not self.left
 
     def receive(self, data: bytes) -> None:
-        """Bytes have come."""
+        """Process received bytes."""
         self._received = (self._received + data)[:64]
         for frame in self._protocol.framer.feed(data):
             try:
                 packet = self._protocol.decode(frame)
             except PacketError:
-                continue  # the other packets are still of use after a bad one
+                continue  # the packets after an invalid one are still useful
             if isinstance(packet, RobotState):
                 self._state = self._state or packet
-                # They are in one state, the first, if they are sent at all.
+                # If the controller sends them, they are all in the first state.
                 self._configuration = self._configuration or packet.configuration_data
                 self._kinematics = self._kinematics or packet.kinematics_info
         if self._protocol.firmware is not None or self._state is not None:
             self._until = min(self._until, clock.now() + _GRACE)
 
     def lose(self, error: ConnectionLost) -> None:
-        """The connection was lost: nothing more will come."""
+        """Record that the connection was lost, so that no more packets will arrive."""
         self._lost = unraised(error)
 
     @property
     def identity(self) -> Identity:
-        """Who it is.
+        """Identity of the controller.
 
         Raises:
-            ConnectionLost: it closed the connection before it sent its version.
-            LinkTimeout: it has not sent its version.
-            WrongPeer: it is not a controller.
+            ConnectionLost: If the controller closed the connection before it sent its version.
+            LinkTimeout: If the controller has not sent its version.
+            WrongPeer: If the peer is not a controller.
         """
         protocol, state = self._protocol, self._state
         firmware = protocol.firmware or (None if state is None else infer(state.sizes))
         if firmware is not None:
             model = _model_name(self._configuration, firmware)
             return Identity(firmware, protocol.firmware is not None, model, self._kinematics)
-        began = f"it began with {self._received[:32]!r}"
+        began = f"its first bytes are {self._received[:32]!r}"
         if protocol.framer.skipped:
-            raise WrongPeer(f"{self._name} does not talk like a UR controller; {began}")
+            raise WrongPeer(f"{self._name} does not send packets of a UR controller; {began}")
         if state is not None:
             raise WrongPeer(
-                f"{self._name} talks like a UR controller, but does not say its version, and no firmware that is known "
+                f"{self._name} sends packets of a UR controller, but not its version, and no known firmware "
                 f"sends such states: {dict(state.sizes)}"
             )
         if self._lost is not None:
             raise unraised(self._lost)
         if not self._received:
-            raise LinkTimeout(f"{self._name} took the connection but sent nothing within {self._timeout:g} s")
-        raise LinkTimeout(f"{self._name} did not say who it is within {self._timeout:g} s; {began}")
+            raise LinkTimeout(f"{self._name} accepted the connection, but sent nothing within {self._timeout:g} s")
+        raise LinkTimeout(f"{self._name} did not identify itself within {self._timeout:g} s; {began}")
 
 
 def _says_no_more(firmware: Firmware, state: RobotState | None) -> bool:
-    """Before 1.8 no state has the configuration, so there is nothing to wait for."""
+    """Whether the state is complete without a configuration, which firmware before 1.8 does not send."""
     try:
         return state is not None and 6 not in release_of(firmware).state
     except BadVersion:

@@ -1,7 +1,7 @@
-"""A controller's clock compared with this computer's: for data of other sensors, and for simultaneous events.
+"""Conversion between a controller's clock and this computer's clock, for other sensors and for simultaneous actions.
 
-What is measured, and how, is `linkcore.streaming.peer_clock`. What no packet shows is how long a controller takes from
-the time in a state until it sends it; that it is one cycle is a guess (`state_latency`).
+The measurement is in `linkcore.streaming.peer_clock`. No packet shows the delay between the time in a state and the
+moment at which the controller sends the state. This delay is assumed to be one cycle (`state_latency`).
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from .identity import KnownIdentity
 
 
 class RobotClock(StrictAttributes):
-    """The clock of a controller, and this computer's monotonic clock; made by `Robot.clock`.
+    """Relation between a controller's clock and this computer's monotonic clock; made by `Robot.clock`.
 
-    The controller's is that of `RealtimeState.time`, and of ``timestamp`` in RTDE: seconds since it was started. This
-    computer's is `linkcore.clock.now`, which `state.received.monotonic` has too. On Linux it equals `time.monotonic`
-    until this computer is suspended for the first time. All of these wait for the first state, if none has come yet,
-    and raise `LinkTimeout` if none does.
+    The controller's clock counts seconds since the controller was started: `RealtimeState.time`, and ``timestamp`` in
+    RTDE. This computer's clock is `linkcore.clock.now`, which is also used for `state.received.monotonic`. On Linux, it
+    equals `time.monotonic` until this computer is suspended for the first time. All members wait for the first state if
+    none has arrived yet, and raise `LinkTimeout` if none arrives.
     """
 
     def __init__(self, stream: Stream[RealtimeState], who: KnownIdentity) -> None:
@@ -30,35 +30,35 @@ class RobotClock(StrictAttributes):
         self._who = who
 
     def to_local(self, time: float) -> float:
-        """The monotonic time of this computer, s, at a time of the controller, s.
+        """Convert a time of the controller to this computer's monotonic time, both in seconds.
 
-        It is right within `bound`, which grows with the distance of that time from the last minute. A time from before
-        a restart of the controller means nothing.
+        The maximum error is `bound`, which grows with the distance of the time from the last minute. Times before a
+        restart of the controller cannot be converted.
         """
         return self._relation().to_local(time, self._latency)
 
     def to_controller(self, time: float) -> float:
-        """The time of the controller, s, at a monotonic time of this computer, s; `to_local` is the inverse."""
+        """Convert a monotonic time of this computer to a time of the controller, in seconds. Inverse of `to_local`."""
         return self._relation().to_peer(time, self._latency)
 
     @property
     def offset(self) -> float:
-        """Seconds by which the controller's clock is ahead of this computer's, now."""
+        """Current lead of the controller's clock over this computer's clock, in seconds."""
         now = clock.now()
         return self.to_controller(now) - now
 
     @property
     def drift(self) -> float:
-        """How much faster than this computer's clock that of the controller goes: 1e-4 is 100 ppm."""
+        """Relative excess rate of the controller's clock over this computer's clock: 1e-4 is 100 ppm."""
         return -self._relation().slope / (1.0 + self._relation().slope)
 
     @property
     def bound(self) -> float:
-        """Seconds within which the conversion of a time of now is right; `inf` until eight states have come, and in a
-        recording.
+        """Maximum error when converting the current time, in seconds.
 
-        It holds if the quickest state of a second took no longer to come than the handshake of its connection, and a
-        cycle of the controller before that. Half of that time is nearly all of the bound.
+        It is `inf` until eight states have arrived, and for a recording. It assumes that the fastest state of each
+        second took no longer to arrive than the handshake of its connection plus one cycle of the controller. Half of
+        that time makes up nearly all of the bound.
         """
         relation = self._relation()
         latency = self._latency
@@ -66,7 +66,7 @@ class RobotClock(StrictAttributes):
 
     @property
     def restarts(self) -> int:
-        """How often the controller's clock has begun again, as it does when a controller is started again."""
+        """Number of times that the controller's clock was reset, as it is when the controller restarts."""
         return self._peer.restarts
 
     @property
@@ -87,5 +87,5 @@ class RobotClock(StrictAttributes):
     def __repr__(self) -> str:
         relation = self._peer.relation
         if relation is None:
-            return "<RobotClock: no state has come>"
+            return "<RobotClock: no state has arrived>"
         return f"<RobotClock: {self.offset:+.4f} s, {1e6 * self.drift:+.0f} ppm, within {1e3 * self.bound:.1f} ms>"

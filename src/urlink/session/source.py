@@ -31,18 +31,18 @@ if TYPE_CHECKING:
 
 
 class Source(NamedTuple):
-    """The parts of a robot's streams.
+    """Source of a robot's streams, with their settings.
 
     Attributes:
-        ask: asks the controller for its identity.
-        transport: makes the transport of an interface.
-        backoff: how streams connect again; None for the usual.
-        timeout: seconds for a connection to be made.
-        silence: seconds without a packet after which a connection counts as lost; None for ever.
-        is_lossless: a consumer that names no policy makes the source wait.
-        channel: the description of an interface's channel in a recording; None where nothing was recorded.
-        connection: makes what keeps a connection up, with the arguments of `Connection`.
-        rtde: makes the transport of a connection on RTDE; None for the usual.
+        ask: Function that reads the identity of the controller.
+        transport: Function that makes the transport of an interface.
+        backoff: Waiting times between attempts to reconnect; None for the default.
+        timeout: Maximum time to make a connection, in seconds.
+        silence: Time without a packet after which a connection counts as lost, in seconds; None for no limit.
+        is_lossless: Whether the source waits for consumers that set no policy.
+        channel: Function that returns the description of a recorded interface; None if this is not a recording.
+        connection: Class or function that makes a `Connection`, with the same arguments.
+        rtde: Function that makes the transport of an RTDE connection; None for the default.
     """
 
     ask: Callable[[], Identity]
@@ -56,16 +56,16 @@ class Source(NamedTuple):
     rtde: Callable[[Any, Requests], RtdeTransport] | None = None
 
     def stream(self, interface: str, name: str, reconnected: Callable[[], object]) -> Stream[Any]:
-        """A stream of one interface. Nothing connects before it is used.
+        """Return a stream of one interface. The stream connects when it is first used.
 
         Args:
-            interface: "realtime", "primary" or "secondary".
-            name: for messages.
-            reconnected: called in the reader thread after each connection but the first.
+            interface: Interface name: "realtime", "primary" or "secondary".
+            name: Name of the stream, used in messages.
+            reconnected: Function that is called in the reader thread after each connection except the first.
 
         Raises:
-            BadValue: no such interface.
-            BadRecording: the recording does not hold it.
+            BadValue: If the interface does not exist.
+            BadRecording: If the recording does not contain the interface.
         """
         numbers = itertools.count()
         is_realtime = interface == "realtime"
@@ -88,7 +88,7 @@ class Source(NamedTuple):
 
 
 def _parts(packet: State) -> Sequence[State]:
-    """The sub-packages of a robot state; other packages have none."""
+    """Return the sub-packages of a robot state; other packages have none."""
     return packet.packages if isinstance(packet, RobotState) else ()
 
 
@@ -99,11 +99,11 @@ def networked(
     tcp: type[TcpTransport] = TcpTransport,
     known: Identity | None = None,
 ) -> Source:
-    """A controller on the network, or a simulated one.
+    """Return the source for a controller on the network, or for a simulated controller.
 
     Args:
-        tcp: what its bytes come by.
-        known: its identity, if it is known already.
+        tcp: Class of the transports.
+        known: Identity of the controller, if it is known already.
     """
     suffix, timeout, silence = "_readonly" if options.read_only else "", options.timeout, options.silence
     last: list[Identity] = [] if known is None else [known]
@@ -116,18 +116,18 @@ def networked(
         else:
             return last[0]
         try:
-            # The version message is on the secondary interface too.
+            # The secondary interface sends the version message too.
             last[:] = [identify(place.host, place.ports["secondary" + suffix], timeout)]
         except ConnectFailed:
             raise first from None
         finally:
-            del first  # it refers to this frame
+            del first  # breaks the reference cycle between the error and this frame
         return last[0]
 
     def transport(interface: str) -> Transport:
         if interface != "rtde" and interface not in INTERFACES:
-            raise BadValue(f"no interface {interface!r}; expected one of {', '.join(INTERFACES)}")
-        # RTDE has no read-only twin: a client without inputs writes nothing.
+            raise BadValue(f"unknown interface {interface!r}; expected one of {', '.join(INTERFACES)}")
+        # RTDE has no read-only port, but a client without inputs writes nothing.
         host, port = place.host, place.ports["rtde" if interface == "rtde" else interface + suffix]
         if options.isolate and interface == "realtime":
             from linkcore.net.isolated_transport import IsolatedTransport
@@ -141,12 +141,12 @@ def networked(
 
 
 def recorded(place: RecordingAddress) -> Source:
-    """A recording, which is played as it is read.
+    """Return the source for a recording, which is played while it is read.
 
     Raises:
-        BadRecording: it does not exist, or is not a recording.
+        BadRecording: If the recording does not exist, or the file is not a recording.
     """
-    # Imported here: a connection to a controller costs less without them.
+    # Imported here, to save the import time for connections to a controller.
     from linkcore.recording.file import RecordingFile
     from linkcore.recording.player import ReplayTimeline, ReplayTransport
 
@@ -157,7 +157,7 @@ def recorded(place: RecordingAddress) -> Source:
         for info in recording.channels.values():
             if "firmware" in info:
                 return described_identity(info)
-        raise BadRecording(f"{recording.path} does not say what firmware it was recorded from")
+        raise BadRecording(f"{recording.path} does not name the firmware of the controller")
 
     def transport(interface: str) -> Transport:
         return ReplayTransport(recording, interface, timeline)

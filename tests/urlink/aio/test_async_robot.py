@@ -120,7 +120,7 @@ def test_what_begins_a_motion_does_so_only_with_wait(controller: Controller) -> 
                 motion.until_contact([0, 0, -1, 0, 0, 0]),
                 robot.script.run("movej([0, 0, 0, 0, 0, 0])"),
             ):
-                with pytest.raises(urlink.BadValue, match=r"without `wait`; nothing was sent\. Pass wait=True"):
+                with pytest.raises(urlink.BadValue, match=r"without `wait`, so nothing was sent; pass wait=True"):
                     await begun
             assert motion.current is None
             assert np.array_equal((await robot.realtime.wait()).qd_actual, np.zeros(6))

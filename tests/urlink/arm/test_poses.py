@@ -266,11 +266,11 @@ def test_shapes_that_do_not_broadcast_are_refused() -> None:
 
 def test_what_turns_nothing_is_refused() -> None:
     mirror = np.diag([1.0, 1.0, -1.0])
-    with pytest.raises(BadValue, match="no rotation"):
+    with pytest.raises(BadValue, match="is not a rotation"):
         matrix_to_rotvec(mirror)
-    with pytest.raises(BadValue, match=r"at \[1\] is no rotation"):
+    with pytest.raises(BadValue, match=r"at \[1\] is not a rotation"):
         matrix_to_rotvec([np.eye(3), 2.0 * np.eye(3)])
-    with pytest.raises(BadValue, match="no rotation"):
+    with pytest.raises(BadValue, match="is not a rotation"):
         from_matrix(np.zeros((4, 4)))
     with pytest.raises(BadValue, match="length 0"):
         quaternion_to_rotvec([[0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 0.0, 0.0]])

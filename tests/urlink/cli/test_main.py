@@ -219,8 +219,8 @@ def test_wrong_usage_is_2(run: Run, argv: tuple[str, ...]) -> None:
 @pytest.mark.parametrize(
     ("argv", "said"),
     [
-        (("info", "a b"), "is no address"),
-        (("info", "ftp://x"), "unknown kind"),
+        (("info", "a b"), "is not an address"),
+        (("info", "ftp://x"), "unknown scheme"),
         (("monitor", "ur://127.0.0.1?primary=1&secondary=1"), "connection refused"),
         (("echo", "replay:///no/such/file"), "cannot read /no/such/file"),
         (("replay", "/no/such/file"), "cannot read /no/such/file"),

@@ -157,7 +157,7 @@ def test_a_generation_without_rtde(run: Run, firmware: str) -> None:
         assert all("data" in line for line in out.splitlines() if line.startswith("BAD")), out
         status, _, err = run("rtde", controller.address, "actual_q")
         assert status == 1
-        assert ("has no RTDE, which came with 3.3" if firmware == "1.8" else "connection refused") in err
+        assert ("has no RTDE; use robot.realtime" if firmware == "1.8" else "connection refused") in err
 
 
 def test_nobody_is_there(run: Run) -> None:

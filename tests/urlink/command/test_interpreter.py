@@ -340,20 +340,20 @@ def test_any_text_is_a_statement_or_a_bad_value(text: str) -> None:
 
 def test_what_is_no_reply_and_no_statement() -> None:
     for line in ("", "ack", "ack: x: y", "maybe: 1: sync()"):
-        with pytest.raises(PacketError, match="no answer that is known"):
+        with pytest.raises(PacketError, match="is not a known reply"):
             parse_reply(line)
-    with pytest.raises(WrongPeer, match="says short lines"):
+    with pytest.raises(WrongPeer, match="is too long for a reply"):
         InterpreterProtocol().feed(b"x" * (LONGEST_REPLY + 1))
     unasked = InterpreterProtocol()
     for _ in range(LONGEST_REPLY // 10):
         assert unasked.feed(b"ack: 1: x\n") is None
-    with pytest.raises(WrongPeer, match="nothing asked for, which begin with b'ack: 1: x'"):
+    with pytest.raises(WrongPeer, match="without a request, which start with b'ack: 1: x'"):
         unasked.feed(b"ack: 1: x\n")
     for statement, error in (
-        ("# nothing", "is no statement"),
-        (" abort ", "'abort' is no statement"),
-        (5, "got int"),
-        ("x = '\0'", "no control characters"),
+        ("# nothing", "is not a statement"),
+        (" abort ", "'abort' is not a statement"),
+        (5, "is int; expected a string"),
+        ("x = '\0'", "must not contain control characters"),
         ("x = " + "1" * 9000, "at most 8000"),
     ):
         with pytest.raises(BadValue, match=error):

@@ -467,7 +467,7 @@ def test_an_error_code_template_that_declares_six_bytes_too_few(captures: Path) 
 
 def test_a_fragment_that_begins_inside_a_message(captures: Path) -> None:
     data = (captures / "ursim_5.4_text_message_fragment.bin").read_bytes()
-    with pytest.raises(PacketError, match="no packet of the primary interface begins with 00 00 03 d0") as caught:
+    with pytest.raises(PacketError, match="no packet of the primary interface starts with 00 00 03 d0") as caught:
         decode(data, "primary")
     assert (caught.value.packet, caught.value.offset) == ("package", 0)
     # A stream looks for a robot state or message; the 16-byte package behind the fragment is neither, and is given up.

@@ -469,7 +469,7 @@ def test_several_packets_in_one_run_of_bytes() -> None:
     with pytest.raises(PacketError) as caught:
         decode(bytes(states[0]) + b"\x00\x00\x00\x01????", "realtime")
     assert caught.value.offset == 1060
-    with pytest.raises(BadValue, match="no interface 'rtde'"):
+    with pytest.raises(BadValue, match="unknown interface 'rtde'"):
         decode(b"", "rtde")  # type: ignore[call-overload]
 
 

@@ -124,7 +124,7 @@ def test_the_robot_shows_the_settings(robot: urlink.Robot) -> None:
         (lambda robot: robot.io.set_tool_communication(stop_bits=3), "stop_bits is 3"),
         (lambda robot: robot.io.set_tool_communication(rx_idle_chars=0.5), "rx_idle_chars is 0.5"),
         (lambda robot: robot.tool_serial.write(b""), "at least one byte"),
-        (lambda robot: robot.tool_serial.write("text"), "'text' was to be written"),
+        (lambda robot: robot.tool_serial.write("text"), "cannot write 'text'"),
         (lambda robot: robot.tool_serial.read(0), "size=0"),
         (lambda robot: robot.tool_serial.read(1, timeout=0.0), "timeout"),
     ],
@@ -135,7 +135,9 @@ def test_nonsense_is_refused(robot: urlink.Robot, call: Callable[[urlink.Robot],
 
 
 def test_a_line_that_is_not_enabled_answers_nothing_and_says_how_much_came(robot: urlink.Robot) -> None:
-    with pytest.raises(urlink.LinkTimeout, match=r"0 of 7 bytes came within 0\.2 s; it may still be carried out"):
+    with pytest.raises(
+        urlink.LinkTimeout, match=r"only 0 of 7 bytes arrived within 0\.2 s; it may still be carried out"
+    ):
         robot.tool_serial.ask(STATUS, 7, timeout=0.2)
     robot.io.set_tool_communication()
     assert len(robot.tool_serial.ask(STATUS, 7)) == 7

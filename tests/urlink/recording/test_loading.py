@@ -141,8 +141,8 @@ def test_a_lost_connection_and_damage_are_told_and_cost_no_more_than_they_hit(tm
     assert run.left_out > 300
     said = "\n".join(run.missing)
     assert "damaged or unfinished" in said
-    assert "realtime: 3 bytes belong to no whole packet" in said
-    assert "not closed in good order" in said
+    assert "realtime: 3 bytes do not belong to a complete packet" in said
+    assert "not closed properly" in said
     gap = table.resampled(1000)
     lost = (gap.time > table.time[18]) & (gap.time < table.time[19])
     assert np.isnan(gap["q_actual"][lost]).all()

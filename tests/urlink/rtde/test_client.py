@@ -106,7 +106,7 @@ def test_a_declared_class() -> None:
     ("call", "error"),
     [
         (lambda rtde: rtde.outputs(), "expected the names"),
-        (lambda rtde: rtde.outputs("timestamp", frequency=501), "frequency=501; this controller sends 1 to 500"),
+        (lambda rtde: rtde.outputs("timestamp", frequency=501), "frequency=501; expected 1 to 500 packages per second"),
         (lambda rtde: rtde.outputs("timestamp", frequency=0.5), "frequency=0.5"),
         (lambda rtde: rtde.outputs("timestamp", frequency="125"), "frequency is '125'; expected a number"),
         (lambda rtde: rtde.outputs("timestamp", frequency=True), "frequency is True; expected a number"),
@@ -114,7 +114,7 @@ def test_a_declared_class() -> None:
         (lambda rtde: rtde.outputs(Outputs), "expected a class derived"),
         (lambda rtde: rtde.outputs(dict), "expected a class derived"),
         (lambda rtde: rtde.outputs(type("Nothing", (Outputs,), {})), "Nothing declares no variable"),
-        (lambda rtde: rtde.inputs("speed_slider_mask"), "without what it is the mask of"),
+        (lambda rtde: rtde.inputs("speed_slider_mask"), "is a mask; request the variable"),
         (lambda rtde: rtde.inputs(), "expected the names"),
     ],
 )
@@ -213,7 +213,7 @@ def test_masks_are_set_by_themselves() -> None:
 def test_analogue_outputs_need_their_type_once() -> None:
     desk = ScriptedRtde()
     with rtde_of(desk) as rtde, rtde.inputs("standard_analog_output_0", "standard_analog_output_1") as inputs:
-        with pytest.raises(BadValue, match="standard_analog_output_type has to be given"):
+        with pytest.raises(BadValue, match="missing standard_analog_output_type; the first send"):
             inputs.send(standard_analog_output_0=0.5)
         inputs.send(standard_analog_output_0=0.5, standard_analog_output_type=1)
         assert (desk.written["standard_analog_output_mask"], desk.written["standard_analog_output_type"]) == (1, 1)
@@ -224,7 +224,7 @@ def test_analogue_outputs_need_their_type_once() -> None:
 def test_what_has_no_mask_is_given_the_first_time_and_kept_then() -> None:
     desk = ScriptedRtde()
     with rtde_of(desk) as rtde, rtde.inputs("input_int_register_24", "input_double_register_24") as inputs:
-        with pytest.raises(BadValue, match="the first time input_double_register_24 has to be given"):
+        with pytest.raises(BadValue, match="missing input_double_register_24; the first send"):
             inputs.send(input_int_register_24=1)
         assert desk.written == {}
         inputs.send(input_int_register_24=1, input_double_register_24=0.5)
@@ -460,7 +460,10 @@ def test_registers_that_cannot_be_had() -> None:
         for number in (-1, 48, 1.0):
             with pytest.raises(BadValue, match="whole number from 0 to 47"):
                 registers.write_integer(number, 1)  # type: ignore[arg-type]
-        with pytest.raises(BadValue, match=r"fieldbuses and PLCs, expected 24 to 47; robot.rtde.registers"):
+        with pytest.raises(
+            BadValue,
+            match=r"expected 24 to 47, because lower registers are for fieldbuses and PLCs \(robot.rtde.registers",
+        ):
             registers.write_float(23, 1)
         with pytest.raises(BadValue, match="64 to 127"):
             registers.write_bit(63, True)

@@ -155,7 +155,7 @@ def test_states_that_no_known_firmware_sends(serve: Callable[[Behaviour], int]) 
     state = PrimaryProtocol().decode(STATE)
     assert isinstance(state, RobotState)
     body = b"".join(bytes(part) for part in state.packages) + package(77, b"from the future")
-    with pytest.raises(WrongPeer, match="talks like a UR controller, but does not say its version"):
+    with pytest.raises(WrongPeer, match="sends packets of a UR controller, but not its version"):
         timed_identify(serve(says(package(16, body))), 0.3)
 
 
@@ -170,7 +170,7 @@ def test_nobody() -> None:
 
 
 def test_somebody_silent(serve: Callable[[Behaviour], int]) -> None:
-    with pytest.raises(LinkTimeout, match=r"took the connection but sent nothing within 0\.3 s"):
+    with pytest.raises(LinkTimeout, match=r"accepted the connection, but sent nothing within 0\.3 s"):
         timed_identify(serve(says()), 0.3)
 
 
@@ -195,7 +195,7 @@ BANNERS = [
 @pytest.mark.parametrize("banner", BANNERS, ids=["http", "ssh", "smtp", "telnet"])
 @pytest.mark.parametrize("then_close", [False, True])
 def test_another_protocol(serve: Callable[[Behaviour], int], banner: bytes, then_close: bool) -> None:
-    with pytest.raises(WrongPeer, match="does not talk like a UR controller; it began with") as caught:
+    with pytest.raises(WrongPeer, match="does not send packets of a UR controller; its first bytes are") as caught:
         timed_identify(serve(says(banner, then_close=then_close)), 0.4)
     assert repr(banner[:8])[2:-1] in str(caught.value), "what it said is shown, and printable"
     assert str(caught.value).isprintable()
@@ -228,13 +228,13 @@ def test_a_controller_that_sends_too_slowly(serve: Callable[[Behaviour], int]) -
             if over.wait(0.05):
                 return
 
-    with pytest.raises(LinkTimeout, match=r"did not say who it is within 0\.4 s; it began with"):
+    with pytest.raises(LinkTimeout, match=r"did not identify itself within 0\.4 s; its first bytes are"):
         timed_identify(serve(trickle), 0.4)
 
 
 def test_messages_that_tell_nothing(serve: Callable[[Behaviour], int]) -> None:
     text = package(20, struct.pack(">QBB", 0, 253, 0) + b"hello")
-    with pytest.raises(LinkTimeout, match="did not say who it is"):
+    with pytest.raises(LinkTimeout, match="did not identify itself"):
         timed_identify(serve(says(text, text)), 0.3)
 
 
@@ -269,7 +269,7 @@ def test_leaves_nothing_behind() -> None:
 
 
 def test_kinematics_of_an_arm_that_is_not_known() -> None:
-    for model, why in ((None, "does not say which arm"), ("UR77", "not known, UR77")):
+    for model, why in ((None, "does not report its arm model"), ("UR77", "unknown arm model UR77")):
         with pytest.raises(LocalError, match=why):
             _ = Identity(Firmware(1, 6), True, model).kinematics
 

@@ -94,7 +94,7 @@ def test_a_controller_that_is_started_again_is_seen() -> None:
 def test_it_waits_for_the_first_state() -> None:
     with urlink.connect("sim://ur5e") as robot:
         clock = robot.clock
-        assert repr(clock) == "<RobotClock: no state has come>"
+        assert repr(clock) == "<RobotClock: no state has arrived>"
         assert clock.to_local(robot.realtime.wait().time) == pytest.approx(linkcore.clock.now(), abs=0.05)
         robot.realtime.wait_until(lambda state: robot.clock.bound < 0.01)
     with urlink.connect("sim://ur5e") as robot:

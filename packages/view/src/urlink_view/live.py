@@ -1,4 +1,4 @@
-"""Streams as messages of ROS 2 while they arrive: recorded into an MCAP file, or served to Foxglove by WebSocket."""
+"""Live streams as ROS 2 messages: recorded into an MCAP file, or served to Foxglove over WebSocket."""
 
 from __future__ import annotations
 
@@ -34,38 +34,38 @@ from urlink.tools import (
 
 _log = logging.getLogger(__name__)
 
-#: Seconds for which packets are gathered: making many messages at a time is quicker.
+#: Time for which packets are gathered, in seconds. Making many messages at a time is faster.
 _GATHER = 0.1
-#: Seconds between two reads of the queue of a stream.
+#: Interval at which the queue of a stream is read, in seconds.
 _LOOK = 0.02
-#: Bytes of messages that are compressed together. A killed program loses at most these, and the gathered packets.
+#: Bytes of messages that are compressed together. A killed program loses at most these and the gathered packets.
 _CHUNK = 1 << 14
-#: Seconds after which the arm is described again: the server keeps no message for viewers that connect later.
+#: Interval at which the arm is described again, in seconds. The server keeps no message for viewers that connect later.
 _AGAIN = 2.0
-#: Most messages of the controller that are kept until the next `show`; the oldest are dropped.
+#: Maximum number of controller messages that are kept until the next `show`; the oldest are dropped.
 _ROOM = 1024
 
 
 class McapRecorder(Recorder):
-    """As `Recorder`, but writes an MCAP file: messages of ROS 2, which Foxglove and `ros2 bag` read.
+    """`Recorder` that writes an MCAP file with ROS 2 messages, which Foxglove and `ros2 bag` read.
 
     A killed program loses at most the packets of the last 0.1 s and 16 kB of messages.
 
     Args:
-        path: a file that does not exist yet.
+        path: Path of the new file, which must not exist yet.
 
     Raises:
-        BadRecording: the file exists, or cannot be made.
-        LocalError: mcap is not installed.
+        BadRecording: If the file exists, or cannot be created.
+        LocalError: If mcap is not installed.
     """
 
-    _writer: _McapWriter  # type: ignore[assignment]  # as much of a writer as `Recorder` uses
+    _writer: _McapWriter  # type: ignore[assignment]  # it has all members that `Recorder` uses
 
     def _open(self, path: str | os.PathLike[str]) -> Any:
         return _McapWriter(Path(path))
 
     def add(self, stream: Stream[Any], info: Mapping[str, Any]) -> Subscription:
-        """Record `stream` too; see `Recorder.add`. The arm is that of the first `info` that identifies one."""
+        """Record `stream` too; see `Recorder.add`. The first `info` that identifies an arm describes the arm."""
         writer, name, kind = self._writer, info["name"], self._kind_of(stream)
         writer.say(info)
         with contextlib.suppress(LocalError, WrongPeer):
@@ -75,12 +75,12 @@ class McapRecorder(Recorder):
             if isinstance(state, (kind, RobotMessage)):
                 writer.add(name, state)
 
-        # One subscription for all classes: of two, the second would miss the packets that come before it is made.
+        # One subscription for all classes, because a second one would miss the packets that arrive before it is made.
         return self._subscribe(stream, State, write, _LOOK)
 
 
 class _McapWriter:
-    """Gathers the states of all streams, and writes messages of them."""
+    """Writer that gathers the states of all streams, and writes them as messages."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -101,7 +101,7 @@ class _McapWriter:
             raise
 
     def say(self, info: Mapping[str, Any]) -> None:
-        """Write of which robot the file is, once, as an exported file has it."""
+        """Write the metadata of the robot, once, as in an exported file."""
         about = {"robot": info.get("model"), "firmware": info.get("firmware"), "address": info.get("address")}
         with self._lock:
             if self._is_said:
@@ -147,12 +147,12 @@ class _McapWriter:
             self._file.flush()
         except OSError as error:
             self.failure = f"cannot write {self.path}: {error.strerror or error}"
-            _log.error("%s; the streams go on without it", self.failure)
+            _log.error("%s; the streams continue without recording", self.failure)
 
     def close(self, *, complete: bool = True) -> None:
         """Write what was gathered, and the index; idempotent."""
         with self._lock:
-            if self._is_closing:  # also by the call that a signal handler has interrupted
+            if self._is_closing:  # perhaps by the call that a signal handler interrupted
                 return
             self._is_closing = True
             self._flush()
@@ -166,23 +166,23 @@ class _McapWriter:
 
 
 class FoxgloveServer:
-    """Serves topics to any number of viewers, until closed.
+    """Foxglove server that sends topics to any number of viewers, until it is closed.
 
     Args:
-        name: shown by viewers.
-        host: address to listen on.
-        port: to listen on; 0 for a free one.
+        name: Name that viewers show.
+        host: Address to listen on.
+        port: Port to listen on; 0 for a free port.
 
     Raises:
-        ConnectFailed: it cannot listen on the port.
-        LocalError: the extra ``foxglove`` is not installed.
+        ConnectFailed: If the server cannot listen on the port.
+        LocalError: If the extra ``foxglove`` is not installed.
     """
 
     def __init__(self, name: str, host: str = "127.0.0.1", port: int = 8765) -> None:
         with needs("foxglove", "a view in Foxglove", "urlink-view"):
             import foxglove
         self._foxglove = foxglove
-        # A context of its own: other parts of the program may use Foxglove too.
+        # A separate context, because other parts of the program might use Foxglove too.
         self._context = foxglove.Context()
         try:
             self._server = foxglove.start_server(name=name, host=host, port=port, context=self._context)
@@ -193,12 +193,12 @@ class FoxgloveServer:
 
     @property
     def port(self) -> int:
-        """The TCP port that it listens on."""
+        """TCP port that the server listens on."""
         return int(self._server.port)
 
     @property
     def address(self) -> str:
-        """The address for viewers: ``ws://host:port``."""
+        """Address for viewers: ``ws://host:port``."""
         return f"ws://{self.host}:{self.port}"
 
     def write(self, topics: Iterable[Topic]) -> None:
@@ -224,17 +224,17 @@ class FoxgloveServer:
 
 
 class RobotView:
-    """Shows a robot on a server: `show` sends the newest state of each stream, and the messages since the last call.
+    """View of a robot on a server: `show` sends the newest state of each stream, and the messages since the last call.
 
-    Until they are sent, no more than the newest 1024 messages are kept.
+    Until they are sent, only the newest 1024 messages are kept.
 
     Args:
-        realtime, primary: streams of the robot.
-        arm: the arm to draw; None draws none.
-        server: the server that sends.
+        realtime, primary: Streams of the robot.
+        arm: Arm to draw; None draws no arm.
+        server: Server that sends the messages.
 
     Raises:
-        RemoteError: a stream could not be opened.
+        RemoteError: If a stream cannot be opened.
     """
 
     def __init__(self, realtime: Stream[Any], primary: Stream[Any], arm: Arm | None, server: FoxgloveServer) -> None:
@@ -270,7 +270,7 @@ class RobotView:
 
 
 def topics_of_states(name: str, states: Sequence[State], arm: Arm | None) -> list[Topic]:
-    """Messages of ROS 2 made of states of a live stream."""
+    """Convert states of a live stream to ROS 2 messages."""
     rows = [state for state in states if not isinstance(state, RobotMessage)]
     topics = list(topics_of(name, table_of(name, rows), arm)) if rows else []
     messages = [state for state in states if isinstance(state, RobotMessage)]
@@ -280,7 +280,7 @@ def topics_of_states(name: str, states: Sequence[State], arm: Arm | None) -> lis
 
 
 def table_of(name: str, states: list[State]) -> Table:
-    """States of a live stream as columns; `Table.time` is the monotonic time of arrival, s."""
+    """Convert states of a live stream to columns; `Table.time` is the monotonic time of arrival, in seconds."""
     numbered = list(enumerate(states))
     wall = _wall(states)
     time = np.array([0.0 if state.received is None else state.received.monotonic for state in states])
