@@ -39,13 +39,13 @@ def check_seconds(value: Any, name: str, *, positive: bool = False, finite: bool
     (`threading.TIMEOUT_MAX`). Otherwise the wait itself would raise `OverflowError`, after a command was sent.
 
     Args:
-        value: what the caller was given.
-        name: what the caller calls it.
-        positive: 0 will not do.
-        finite: infinity will not do.
+        value: Argument of the caller.
+        name: Name of the argument, used in the error.
+        positive: Whether 0 is rejected.
+        finite: Whether infinity is rejected.
 
     Raises:
-        BadValue: it is not a number, is NaN, or is below or above what is allowed.
+        BadValue: If `value` is not a number, is NaN, or is out of the allowed range.
     """
     try:
         seconds = math.nan if isinstance(value, (bool, str, bytes)) else float(value)

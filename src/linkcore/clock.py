@@ -7,11 +7,11 @@ from before a suspend would count as fresh, and a timeout would start again wher
 `now` looks up `read` in each call, so that it is also the simulated clock while time is simulated
 (`linkcore.simulated`), even where it is kept as a default value.
 
-`Expiry` is for a server that offers a robot in a middleware. What is sent to a process that is suspended, or gets no
-processor time, waits in the buffers of the middleware, and is delivered when the process goes on. Its client has given
-it up by then. The middleware does not tell how old a command is, but whether this process was held up can be measured
-here, without another clock: something ticks ten times a second, and where a tick is late, what comes for a while after
-it may have been sent before it.
+`Expiry` is for a server that offers a robot in a middleware. If a process is suspended or gets no processor time, its
+commands stay in the buffers of the middleware. They are delivered when the process resumes, and their client has
+abandoned them by then. The middleware does not report the age of a command. But this process can measure whether it was
+interrupted, without another clock: a tick is recorded ten times a second. If a tick is late, a command that arrives for
+a while after the tick may have been sent before it.
 """
 
 from __future__ import annotations
@@ -106,8 +106,8 @@ def wait(attempt: Callable[[float | None], object], timeout: float | None = None
     """Wait by calls of `attempt`, such as `event.wait`, until one returns something true; False if time is up.
 
     Args:
-        attempt: waits for as many seconds as it is given, or without a limit if it is given None.
-        timeout: seconds; None or infinity for no limit.
+        attempt: Function that waits for the given number of seconds, or without a limit if given None.
+        timeout: Maximum wait in seconds; None or infinity for no limit.
 
     Raises:
         Cancelled: If this thread makes a pending call that was abandoned; within 0.05 s.
@@ -231,15 +231,15 @@ class Stamp(NamedTuple):
 
 # -- commands that may be too old ------------------------------------------------------------------
 
-#: Seconds between two ticks after which what comes may be too old; a busy machine may take 1.5 s for a tick.
+#: Seconds between two ticks after which a command may be too old; a busy machine may take 1.5 s for a tick.
 _HELD_UP = 2.0
 
 
 class Expiry(StrictAttributes):
-    """Whether this process was held up so lately that a command may have been given up: for servers of a robot.
+    """Check of a robot's server for commands that may be too old, because this process was recently interrupted.
 
     Args:
-        settling: seconds for which commands are refused once it goes on; what was held back has come by then.
+        settling: Seconds for which commands are rejected after the process resumes; delayed commands arrive by then.
         now: Monotonic clock, in seconds.
     """
 
@@ -253,17 +253,17 @@ class Expiry(StrictAttributes):
         self._is_new = False  # that it was held up, since the last tick
 
     def tick(self) -> bool:
-        """Note that this process runs, ten times a second; whether it was held up since the last tick."""
+        """Record, ten times a second, that this process runs; return whether it was interrupted since the last tick."""
         with self._lock:
             self._measure()
             was_held_up, self._is_new = self._is_new, False
             return was_held_up
 
     def check(self) -> None:
-        """Refuse a command that may have been sent before this process went on.
+        """Reject a command that may have been sent before this process resumed.
 
         Raises:
-            LinkTimeout: it was held up for more than 2 s, not long ago: nothing was done.
+            LinkTimeout: If this process was recently interrupted for more than 2 s. Nothing is done.
         """
         with self._lock:
             if self._ticked is not None:  # before the first there was nothing to be held up

@@ -1,20 +1,20 @@
-"""The exceptions of the library, as one tree.
+"""The errors of the library, in one tree.
 
-Two kinds of mistake, two kinds of error::
+A `LocalError` is a wrong call, and a `RemoteError` is a failure of the peer or of the connection::
 
     LinkError
     ├── LocalError                  you called it wrongly; nothing was sent
     │   ├── BadValue                a value that cannot be put on the wire        (ValueError)
-    │   ├── BadAddress              an address nobody can read                    (ValueError)
+    │   ├── BadAddress              an address that names no robot                (ValueError)
     │   ├── BadVersion              a version that is not one                     (ValueError)
     │   ├── BadRecording            a file that is not a recording                (ValueError)
-    │   ├── Cancelled               a motion or program that was given up
+    │   ├── Cancelled               a motion or program that was cancelled
     │   └── Closed                  used after close()
-    └── RemoteError                 the peer sent nonsense, or went away
+    └── RemoteError                 the peer sent invalid data, or disconnected
         ├── ConnectFailed           no answer, refused, no route                  (ConnectionError)
-        ├── ConnectionLost          was there, is gone                            (ConnectionError)
-        ├── LinkTimeout             nothing came before the deadline              (TimeoutError)
-        ├── WrongPeer               somebody else is listening there
+        ├── ConnectionLost          the connection has ended                      (ConnectionError)
+        ├── LinkTimeout             nothing arrived before the deadline           (TimeoutError)
+        ├── WrongPeer               another kind of peer listens there
         └── PacketError             a packet that its declared layout cannot hold (ValueError)
 """
 
@@ -27,7 +27,7 @@ E = TypeVar("E", bound=Exception)
 
 
 class LinkError(Exception):
-    """Anything this library raises on purpose."""
+    """Base class of all errors that this library raises on purpose."""
 
     def __reduce__(self) -> tuple[object, ...]:
         # Copied and pickled without its `__init__`, which may take other arguments than `args`.
@@ -35,7 +35,7 @@ class LinkError(Exception):
 
 
 class LocalError(LinkError):
-    """You called it wrongly; nothing was sent."""
+    """Base class of errors of the caller; nothing was sent."""
 
 
 class BadValue(LocalError, ValueError):
@@ -51,11 +51,11 @@ class Cancelled(LocalError):
 
 
 class BadVersion(LocalError, ValueError):
-    """Text that is not a version, or a version nothing is known about."""
+    """Text that is not a version, or a version that the library does not know."""
 
 
 class BadRecording(LocalError, ValueError):
-    """A file that is not a recording, or does not hold what was asked of it."""
+    """A file that is not a recording, or that does not contain the requested data."""
 
 
 class Closed(LocalError):
@@ -63,7 +63,7 @@ class Closed(LocalError):
 
 
 class RemoteError(LinkError):
-    """The peer sent nonsense or went away."""
+    """Base class of failures of the peer: it sent invalid data, or disconnected."""
 
 
 class ConnectFailed(RemoteError, ConnectionError):
@@ -71,26 +71,26 @@ class ConnectFailed(RemoteError, ConnectionError):
 
 
 class ConnectionLost(RemoteError, ConnectionError):
-    """The connection ended and was not, or not yet, made again."""
+    """The connection has ended and was not reestablished, or not yet."""
 
 
 class LinkTimeout(RemoteError, TimeoutError):
-    """Nothing came before the deadline."""
+    """Nothing arrived before the deadline."""
 
 
 class WrongPeer(RemoteError):
-    """Something else than expected is listening at the address."""
+    """Another kind of peer than expected listens at the address."""
 
 
 class PacketError(RemoteError, ValueError):
     """A packet that its declared layout cannot hold.
 
     Attributes:
-        packet: name of the packet class.
-        version: the version whose layout was asked for, or None.
-        expected: bytes that the layout needs, or None where that is not the trouble.
-        actual: bytes that were there.
-        offset: where in the packet the trouble is, in bytes from its start.
+        packet: Name of the packet class.
+        version: Version whose layout was requested, or None.
+        expected: Number of bytes that the layout needs; None if the size is not the problem.
+        actual: Number of bytes that were received.
+        offset: Position of the problem, in bytes from the start of the packet.
     """
 
     def __init__(
@@ -115,16 +115,16 @@ class PacketError(RemoteError, ValueError):
 
 
 def altered(error: PacketError, **arguments: Any) -> PacketError:
-    """The same error but for these arguments."""
+    """Return a copy of the error with these arguments changed."""
     names = ("reason", "packet", "version", "expected", "actual", "offset")
     return PacketError(**{name: getattr(error, name) for name in names} | arguments)
 
 
 def unraised(error: E) -> E:
-    """A copy of an error that can be kept: neither it nor what caused it has a traceback.
+    """Return a copy of an error that can be kept: neither the copy nor its causes have a traceback.
 
-    A traceback refers to the frames through which an error was raised, and their variables may refer to what keeps the
-    error: a reference cycle, which only the garbage collector would find.
+    A traceback refers to the frames through which an error was raised. Their variables may refer to the object that
+    keeps the error. This would be a reference cycle, which only the garbage collector would find.
     """
     copied = copy.copy(error)
     copied.__cause__, copied.__suppress_context__ = error.__cause__, error.__suppress_context__

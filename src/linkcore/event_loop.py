@@ -32,10 +32,10 @@ C = TypeVar("C", bound=_Closing)
 
 
 class Opening(StrictAttributes, Generic[C]):
-    """What `connect_async` returns: ``robot = await opening``, or ``async with opening as robot``, which closes it.
+    """Result of `connect_async`: ``robot = await opening``, or ``async with opening as robot``, which closes it.
 
     Args:
-        open: connects; called once for each use.
+        open: Function that connects; called once for each use.
     """
 
     __slots__ = ("_open", "_opened")
@@ -61,10 +61,10 @@ class Opening(StrictAttributes, Generic[C]):
 
 
 def running_loop(what: str) -> asyncio.AbstractEventLoop:
-    """The event loop that runs in this thread.
+    """Return the event loop that runs in this thread.
 
     Raises:
-        LocalError: none does; the message names `what` needs it.
+        LocalError: If no event loop runs in this thread; the message names `what` as the part that needs it.
     """
     try:
         return asyncio.get_running_loop()
@@ -76,7 +76,7 @@ def running_loop(what: str) -> asyncio.AbstractEventLoop:
 
 
 async def within(seconds: float | None, future: asyncio.Future[Any]) -> bool:
-    """Wait until a future is done; False when time is up; None waits for ever. It is neither cancelled nor read.
+    """Wait until a future is done; False if time is up; None waits forever. It is neither cancelled nor read.
 
     A task that is cancelled while it waits here ends at once, also in the turn of the loop in which the future is done.
     `asyncio.wait_for` of Python 3.11 and older returns then, and the task goes on (bpo-42130).
@@ -261,8 +261,8 @@ class Workers:
         """Call in a thread.
 
         Raises:
-            Closed: it was closed.
-            LocalError: the system has no thread left.
+            Closed: If it was closed.
+            LocalError: If the system has no thread left.
         """
         self.is_used = True
         return self._threads.submit(call)
@@ -271,8 +271,8 @@ class Workers:
         """Make a call that stops the robot or closes something, in a thread that no other call keeps busy.
 
         Raises:
-            Closed: it was closed.
-            LocalError: the system has no thread left, and none was started with the robot.
+            Closed: If it was closed.
+            LocalError: If the system has no thread left, and none was started with the robot.
         """
         self.is_used = True
         return self._stopping.submit(call, waits_for_thread=True)
@@ -280,14 +280,14 @@ class Workers:
     async def make(
         self, call: Callable[[], T], undo: Callable[[T], object] = lambda result: None, *, is_ordered: bool = True
     ) -> T:
-        """Call in a thread, and wait for the result. A task that is cancelled meanwhile gives the call up and ends.
+        """Call in a thread, and wait for the result. A task that is cancelled meanwhile abandons the call and ends.
 
         Args:
-            undo: called with the result, in a thread, where the call was given up and has one all the same.
-            is_ordered: see `PendingCall`.
+            undo: Function that is called with the result, in a thread, if the abandoned call still returns one.
+            is_ordered: See `PendingCall`.
 
         Raises:
-            Closed, LocalError: as `submit`.
+            Closed, LocalError: See `submit`.
         """
         pending = PendingCall(is_ordered=is_ordered)
         making = self.submit(partial(pending.make, call))
@@ -303,7 +303,7 @@ class Workers:
         """As `make`, for a call that stops the robot: it is made even if the task is cancelled, which ends at once.
 
         Raises:
-            Closed, LocalError: as `stop`.
+            Closed, LocalError: See `stop`.
         """
         return await self._result(self.stop(call))
 
@@ -317,7 +317,7 @@ class Workers:
             del making  # an error refers to this frame, and the future to the error
 
     def give_up(self, pending: PendingCall, making: Future[T], undo: Callable[[T], object]) -> None:
-        """Give up a call that was submitted: see `make`. Returns at once; idempotent."""
+        """Abandon a submitted call: see `make`. Returns at once; idempotent."""
 
         def made(making: Future[T]) -> None:
             if not making.cancelled() and making.exception() is None:

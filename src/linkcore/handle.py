@@ -1,4 +1,4 @@
-"""`Handle`: a motion, program or mission that runs on a robot, and the state machine of its life.
+"""Handles of motions, programs and missions on a robot, and the one state machine of their life.
 
 ========== ========= ============ ========= ===================================
 event      in SENT   in RUNNING   after     in DONE, CANCELLED, FAILED
@@ -16,17 +16,18 @@ CANCEL     CANCELLED CANCELLED    -         -
 FAIL       FAILED    FAILED       -         -
 ========== ========= ============ ========= ===================================
 
-Each happens once, also where two connections report it, but REPORT: of several the last holds. There is no transition
-back, and what ends it first is what it ends with. An event that cannot happen raises; after the end all are without
-effect. docs/architecture.md shows the table. A phase does not say all: what the primary connection reports of a program
-(BEGIN, REPORT, STOP) and what its link does (LINK, LOSE, BRAKE) come over two connections, in any order.
+Each event happens once, even if two connections report it. REPORT is the exception: the last of several is kept. There
+is no transition back, and the first end is final. An event that cannot happen raises an error. After the end, events
+have no effect. docs/architecture.md shows the table. The phase alone is not the whole state. The primary connection
+reports BEGIN, REPORT and STOP of a program, and its link causes LINK, LOSE and BRAKE. These two connections deliver
+their events in any order.
 
-`Lifecycle` is the library's side of it, `Handle` what users hold. Both work without a lock: each event is put into a
-dictionary with `setdefault`, which is one step for threads and for signal handlers alike.
+`Lifecycle` is used inside the library, and users hold a `Handle`. Both work without a lock: each event is put into a
+dictionary with `setdefault`, which is one step for threads and for signal handlers.
 
-A life that has ended is in no reference cycle, since a program may have switched the garbage collector off. So it lets
-go of its handle and of its brake then. Its error is kept, and handed out, as copies that have never been raised: an
-exception that is raised refers to the frames that it passes, and these to the handle in their variables.
+A life that has ended is not in a reference cycle, because a program may have switched off the garbage collector. So it
+releases its handle and its brake at the end. Its error is kept and returned as copies that have never been raised. A
+raised exception refers to the frames that it passes, and the variables of these frames refer to the handle.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ _log = logging.getLogger(__name__)
 
 
 class Phase(enum.Enum):
-    """How far something has got that was begun on a robot."""
+    """Phase of a motion, program or mission."""
 
     SENT = "sent"
     RUNNING = "running"
@@ -65,7 +66,7 @@ class Phase(enum.Enum):
 
 
 class Event(enum.Enum):
-    """What can happen to it."""
+    """Event in the life of a motion, program or mission."""
 
     SEND = "send"  # it leaves this computer, or its thread is started
     BEGIN = "begin"  # the robot has begun it
@@ -101,12 +102,12 @@ AFTER: Mapping[Event, Event] = MappingProxyType(
 
 
 class Occurrence(NamedTuple):
-    """That an event has happened.
+    """Record of an event: which, when, and with which error.
 
     Attributes:
-        event: which.
-        at: when, s on the clock of what has noticed it; NaN where that has none.
-        error: what it brought.
+        event: The event.
+        at: Time of the event in s, on the clock of the object that noticed it; NaN if that object has no clock.
+        error: Error of the event, or None.
     """
 
     event: Event
@@ -115,18 +116,18 @@ class Occurrence(NamedTuple):
 
 
 class Lifecycle:
-    """What becomes of one thing that runs on a robot.
+    """Life of one motion, program or mission on a robot.
 
     Args:
-        name: for messages.
-        callbacks: where users are called back.
-        waiting: a context in which a thread waits for the end. It may let others in meanwhile, or refuse to wait.
+        name: Name, used in log and error messages.
+        callbacks: Thread in which callbacks of users are called.
+        waiting: Context in which a thread waits for the end. It may admit other threads meanwhile, or refuse to wait.
 
     Attributes:
-        brake: tells the robot to stop it; may raise `LinkError`. Called where it ends before its time and the robot has
-            to be stopped; let go of at the end.
-        future: settled when it has ended; not to be cancelled.
-        handle: what users hold of it; None where they hold nothing, and after the end.
+        brake: Function that stops the robot; may raise `LinkError`. It is called if the life ends early and the robot
+            has to be stopped. It is released at the end.
+        future: Future that is settled at the end; it must not be cancelled.
+        handle: Handle of the user; None if there is no handle, and after the end.
     """
 
     def __init__(
@@ -166,65 +167,65 @@ class Lifecycle:
 
     @property
     def phase(self) -> Phase:
-        """How far it has got."""
+        """Current phase."""
         end = self._marks.get(None)
         if end is not None:
             return _ENDS[end.event]
         return Phase.RUNNING if Event.BEGIN in self._marks else Phase.SENT
 
     def happened(self, event: Event) -> Occurrence | None:
-        """That this has happened, which is not an end; None if it has not, or only after the end."""
+        """Return the record of an event other than an end; None if it has not happened before the end."""
         return self._marks.get(event)
 
     @property
     def is_over(self) -> bool:
-        """It has ended, as DONE, CANCELLED or FAILED."""
+        """Whether it has ended, as DONE, CANCELLED or FAILED."""
         return None in self._marks
 
     @property
     def is_wanted(self) -> bool:
-        """It may begin: it is not over, and no task has given up the call that it was begun by."""
+        """Whether it may still start: it has not ended, and the call that started it was not abandoned."""
         return not (self.is_over or (self._call is not None and self._call.is_given_up))
 
     @property
     def error(self) -> Exception | None:
-        """What ended it before its time: a copy, which may be raised."""
+        """Error that ended it early, as a copy that may be raised; None if there is none."""
         end = self._marks.get(None)
         return None if end is None or end.error is None else unraised(end.error)
 
     # -- what happens --------------------------------------------------------------------------------
 
     def begin(self, at: float = math.nan) -> bool:
-        """The robot has begun it. As all of these: False where it has happened before, or it is over."""
+        """Record that the robot has begun it. Like all of these, return False if repeated or after the end."""
         return self.fire(Event.BEGIN, at=at)
 
     def finish(self) -> bool:
-        """It has come to its own end."""
+        """Record that it has finished normally."""
         return self.fire(Event.FINISH)
 
     def cancel(self, why: str, *, brake: bool = False) -> bool:
-        """It was given up here; with `brake` the robot is stopped."""
+        """Record that it was cancelled here; with `brake`, stop the robot."""
         return self.fire(Event.CANCEL, Cancelled(f"{self.name} was {why}"), brake)
 
     def give_up(self) -> bool:
-        """The task that awaited it was cancelled."""
+        """Cancel it and stop the robot, because the task that awaited it was cancelled."""
         return self.cancel("given up by the task that awaited it", brake=True)
 
     def fail(self, error: Exception, *, brake: bool = False) -> bool:
-        """It cannot go on; with `brake` the robot is stopped."""
+        """Record that it has failed; with `brake`, stop the robot."""
         return self.fire(Event.FAIL, error, brake)
 
     def fire(self, event: Event, error: Exception | None = None, brake: bool = False, *, at: float = math.nan) -> bool:
-        """Something has happened. False where it has happened before, or it is over.
+        """Record an event. Return False if it has happened before, or if the life has ended.
 
         Args:
-            event: what.
-            error: what it brought; kept as a copy.
-            brake: the robot is stopped; for what ends it.
-            at: see `Occurrence`.
+            event: The event.
+            error: Error of the event; a copy is kept.
+            brake: Whether to stop the robot; only for events that end the life.
+            at: Time of the event. See `Occurrence`.
 
         Raises:
-            RuntimeError: it cannot happen now.
+            RuntimeError: If the event cannot happen now.
         """
         phase = self.phase
         if phase not in _LIVE or (event in self._marks and event is not Event.REPORT):
@@ -244,11 +245,11 @@ class Lifecycle:
             if brake:
                 regardless(self.brake)
         except LinkError as failure:
-            # It was stopped by other means, or the link is gone.
-            _log.info("%s: the robot was sent no stop: %s", self.name, failure)
+            # It was stopped by other means, or the link is lost.
+            _log.info("%s: could not send a stop to the robot: %s", self.name, failure)
         except Exception:
             raise
-        except BaseException:  # a second Ctrl-C: what it has interrupted may not have been sent
+        except BaseException:  # a second Ctrl-C: the stop that it interrupted might not have been sent
             if brake and self._marks.get(None) is mine:
                 with contextlib.suppress(LinkError):
                     regardless(self.brake)
@@ -283,10 +284,10 @@ class Lifecycle:
             _drain(self._done_callbacks, self._callbacks.call)
 
     def wait(self, timeout: float) -> bool:
-        """Wait until it has ended; False when time is up.
+        """Wait until it has ended; return False if it has not ended within `timeout` seconds.
 
         Raises:
-            LocalError: in a thread that would have to tell itself.
+            LocalError: If called from the thread that would have to deliver the result.
         """
         if not self.is_over:
             with self._waiting():
@@ -300,7 +301,7 @@ def _nothing() -> None:
 
 
 def _drain(waiting: deque[Callable[[], object]], use: Callable[[Callable[[], object]], object]) -> None:
-    """Use each once, also where two threads do so at the same time."""
+    """Remove and use each item exactly once, even if two threads do so at the same time."""
     while True:
         try:
             each = waiting.popleft()
@@ -310,12 +311,13 @@ def _drain(waiting: deque[Callable[[], object]], use: Callable[[Callable[[], obj
 
 
 class Handle(StrictAttributes):
-    """Something that was begun on a robot.
+    """Handle of a motion, program or mission on a robot.
 
-    Wait for it, await it, or leave it alone: it goes on all the same. **An interrupted wait cancels it**, and the robot
-    brakes: Ctrl-C in `wait`, or the cancellation of a task that awaits it. The `timeout` of `wait` only ends the
-    waiting; so does Ctrl-C in ``wait(cancel=False)``, and a cancellation of ``await asyncio.shield(handle)``. As a
-    context manager it is cancelled where the block is left before it is over.
+    You can wait for it, await it, or ignore it; it keeps running in each case. **An interrupted wait cancels it**, and
+    the robot brakes. This happens on Ctrl-C in `wait`, and when a task that awaits it is cancelled. The `timeout` of
+    `wait` only ends the waiting. Ctrl-C in ``wait(cancel=False)`` and a cancellation of
+    ``await asyncio.shield(handle)`` also only end the waiting. As a context manager, it is cancelled if the block is
+    left before it has ended.
     """
 
     def __init__(self, life: Lifecycle) -> None:
@@ -324,39 +326,39 @@ class Handle(StrictAttributes):
 
     @property
     def name(self) -> str:
-        """What it is."""
+        """Name of the motion, program or mission."""
         return self._life.name
 
     @property
     def phase(self) -> Phase:
-        """How far it has got."""
+        """Current phase."""
         return self._life.phase
 
     @property
     def done(self) -> bool:
-        """It is over, however it ended."""
+        """Whether it has ended, in any way."""
         return self._life.is_over
 
     @property
     def error(self) -> Exception | None:
-        """Why it did not come to its own end: what `wait` raises; None if it did, or is not over."""
+        """Error that ended it early, which `wait` raises; None if it finished normally or has not ended."""
         return self._life.error
 
     def wait(self, timeout: float = 60.0, *, cancel: bool = True) -> None:
-        """Wait until it is over; in done callbacks too.
+        """Wait until it has ended. This also works in done callbacks.
 
         Args:
-            timeout: seconds; after that it goes on, and can be waited for again.
-            cancel: whether an exception that interrupts the waiting (Ctrl-C: `KeyboardInterrupt`) cancels it.
+            timeout: Maximum wait in seconds. After a time-out it keeps running, and you can wait for it again.
+            cancel: Whether an exception that interrupts the waiting (Ctrl-C: `KeyboardInterrupt`) cancels it.
 
         Raises:
-            BadValue: `timeout` is not a number of seconds.
-            LocalError: in a callback of an arm's stream that was subscribed with ``inline=True``: this is the thread
-                that would have to receive the end.
-            LinkTimeout: it was not over in time; it goes on.
-            Cancelled: it was cancelled, or preempted by another.
-            LinkError: what else ended it. Of an arm: `SafetyStop`, `NotRunning`, `ConnectFailed`, `ConnectionLost`,
-                `ProgramStopped`, `ScriptError`, `ToleranceExceeded`.
+            BadValue: If `timeout` is not a number of seconds.
+            LocalError: If called in a callback of an arm's stream that was subscribed with ``inline=True``: this is the
+                thread that would have to receive the end.
+            LinkTimeout: If it has not ended in time; it keeps running.
+            Cancelled: If it was cancelled, or preempted by another one.
+            LinkError: If something else ended it. For an arm: `SafetyStop`, `NotRunning`, `ConnectFailed`,
+                `ConnectionLost`, `ProgramStopped`, `ScriptError`, `ToleranceExceeded`.
         """
         seconds = check_seconds(timeout, "timeout", finite=True)
         try:
@@ -379,17 +381,17 @@ class Handle(StrictAttributes):
                 self.cancel()  # without effect, unless a second Ctrl-C has interrupted the first
 
     def cancel(self) -> None:
-        """End it, and let the robot brake. Returns at once, which is before it stands; without effect if it is over."""
+        """Cancel it, and let the robot brake. Returns before the robot is at rest; no effect if it has ended."""
         if self._life.cancel("cancelled", brake=True):
             _log.info("%s was cancelled", self.name)
 
     def add_done_callback(self, callback: Callable[[Self], object]) -> None:
-        """Call back once it is over, in the robot's thread for callbacks; soon if it is over already.
+        """Call `callback` when it has ended, in the robot's callback thread; soon if it has already ended.
 
-        The callback may command the robot, and wait. One that is slow keeps other callbacks of the same robot waiting.
+        The callback may command the robot, and wait. A slow callback delays other callbacks of the same robot.
 
         Raises:
-            BadValue: nothing that can be called.
+            BadValue: If `callback` is not callable.
         """
         check_callable(callback, "callback")
         self._life.call_back(lambda: callback(self))
@@ -413,7 +415,7 @@ class Handle(StrictAttributes):
         self.cancel()
 
     def _shown(self) -> list[tuple[str, str]]:
-        """What a notebook shows of it."""
+        """Return the rows that a notebook shows."""
         return [("phase", self.phase.value), ("error", "" if self.error is None else str(self.error))]
 
     def _repr_html_(self) -> str:
@@ -443,11 +445,11 @@ def waited(handle: H, seconds: float) -> H:
 
 
 class Motion(Handle):
-    """A movement under way.
+    """Handle of a motion.
 
     Args:
-        life: what becomes of it.
-        measure: tells which part of it is behind the robot, from 0 to 1; what is beyond counts as the nearest of them.
+        life: Life of the motion.
+        measure: Function that returns the completed part, from 0 to 1; values outside are clipped.
     """
 
     def __init__(self, life: Lifecycle, measure: Callable[[], float] = lambda: 0.0) -> None:
@@ -456,7 +458,7 @@ class Motion(Handle):
 
     @property
     def progress(self) -> float:
-        """How much of it is behind the robot, from 0 to 1; 1 only once it has come to its own end."""
+        """Completed part of the motion, from 0 to 1; 1 only after it has finished normally."""
         return 1.0 if self.phase is Phase.DONE else min(max(self._measured(), 0.0), 1.0)
 
     def _measured(self) -> float:

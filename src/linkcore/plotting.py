@@ -1,4 +1,4 @@
-"""Plots of columns over time: a panel for each field, a line for each of its elements."""
+"""Plots of columns over time: a panel for each field, and a line for each of its elements."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ class Curves(NamedTuple):
     """One field over time.
 
     Attributes:
-        name: of the field.
-        unit: of its values.
-        time: of each row, s, (n,).
-        values: numbers, (n,) or (n, k).
+        name: Name of the field.
+        unit: Unit of the values.
+        time: Time of each row, shape (n,), in s.
+        values: Numbers, shape (n,) or (n, k).
     """
 
     name: str
@@ -61,14 +61,14 @@ def element_names(unit: str, count: int) -> tuple[str, ...]:
 
 
 class Plot(StrictAttributes):
-    """A picture of fields over time: save it, show it in a window, or let a notebook show it.
+    """Plot of fields over time: save it, show it in a window, or let a notebook show it.
 
     Args:
-        curves: the fields, from the top on.
-        title: above them.
+        curves: Fields to plot, in order from the top.
+        title: Title above the panels.
 
     Raises:
-        BadValue: no field, or one that is not a number.
+        BadValue: If there is no field, or if a field is not a number.
     """
 
     def __init__(self, curves: Sequence[Curves], title: str = "") -> None:
@@ -84,9 +84,9 @@ class Plot(StrictAttributes):
         """Write it to a .png, .svg or .pdf.
 
         Raises:
-            BadValue: another suffix.
-            BadRecording: the file cannot be written.
-            LocalError: matplotlib is not installed.
+            BadValue: If `path` has another suffix.
+            BadRecording: If the file cannot be written.
+            LocalError: If matplotlib is not installed.
         """
         path = Path(path)
         if path.suffix.lower() not in _SUFFIXES:
@@ -98,10 +98,10 @@ class Plot(StrictAttributes):
         return path
 
     def show(self) -> None:
-        """Show it in a window, and wait until that is closed.
+        """Show the plot in a window, and wait until the window is closed.
 
         Raises:
-            LocalError: matplotlib is not installed.
+            LocalError: If matplotlib is not installed.
         """
         with needs("plot", "a plot"):
             from matplotlib import pyplot
@@ -109,10 +109,10 @@ class Plot(StrictAttributes):
         pyplot.show()
 
     def figure(self) -> Any:
-        """It as a `matplotlib.figure.Figure`.
+        """Return the plot as a `matplotlib.figure.Figure`.
 
         Raises:
-            LocalError: matplotlib is not installed.
+            LocalError: If matplotlib is not installed.
         """
         with needs("plot", "a plot"):
             # Not pyplot: it would choose a window system for the whole program.
@@ -160,7 +160,7 @@ class Plot(StrictAttributes):
 
 
 def _thinned(time: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[Any, Any]:
-    """What is drawn of many points: the least and the greatest of each stretch, so that no peak is lost."""
+    """Return the smallest and the largest of each stretch of many points, so that no peak is lost."""
     if len(time) <= _MOST_POINTS:
         return time, values
     stretch = 2 * len(time) // _MOST_POINTS

@@ -31,7 +31,7 @@ def started(thread: threading.Thread) -> threading.Thread:
     """Start a thread, and return it.
 
     Raises:
-        LocalError: the system refuses another one.
+        LocalError: If the system refuses another thread.
     """
     try:
         thread.start()
@@ -63,10 +63,10 @@ def acquired(lock: threading.Lock | threading.RLock, timeout: float) -> Iterator
 
 @contextlib.contextmanager
 def held(lock: threading.Lock | threading.RLock, timeout: float, otherwise: str) -> Iterator[None]:
-    """Hold a lock within a block; `timeout` seconds to get it.
+    """Hold a lock within a block; wait up to `timeout` seconds for it.
 
     Raises:
-        LinkTimeout: others kept it for so long; `otherwise` is the message.
+        LinkTimeout: If other threads hold the lock for longer; `otherwise` is the message.
     """
     with acquired(lock, timeout) as is_held:
         if not is_held:
@@ -136,7 +136,7 @@ _Calls = SimpleQueue[tuple[Callable[..., object], tuple[Any, ...]] | None]
 
 
 class MadeOnce(Generic[T]):
-    """What is made at its first use, by whichever thread comes first.
+    """Object that is made at its first use, by the first thread that uses it.
 
     Without a lock, since a signal handler may be the one that uses it, also in the middle of the first use by the
     thread that it interrupts, where a lock would be held for ever. So two may make one at the same time; `keep` tells
@@ -149,23 +149,23 @@ class MadeOnce(Generic[T]):
 
     @property
     def made(self) -> T | None:
-        """What was made; None before that, and after `take`."""
+        """The object; None before it is made, and after `take`."""
         return self._made.get(None)
 
     def keep(self, made: T) -> T:
-        """What was made first: `made`, unless another one is here already."""
+        """Keep `made` unless an object is kept already; return the kept object."""
         return self._made.setdefault(None, made)
 
     def take(self) -> T | None:
-        """What was made, which is here no more: the next use makes another one."""
+        """Remove and return the object; the next use makes another one."""
         return self._made.pop(None, None)
 
 
 class CallbackThread:
-    """Calls one after the other; the thread is started for the first of them.
+    """Thread that makes calls one after the other; it is started for the first call.
 
     Args:
-        name: of the thread.
+        name: Name of the thread.
     """
 
     def __init__(self, name: str) -> None:
@@ -186,7 +186,7 @@ class CallbackThread:
             raise LocalError(f"no thread could be started for {self._name}; nothing was sent")
 
     def call(self, function: Callable[..., object], *arguments: Any) -> None:
-        """Call `function(*arguments)` soon. Where the system has no thread left, the log says so instead."""
+        """Call `function(*arguments)` soon. If the system has no thread left, log an error instead."""
         if self._has_thread(function):
             self._calls.put((function, arguments))
             # A reader that is just ending may call after `close`, which may have taken the thread before this call.
@@ -208,7 +208,7 @@ class CallbackThread:
         return True
 
     def close(self, timeout: float) -> None:
-        """Make the calls that wait, and end the thread, within `timeout` seconds. Idempotent."""
+        """Make the pending calls, and end the thread, within `timeout` seconds. Idempotent."""
         self._is_closed = True
         made = self._thread.take()
         if made is None:
@@ -250,15 +250,15 @@ class Closing:
 
 
 class Runnable(Closing, ABC):
-    """A server of one robot: begun, run and ended once. A context manager that starts and closes itself.
+    """Server of one robot that runs once. As a context manager, it starts and closes itself.
 
     Args:
-        kind: what it is, in errors and as the name of its thread.
-        close_timeout: s that `close` waits for its thread.
-        holds: what keeps it where `close` has waited in vain.
+        kind: Kind of server, used in errors and as the name of its thread.
+        close_timeout: Maximum wait of `close` for the thread, in s.
+        holds: Name of the object that blocks the end, used in the error if `close` times out.
 
     Attributes:
-        failure: what ended it by itself; None while it goes on, and after `stop`.
+        failure: Error that ended it on its own; None while it runs, and after `stop`.
     """
 
     failure: Exception | None
@@ -278,19 +278,19 @@ class Runnable(Closing, ABC):
 
     @abstractmethod
     def _begin(self) -> None:
-        """Open everything; where that fails, `_give_up` is called, and the error raised."""
+        """Open everything; if that fails, `_give_up` is called and the error is raised."""
 
     @abstractmethod
     def _serve(self) -> None:
-        """Go on until `_is_stopping`; then end in order. What ended it by itself is kept in `failure`."""
+        """Run until `_is_stopping`; then end in order. Keep an error that ends it on its own in `failure`."""
 
     @abstractmethod
     def _give_up(self) -> None:
-        """Close what `_begin` has opened: it will not be served."""
+        """Close everything that `_begin` has opened, because it will not be served."""
 
     @abstractmethod
     def _wake(self) -> None:
-        """Have `_serve` look whether it is to stop. May be called in a signal handler: takes no lock."""
+        """Make `_serve` check whether it must stop. May be called in a signal handler, so it must take no lock."""
 
     # -- life ------------------------------------------------------------------------------------------
 
@@ -320,11 +320,11 @@ class Runnable(Closing, ABC):
     def run(self) -> None:
         """Run in this thread until `stop`; then end in order.
 
-        What a signal handler raises meanwhile, such as KeyboardInterrupt, ends it in order too, and is raised again.
+        An exception from a signal handler, such as KeyboardInterrupt, also ends it in order, and is raised again.
 
         Raises:
-            Closed: it has run already.
-            LinkError: what kept it from beginning, or ended it by itself: see the class.
+            Closed: If it has already run.
+            LinkError: If it cannot begin, or ends on its own. See the class.
         """
         self._begin_once()
         self._serve_to_end()
@@ -335,7 +335,7 @@ class Runnable(Closing, ABC):
         """Run in a thread; its port is open when this returns.
 
         Raises:
-            as `run`, for what goes wrong until then; later, `failure` says what did.
+            See `run`, for errors until the port is open; later errors are kept in `failure`.
         """
         self._begin_once()
         self._thread = threading.Thread(target=self._in_thread, name=self._kind, daemon=True)
@@ -355,20 +355,20 @@ class Runnable(Closing, ABC):
             _log.exception("the %s has ended", self._kind)
 
     def stop(self) -> None:
-        """Have it end after this round; from any thread, from its own callbacks and plugins, from a signal handler."""
+        """Make it end after this round. Call it in any thread, callback, plugin or signal handler."""
         # A plain flag and a byte into a pipe: a lock could be held by the very code that a signal handler interrupts.
         self._is_stopping = True
         self._wake()
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until it has ended; False when time is up.
+        """Wait until it has ended; return False if it has not ended in time.
 
         Args:
-            timeout: seconds; None, or infinity, for as long as it takes.
+            timeout: Maximum wait in seconds; None or infinity for no limit.
 
         Raises:
-            BadValue: `timeout` is not a number of seconds.
-            LinkError: what ended it by itself: see the class.
+            BadValue: If `timeout` is not a number of seconds.
+            LinkError: If it ended on its own. See the class.
         """
         if timeout is not None:
             timeout = check_seconds(timeout, "timeout")
@@ -381,11 +381,11 @@ class Runnable(Closing, ABC):
     def close(self) -> None:
         """Stop, and wait until all has ended in order; idempotent.
 
-        In a process that was forked from the one which started it this does nothing: the robot is not that process's
-        to stop.
+        In a process that was forked from the process that started it, this does nothing: the forked process must not
+        stop the robot.
 
         Raises:
-            LinkTimeout: it does not end.
+            LinkTimeout: If it does not end.
         """
         if not self._home.is_here:
             return
