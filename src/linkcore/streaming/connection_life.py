@@ -36,10 +36,10 @@ class ConnectionEvent(NamedTuple):
     """A change of a stream's connection; subscribe to it as to a packet.
 
     Attributes:
-        state: the new state.
-        stream: name of the stream.
-        error: what ended the connection, or None.
-        received: when it was noticed.
+        state: New state.
+        stream: Name of the stream.
+        error: Error that ended the connection, or None.
+        received: Time at which the change was noticed.
     """
 
     state: ConnectionState
@@ -66,11 +66,11 @@ class Backoff:
     """Exponential, bounded, with jitter so that many clients do not come back in step.
 
     Attributes:
-        first: seconds before the first try.
-        factor: growth from try to try.
-        most: seconds that no wait exceeds.
-        jitter: share by which each wait is varied at random, 0 to 1.
-        tries: how many tries before giving up; None tries for ever, 0 never.
+        first: Wait before the first try, in seconds.
+        factor: Growth of the wait from try to try.
+        most: Maximum wait, in seconds.
+        jitter: Share by which each wait is varied at random, 0 to 1.
+        tries: Maximum number of tries; None for no limit, 0 for no try.
 
     Raises:
         BadValue: a time that is not a number of seconds, a factor below 1, a jitter outside 0 to 1, or tries that are

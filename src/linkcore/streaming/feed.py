@@ -64,7 +64,7 @@ class Feed(StrictAttributes, Generic[T]):
 
         Raises:
             BadValue: `timeout` is not a number of seconds.
-            LinkTimeout: none came within `timeout` seconds.
+            LinkTimeout: If no packet arrived within `timeout` seconds.
             RemoteError: the first connection could not be made, or the stream gave up.
             LocalError: called in an inline callback, where nothing could come.
             Closed: the stream was closed.
@@ -88,8 +88,8 @@ class Feed(StrictAttributes, Generic[T]):
 
         Raises:
             BadValue: `condition` cannot be called, or `timeout` is not a number of seconds.
-            LinkTimeout: it did not hold within `timeout` seconds; the message says how many packets there were.
-            RemoteError, LocalError, Closed: as `wait`.
+            LinkTimeout: If it did not hold within `timeout` seconds; the message contains the number of packets.
+            RemoteError, LocalError, Closed: See `wait`.
         """
         check_callable(condition, "condition")
         timeout = check_seconds(timeout, "timeout")
@@ -125,12 +125,12 @@ class Feed(StrictAttributes, Generic[T]):
 
         Args:
             policy: what to do when the loop falls behind, as for `subscribe`.
-            timeout: seconds within which each packet has to come.
-            lifespan: as for `subscribe`.
+            timeout: Maximum wait for each packet, in seconds.
+            lifespan: See `subscribe`.
 
         Raises:
-            BadValue: no policy, or no number of seconds.
-            LinkTimeout: nothing came within `timeout` seconds.
+            BadValue: If `policy` is not a policy, or a time is not a number of seconds.
+            LinkTimeout: If nothing arrived within `timeout` seconds.
             RemoteError: the first connection could not be made, or the stream gave up.
             LocalError: called in an inline callback, where nothing could come.
         """
@@ -189,21 +189,21 @@ class Feed(StrictAttributes, Generic[T]):
         and nobody else on this stream gets anything; calls of more than 0.5 ms are counted in `Stream.stats`.
 
         Args:
-            callback: gets each packet.
+            callback: Function that is called with each packet.
             policy: what to do when it falls behind: `latest`, `drop_oldest(n)` or `block`; by default
                 `drop_oldest(256)`, and 1024 for events. An inline callback has no queue, so it takes none.
             lifespan: seconds after its arrival for which a packet is worth having; None for ever. One that is older
                 when its turn comes is dropped and counted as `expired`. Inline there is none: nothing waits.
-            deadline: seconds within which a packet has to come.
+            deadline: Maximum time between two packets, in seconds.
             on_deadline: called with the seconds since the last packet, once for each time that it is longer than
                 `deadline`; by default the log gets a warning. Inline, it has a thread of its own.
-            inline: call it in the thread that reads.
+            inline: Whether to call it in the thread that reads.
 
         Raises:
-            BadValue: an argument is not what it should be.
-            RemoteError: the first connection could not be made.
-            LocalError: the system has no thread left.
-            Closed: the stream was closed.
+            BadValue: If an argument is invalid.
+            RemoteError: If the first connection could not be made.
+            LocalError: If the system has no thread left.
+            Closed: If the stream was closed.
         """
         check_callable(callback, "callback")
         deadline = check_deadline(deadline, on_deadline)
@@ -242,12 +242,12 @@ class Feed(StrictAttributes, Generic[T]):
             fields: names, a panel for each; vectors have a line for each element.
             seconds: Duration in seconds, from the connection on. The last plot shows every state of the window.
             window: seconds that are shown, the newest on the right.
-            period: seconds between two pictures.
+            period: Interval between two plots, in seconds.
 
         Raises:
             BadValue: no field, or one that is not there or is not a number, or a time that is not a number of seconds.
             LocalError: matplotlib is not installed; says how to.
-            LinkTimeout: nothing came within `seconds`.
+            LinkTimeout: If nothing arrived within `seconds`.
             RemoteError, LocalError, Closed: as `subscribe`.
         """
         from ..plotting import SHORTEST, LivePlot  # imported here: importing the library stays cheap

@@ -31,9 +31,9 @@ class StreamStatistics:
     """Counters of one stream at one moment; ``received == decoded + failed``.
 
     Attributes:
-        received: packets that came off the wire.
-        decoded: packets that became typed states, and were handed out.
-        failed: packets that could not be decoded.
+        received: Packets that were received.
+        decoded: Packets that were decoded to typed states, and handed out.
+        failed: Packets that could not be decoded.
         missed: packets that never came, by the controller's own clock: cycles between two packets of one connection
             that are too far apart. It is beside ``received``, no part of it. What a controller sent while there was no
             connection is not in it, since a controller that was started again has started its clock again; `reconnects`
@@ -45,14 +45,14 @@ class StreamStatistics:
             Each loop counts on its own; subscriptions have counters of their own.
         slow_inline: calls of inline callbacks that lasted longer than 0.5 ms. Meanwhile nothing is read, and no
             other subscriber of this stream gets a packet.
-        reconnects: connections after the first.
-        rate: packets a second, over the last second or so; 0 in the first half second of a connection.
-        bytes: bytes received.
-        skipped: bytes thrown away while looking for a lost frame boundary.
-        resyncs: lost frame boundaries found again.
-        unknown: packets, or parts of one, of a type that no layout is known for.
-        tails: packets, or parts of one, that end in bytes which no known layout explains.
-        age: seconds since the last packet was read; None before the first one. It grows while the robot is silent, and
+        reconnects: Connections after the first.
+        rate: Packets per second, over about the last second; 0 in the first half second of a connection.
+        bytes: Received bytes.
+        skipped: Bytes discarded during the search for a lost frame boundary.
+        resyncs: Lost frame boundaries that were found again.
+        unknown: Packets, or parts of a packet, whose type has no known layout.
+        tails: Packets, or parts of a packet, that end in bytes which no known layout explains.
+        age: Seconds since the last packet was read; None before the first one. It grows while the robot is silent, and
             while an inline callback or a full queue keeps the reader.
     """
 
@@ -80,13 +80,13 @@ class SubscriptionStatistics:
     """Counters of one subscription; ``offered == delivered + dropped + raised + waiting``.
 
     Attributes:
-        offered: packets that came for it.
-        delivered: packets that its callback took.
-        dropped: packets thrown away, because it fell behind or was closed, or because they had expired.
-        raised: packets whose callback raised.
-        waiting: packets in its queue, and the one in its callback.
-        missed_deadlines: how often nothing came in time.
-        expired: packets among `dropped` that were older than the lifespan when they would have been delivered.
+        offered: Packets that arrived for the subscription.
+        delivered: Packets whose callback returned.
+        dropped: Packets discarded because the subscription fell behind or was closed, or because they had expired.
+        raised: Packets whose callback raised.
+        waiting: Packets in its queue, and the packet in its callback.
+        missed_deadlines: Number of times that no packet arrived in time.
+        expired: Packets among `dropped` that were older than the lifespan when they would have been delivered.
     """
 
     offered: int

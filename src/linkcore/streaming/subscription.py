@@ -29,10 +29,10 @@ _LOOK = 0.001
 
 
 def check_deadline(deadline: float | None, on_deadline: Callable[[float], object] | None) -> float | None:
-    """The deadline of a subscription, s.
+    """Return the deadline of a subscription, in s.
 
     Raises:
-        BadValue: it is not a positive number of seconds, or `on_deadline` cannot be called or has no deadline.
+        BadValue: If it is not a positive number of seconds, or if `on_deadline` is not callable or has no deadline.
     """
     if deadline is not None:
         deadline = check_seconds(deadline, "deadline", positive=True)
@@ -44,18 +44,18 @@ def check_deadline(deadline: float | None, on_deadline: Callable[[float], object
 
 
 class Delivery:
-    """Calls one callback, one packet at a time, and counts what comes of it.
+    """Delivery of packets to one callback, one packet at a time, with counters of the results.
 
     Args:
-        callback: gets each packet, or each of its parts.
-        name: for the log and for threads.
-        expand: the parts of a packet that the callback is for; None where it gets the packet itself.
-        deadline: seconds within which a packet has to come; None for ever.
-        on_deadline: called with the seconds since the last packet, once for each time that the deadline is missed.
+        callback: Function that is called with each packet, or with each of its parts.
+        name: Name, used in the log and for threads.
+        expand: Function that returns the parts of a packet for the callback; None to pass the packet itself.
+        deadline: Maximum time between two packets, in seconds; None for no limit.
+        on_deadline: Function that is called with the seconds since the last packet, once per missed deadline.
 
     Attributes:
-        sink: what the fan-out offers packets to.
-        missed_deadlines: how often nothing came in time.
+        sink: Object to which the fan-out offers packets.
+        missed_deadlines: Number of times that no packet arrived in time.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class Delivery:
 
     @property
     def sink(self) -> Any:
-        """What the fan-out offers packets to."""
+        """Object to which the fan-out offers packets."""
         raise NotImplementedError
 
     @property
@@ -101,11 +101,11 @@ class Delivery:
         )
 
     def close(self, timeout: float) -> None:
-        """Take no more, drop what waits, and wait up to `timeout` seconds for a callback that is running."""
+        """Stop accepting packets, drop queued ones, and wait up to `timeout` seconds for a running callback."""
         raise NotImplementedError
 
     def finish(self, timeout: float = 5.0) -> bool:
-        """Take no more, but deliver what waits; False when time is up before that is done."""
+        """Stop accepting packets, and deliver queued ones; return False if that takes longer than `timeout`."""
         self.sink.end()
         return self.join(timeout)
 
@@ -114,7 +114,7 @@ class Delivery:
         raise NotImplementedError
 
     def runs_here(self) -> bool:
-        """The current thread is in the callback."""
+        """Whether the current thread is in the callback."""
         raise NotImplementedError
 
     def _fail(self) -> None:
@@ -146,7 +146,7 @@ class Delivery:
 
 
 def _for_each(callback: Callable[[Any], object], expand: Callable[[Any], Iterable[Any]]) -> Callable[[Any], object]:
-    """Call back with each part of a packet; one that raises keeps none of the others from being called."""
+    """Return a callback that is called with each part of a packet, even if it raises for another part."""
 
     def call(packet: Any) -> None:
         failure: BaseException | None = None
