@@ -141,6 +141,7 @@ ROLES = {
     "framing": "the frame boundaries of one interface",
     "gripper": "the simulated gripper, and the interface that serves it",
     "interface": "what the interfaces of one folder have in common",
+    "messages": "the messages to a program on the robot, and those that a simulated controller sends",
     "interpreter": "interpreter mode: what users hold, and the interface that serves it",
     "packets": "the declared packets of one interface",
     "protocol": "the protocol of one interface",

@@ -71,14 +71,17 @@ KNOWN = _read()
 @functools.cache
 def classes() -> dict[str, type]:
     """The classes of the packages, by their names, which do not change when a module moves."""
-    found: dict[str, type] = {}
+    return {each.__name__: each for each in every_class()}
+
+
+def every_class() -> Iterator[type]:
+    """The classes of the packages. Several may have the same name."""
     for name, module in sorted(sys.modules.items()):
         if module is None or name.partition(".")[0] not in _PACKAGES or any(each in name for each in _NOT):
             continue
         for each in vars(module).values():
             if isinstance(each, type) and each.__module__ == name and each is not StrictAttributes:
-                found[each.__name__] = each
-    return found
+                yield each
 
 
 def _is_lock(thing: Any) -> bool:

@@ -48,6 +48,8 @@ def guesses(source: str) -> int:
 
 
 def place(row: Parameter) -> Path:
+    if row.used.startswith("urlink_accept."):
+        return (SRC.parents[1] / "packages/accept/src").joinpath(*row.used.split(".")).with_suffix(".py")
     return SRC.joinpath(*row.used.split(".")).with_suffix(".py")
 
 

@@ -167,7 +167,7 @@ def _robot_mode(state: ControllerState) -> Fields:
         "target_speed_fraction": state.speed_fraction,
         "speed_scaling": state.speed_scaling,
         "target_speed_fraction_limit": 1.0,
-        "reserved": 0,  # internal to the vendor; a guess
+        "reserved": 0,  # internal to the vendor, so assumed to be zero
     }
 
 
@@ -249,7 +249,7 @@ def _kinematics(state: ControllerState) -> Fields:
     return {
         "checksum": checksum,
         **dict(zip(DhTable._fields, table.tolist(), strict=True)),
-        "calibration_status": 0,  # a guess
+        "calibration_status": 0,  # assumed
         # The oldest firmware has its laser pointer here; these are the bytes of the one capture.
         "pointer": [1000.0] * 3,
     }
@@ -277,7 +277,7 @@ def _configuration(state: ControllerState) -> Fields:
         "robot_type": model.robot_type,
         "robot_sub_type": 3 if state.firmware.is_e_series else 1,
         "motor_type": [2] * 6,
-        "reserved": [0, 0],  # internal to the vendor; a guess
+        "reserved": [0, 0],  # internal to the vendor, so assumed to be zero
     }
 
 
