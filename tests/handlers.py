@@ -17,7 +17,11 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-SRC = str(Path(__file__).resolve().parents[1] / "src")
+import linkcore
+
+#: Folder that the packages are imported from: src, or where pip has installed them.
+SRC = str(Path(linkcore.__file__).parents[1])
+_OURS = tuple(f"{SRC}/{package}/" for package in ("linkcore", "urlink", "rhdlink"))
 #: What runs in the library's own process of a simulated robot, and never in a user's thread.
 _ELSEWHERE = tuple(f"{SRC}/{part}/" for part in ("linkcore/simulated", "urlink/simulator"))
 #: Seconds for one round; it takes milliseconds.
@@ -55,7 +59,7 @@ class Interruption:
         file = frame.f_code.co_filename
         # Lines of `threading` count as well: its locks are those of this library. But not those that start a thread,
         # which wait for the new thread.
-        is_ours = file.startswith(SRC) and not file.startswith(_ELSEWHERE)
+        is_ours = file.startswith(_OURS) and not file.startswith(_ELSEWHERE)
         if not is_ours and not (file == threading.__file__ and not isinstance(_self(frame), threading.Thread)):
             return None
         if self._within == frame.f_code.co_name:

@@ -89,9 +89,7 @@ def line_for(blocking: type, name: str) -> str:
 @each_pair
 def test_both_have_the_same_names(blocking: type, awaited: type) -> None:
     here, there = surface(awaited) - MORE.get(awaited, set()), surface(blocking)
-    file = inspect.getsourcefile(awaited)
-    assert file is not None
-    place = f"class {awaited.__name__} in {Path(file).relative_to(ROOT)}"
+    place = f"class {awaited.__name__} in src/{awaited.__module__.replace('.', '/')}.py"
     missing = "".join(f"\n{line_for(blocking, name)}" for name in sorted(there - here))
     kinds = "`stopping`, `motion` or `block` instead of `awaited` if the docstring of that function fits better"
     assert not missing, f"add to {place} ({kinds}):{missing}"
