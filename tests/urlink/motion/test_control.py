@@ -140,7 +140,7 @@ def test_read_only(controller: Controller) -> None:
                 getattr(robot, name)
         with pytest.raises(LocalError, match="read_only=True"):
             robot.set_payload(1.0)
-        with pytest.raises(LocalError, match="no simulator of this program"):
+        with pytest.raises(LocalError, match="is not a simulator started by this program"):
             robot.controller  # noqa: B018
 
 

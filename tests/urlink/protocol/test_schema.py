@@ -124,7 +124,7 @@ def test_a_recipe_of_rtde_has_a_schema_of_its_data_packages() -> None:
 
 
 def test_what_is_no_packet_is_said_to_be_none() -> None:
-    with pytest.raises(BadValue, match="no class of packets"):
+    with pytest.raises(BadValue, match="has no layout; expected a packet class"):
         schema(int)  # type: ignore[arg-type]
     with pytest.raises(BadVersion):
         schema(RealtimeState, "five")
