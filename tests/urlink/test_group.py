@@ -628,7 +628,7 @@ def test_what_a_group_refuses() -> None:
         for robots in [(), (one,), (one, one)]:
             with pytest.raises(BadValue, match="at least two"):
                 urlink.Group(*robots)
-        with pytest.raises(BadValue, match="is not a Robot returned by urlink.connect"):
+        with pytest.raises(BadValue, match=r"is not a Robot returned by urlink\.connect"):
             urlink.Group(one, "sim://ur5e")  # type: ignore[arg-type]
         group = urlink.Group(one, two)
         assert repr(group) == "<Group of sim://ur5e, sim://ur5e>"
