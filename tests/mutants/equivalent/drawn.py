@@ -171,13 +171,6 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "the pace is read by the feed alone, which has not begun",
     ),
     Equivalent(
-        "urlink/motion/stream/stream_feed.py",
-        "_next",
-        "self._program_pace.send_point()",
-        "after if aim.handed is not None and (not any((each.handed is aim.handed for each in self._queue))):",
-        "nothing in between reads it, under the section",
-    ),
-    Equivalent(
         "urlink/command/programs.py",
         "_send_stop",
         "claim(); text = wrapping.program(self._name('urlink_stop'), commands.stop(_DECELERATION)).text",
