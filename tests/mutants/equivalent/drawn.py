@@ -269,14 +269,14 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "two lists of one function, to which one value each is appended",
     ),
     Equivalent(
-        "urlink/motion/waypoints.py",
+        "urlink/motion/servo/waypoints.py",
         "resume",
         "self._skipped = self._t - before",
         "after self._resumed = (self._t, [a - b for a, b in zip(state.q_target.tolist(), q, strict=True)])",
         "neither reads the other, and one thread does both",
     ),
     Equivalent(
-        "urlink/commanding/channel.py",
+        "urlink/command/channel.py",
         "_send_some",
         "text.number = number; check_wanted()",
         "swapped",
@@ -290,7 +290,7 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "what waits for either comes in a later turn of the loop",
     ),
     Equivalent(
-        "urlink/motion/waypoints.py",
+        "urlink/motion/servo/waypoints.py",
         "_answer",
         "self.survives_its_program = True",
         "after zeros = [0.0] * (waypoints.numbers_of_point(self._trajectory.is_quintic) - 1)",
