@@ -124,11 +124,19 @@ def check_whole(value: Any, name: str, least: int, most: int) -> int:
     Raises:
         BadValue: If it is something else.
     """
+    whole = whole_number(value, least, most)
+    if whole is None:
+        raise BadValue(f"{name}={value!r}; expected a whole number from {least} to {most}")
+    return whole
+
+
+def whole_number(value: Any, least: int, most: int) -> int | None:
+    """A whole number from `least` to `most`, of Python or of numpy; None if `value` is something else."""
     with contextlib.suppress(TypeError):
         whole = operator.index(value)
         if not isinstance(value, bool) and least <= whole <= most:
             return whole
-    raise BadValue(f"{name}={value!r}; expected a whole number from {least} to {most}")
+    return None
 
 
 def check_choice(value: Any, name: str, choices: Sequence[Any]) -> None:

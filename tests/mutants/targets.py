@@ -34,7 +34,7 @@ class Group(NamedTuple):
 
 GROUPS = {
     "framing": Group(("linkcore/wire/framing.py",), ("tests/linkcore/wire", "tests/urlink/protocol")),
-    "commanding": Group(
+    "command": Group(
         ("urlink/command/*.py",),
         (
             "tests/urlink/command",

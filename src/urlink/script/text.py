@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 from textwrap import dedent, indent
 from typing import Any
 
-from linkcore.arguments import check_number
+from linkcore.arguments import check_number, whole_number
 from linkcore.errors import BadValue
 
 #: Digits after the point: a quantity is carried to 1e-10.
@@ -46,13 +46,8 @@ def integer(value: Any, least: int, most: int, what: str = "value") -> str:
     Raises:
         BadValue: not a whole number, or out of range.
     """
-    try:
-        if isinstance(value, bool):
-            raise TypeError
-        whole = value.__index__()
-    except (AttributeError, TypeError):
-        raise BadValue(f"{what} is {value!r}; expected a whole number from {least} to {most}") from None
-    if not least <= whole <= most:
+    whole = whole_number(value, least, most)
+    if whole is None:
         raise BadValue(f"{what} is {value!r}; expected a whole number from {least} to {most}")
     return str(whole)
 

@@ -1,4 +1,4 @@
-"""The messages to a program that is led from this computer: how they are packed, dated and read."""
+"""Messages to a program that obeys this computer cycle by cycle: how they are packed, dated and read."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Motions led cycle by cycle: servo loops, following, jogging, force control, and the links to their programs."""
+"""Motions controlled cycle by cycle: servo loops, following, jogging, force control, and their programs."""
