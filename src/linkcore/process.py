@@ -54,6 +54,31 @@ class HomeProcess:
 _log = logging.getLogger(__name__)
 
 
+#: Locks that a forked child finds free, although a thread of the parent might have held them.
+_freed: weakref.WeakSet[Any] = weakref.WeakSet()
+
+
+def free_in_child(lock: Any) -> None:
+    """Let a forked child find `lock` free.
+
+    The child has a copy of the lock, but not the thread of the parent that holds it, so nothing would ever release it.
+
+    Args:
+        lock: A lock of `threading`. It can be collected.
+    """
+    _freed.add(lock)
+
+
+def _free_all() -> None:
+    for lock in list(_freed):
+        # Python does the same for its own locks. The locks of simulated time have no such method, and no child.
+        getattr(lock, "_at_fork_reinit", lambda: None)()
+
+
+if hasattr(os, "register_at_fork"):  # not on Windows, which cannot fork
+    os.register_at_fork(after_in_child=_free_all)
+
+
 class Abandonable(Protocol):
     """Something that has started programs on a robot."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import os
 import signal
+import subprocess
 import sys
 from collections.abc import Iterator
 from types import SimpleNamespace
@@ -90,3 +91,35 @@ def test_forked_child_abandons_nothing(events: dict[str, Any]) -> None:
     events["fork"]()
     events["exit"]()
     assert part.reasons == []
+
+
+_FORKS_WHILE_A_THREAD_HOLDS_A_LOCK = """
+import os, threading, warnings
+from linkcore.process import free_in_child
+
+warnings.simplefilter("ignore")
+lock, is_held, is_over = threading.RLock(), threading.Event(), threading.Event()
+free_in_child(lock)
+
+def hold():
+    with lock:
+        is_held.set()
+        is_over.wait(60)
+
+threading.Thread(target=hold).start()
+is_held.wait()
+child = os.fork()
+if child == 0:
+    os._exit(0 if lock.acquire(timeout=10) else 1)
+_, status = os.waitpid(child, 0)
+is_over.set()
+print(os.waitstatus_to_exitcode(status), lock.acquire(timeout=60))
+"""
+
+
+@pytest.mark.real_time
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
+def test_free_in_child_frees_the_lock_in_a_forked_child_only() -> None:
+    command = [sys.executable, "-c", _FORKS_WHILE_A_THREAD_HOLDS_A_LOCK]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=100)
+    assert done.stdout == "0 True\n", done.stderr

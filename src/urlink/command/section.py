@@ -18,6 +18,7 @@ import threading
 from collections.abc import Callable, Iterator
 
 from linkcore.errors import LocalError
+from linkcore.process import free_in_child
 
 
 class Section:
@@ -33,6 +34,9 @@ class Section:
 
     def __init__(self, *reads_here: Callable[[], bool]) -> None:
         self.lock = threading.RLock()
+        # Streams of the robot enter the section for each state. A child that is forked meanwhile gets an error for each
+        # command, but only if it can enter too.
+        free_in_child(self.lock)
         self._reads_here = reads_here
 
     @property
