@@ -10,6 +10,7 @@ from linkcore.streaming.stream import Stream
 from linkcore.threads import CallbackThread
 from tests.fakes.line import START_PLACE
 from tests.fakes.link import ScriptedTransport
+from tests.fakes.packets import packet
 from tests.waiting import until
 from urlink.command.channel import CommandChannel
 from urlink.command.interlock import Interlock
@@ -120,7 +121,8 @@ class ScriptedController:
         """One state on both interfaces, or without `fast` on the primary alone."""
         if mode is None:
             mode = RobotModeCB2.RUNNING if self.firmware.is_cb2 else RobotMode.RUNNING
-        modes = RobotModeData(
+        modes = packet(
+            RobotModeData,
             self.firmware,
             robot_mode=mode,
             is_program_running=runs,
@@ -128,11 +130,11 @@ class ScriptedController:
             is_protective_stopped=protective,
         )
         safe = {"master_safety_state": master} if self.firmware.is_cb2 else {"safety_mode": safety}
-        masterboard = MasterboardData(self.firmware, **safe, **(board or {}))
-        self.slow.put(bytes(RobotState(modes, masterboard, ToolData(self.firmware, **(tool or {})))))
+        masterboard = packet(MasterboardData, self.firmware, **safe, **(board or {}))
+        self.slow.put(bytes(RobotState(modes, masterboard, packet(ToolData, self.firmware, **(tool or {})))))
         if fast:
             fields = {"robot_mode": mode} if self.firmware.is_cb2 else {"robot_mode": mode, "safety_mode": safety}
-            self.fast.put(bytes(RealtimeState(self.firmware, **fields)))
+            self.fast.put(bytes(packet(RealtimeState, self.firmware, **fields)))
 
     def clear(self, **options: Any) -> None:
         """A state in which all is well, and which the interlock has received on both interfaces."""

@@ -16,6 +16,7 @@ from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from linkcore.threads import CallbackThread
 from tests.fakes.clock import Clock
+from tests.fakes.packets import packet
 from urlink.command.channel import CommandChannel
 from urlink.command.interlock import Interlock
 from urlink.command.programs import Programs
@@ -36,13 +37,13 @@ START_PLACE = StartPlace(47, tuple(range(24, 32)))
 
 def slow(safety: SafetyMode = SafetyMode.NORMAL, mode: RobotMode = RobotMode.RUNNING, **modes: bool) -> RobotState:
     """What the primary interface says."""
-    package = RobotModeData(FIRMWARE, robot_mode=mode, **modes)
-    return RobotState(package, MasterboardData(FIRMWARE, safety_mode=safety))
+    package = packet(RobotModeData, FIRMWARE, robot_mode=mode, **modes)
+    return RobotState(package, packet(MasterboardData, FIRMWARE, safety_mode=safety))
 
 
 def fast(safety: SafetyMode = SafetyMode.NORMAL, mode: RobotMode = RobotMode.RUNNING) -> RealtimeState:
     """What the real-time interface says."""
-    return RealtimeState(FIRMWARE, robot_mode=mode, safety_mode=safety)
+    return packet(RealtimeState, FIRMWARE, robot_mode=mode, safety_mode=safety)
 
 
 class Subscriber:

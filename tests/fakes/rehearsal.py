@@ -14,6 +14,7 @@ from typing import Any
 from linkcore.errors import ConnectionLost
 from linkcore.handle import Phase
 from tests.fakes.controller import ScriptedController
+from tests.fakes.packets import packet
 from tests.waiting import until
 from urlink.arm.kinematics import Arm
 from urlink.arm.vectors import FloatArray
@@ -108,7 +109,8 @@ class Rehearsal(ScriptedController):
         safety = {} if self.firmware.is_cb2 else {"safety_mode": SafetyMode.NORMAL}
         time = {} if self.firmware.is_cb2 else {"speed_scaling": self.scaling}
         actual = [*self.q[:5], self.q[5] + away]
-        state = RealtimeState(
+        state = packet(
+            RealtimeState,
             self.firmware,
             time=self.time,
             q_target=self.q,

@@ -12,6 +12,7 @@ import pytest
 
 from linkcore.errors import BadValue, LinkTimeout
 from tests.fakes.controller import ScriptedController
+from tests.fakes.packets import packet
 from tests.waiting import until
 from urlink.command import io as module
 from urlink.command.io import IO, Analog
@@ -86,7 +87,7 @@ def test_reading(robot: ScriptedController) -> None:
     }
     tool = {"analog_input_2": 2.5, "analog_input_range_2": 1, "analog_input_3": 3.5, "tool_output_voltage": 24}
     robot.state(board=board, tool=tool)
-    robot.fast.put(bytes(RealtimeState(robot.firmware, digital_input_bits=board["digital_input_bits"])))
+    robot.fast.put(bytes(packet(RealtimeState, robot.firmware, digital_input_bits=board["digital_input_bits"])))
     until(lambda: io.tool_voltage == 24 and io.digital_in(3))
     assert [io.digital_in(number) for number in range(8)] == [number == 3 for number in range(8)]
     assert [io.digital_out(number) for number in range(8)] == [number == 7 for number in range(8)]
@@ -108,7 +109,7 @@ def test_reading(robot: ScriptedController) -> None:
 def test_cb2() -> None:
     with ScriptedController("1.8") as robot:
         robot.clear(board={"digital_output_bits": 1 << 8})
-        robot.fast.put(bytes(RealtimeState(robot.firmware, digital_input_bits=1 << 9)))
+        robot.fast.put(bytes(packet(RealtimeState, robot.firmware, digital_input_bits=1 << 9)))
         io = robot.io
         until(lambda: io.tool_digital_in(1))
         assert [io.tool_digital_in(number) for number in range(2)] == [False, True]
@@ -177,7 +178,7 @@ def test_an_input_is_waited_for_at_the_rate_of_the_real_time_interface(
     with ScriptedController(firmware) as robot:
 
         def show(bits: int) -> None:
-            robot.fast.put(bytes(RealtimeState(robot.firmware, digital_input_bits=bits)))
+            robot.fast.put(bytes(packet(RealtimeState, robot.firmware, digital_input_bits=bits)))
 
         show(~(1 << bit) & 0xFFFF)
         with pytest.raises(LinkTimeout, match=r"digital input \d is not on: .*within 0\.05 s"):
@@ -198,7 +199,7 @@ def test_digital_in_is_as_new_as_the_state_that_ended_a_wait(robot: ScriptedCont
     # The primary interface has not reported the input yet, which it does ten times a second.
     robot.state(board={"digital_input_bits": 0})
     for on in (True, False, True):
-        robot.fast.put(bytes(RealtimeState(robot.firmware, digital_input_bits=on << bit)))
+        robot.fast.put(bytes(packet(RealtimeState, robot.firmware, digital_input_bits=on << bit)))
         wait(1, on, 10.0)
         assert read(1) == on
 

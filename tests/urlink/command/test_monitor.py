@@ -17,6 +17,7 @@ from linkcore.errors import ConnectFailed, ConnectionLost, LinkError
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from linkcore.wire.packet import State
 from tests.fakes.line import FIRMWARE, Desk, Subscriber, fast, slow
+from tests.fakes.packets import packet
 from urlink.command.interlock import Interlock
 from urlink.command.safety_monitor import SafetyMonitor
 from urlink.command.section import Section
@@ -192,12 +193,12 @@ def test_what_the_primary_interface_says_in_parts(desk: Monitored) -> None:
     desk.clear()
     desk.primary.tell(SafetyModeMessage(FIRMWARE, safety_mode=SafetyMode.VIOLATION))
     assert "violation" in str(desk.monitor.refusal_to_begin())
-    desk.primary.tell(RobotState(MasterboardData(FIRMWARE, safety_mode=SafetyMode.NORMAL)))
+    desk.primary.tell(RobotState(packet(MasterboardData, FIRMWARE, safety_mode=SafetyMode.NORMAL)))
     assert "violation" in str(desk.monitor.refusal_to_begin())  # without its mode it reports nothing of the robot
     desk.primary.tell(slow())
     assert desk.monitor.refusal_to_begin() is None
     for fields in ({"is_emergency_stopped": True}, {"is_protective_stopped": True}):
-        desk.primary.tell(RobotState(RobotModeData(FIRMWARE, robot_mode=RobotMode.RUNNING, **fields)))
+        desk.primary.tell(RobotState(packet(RobotModeData, FIRMWARE, robot_mode=RobotMode.RUNNING, **fields)))
         assert isinstance(desk.monitor.refusal_to_begin(), SafetyStop)
 
 

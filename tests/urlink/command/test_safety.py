@@ -14,6 +14,7 @@ from linkcore.errors import BadValue, Closed, ConnectFailed, ConnectionLost, Lin
 from linkcore.streaming.connection_life import Backoff, ConnectionState
 from tests.fakes.controller import ScriptedController
 from tests.fakes.link import ScriptedTransport
+from tests.fakes.packets import packet
 from tests.waiting import until
 from urlink.command import safety_monitor as monitor
 from urlink.errors import NotEnabled, NotRunning, SafetyStop
@@ -523,7 +524,7 @@ def test_closing_ends_waiting(robot: ScriptedController) -> None:
 def test_what_the_primary_interface_leaves_out_lifts_no_stop(robot: ScriptedController) -> None:
     robot.state(safety=SafetyMode.PROTECTIVE_STOP, fast=False)
     until(lambda: robot.safety.cause)
-    modes = RobotModeData(robot.firmware, robot_mode=RobotMode.RUNNING)
+    modes = packet(RobotModeData, robot.firmware, robot_mode=RobotMode.RUNNING)
     before = robot.primary.stats.decoded
     robot.slow.put(bytes(RobotState(modes)))
     until(lambda: robot.primary.stats.decoded > before)

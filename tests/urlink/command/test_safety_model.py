@@ -20,6 +20,7 @@ from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from linkcore.threads import CallbackThread
 from tests.fakes.clock import Clock
 from tests.fakes.line import Line
+from tests.fakes.packets import packet
 from urlink.command.channel import CommandChannel
 from urlink.command.interlock import Interlock
 from urlink.command.safety import Safety
@@ -118,8 +119,8 @@ class InterlockBeforeTheChannel(RuleBasedStateMachine):
     @rule(mode=robot_modes, safety=safety_modes)
     def primary(self, mode: RobotMode, safety: SafetyMode) -> None:
         self.tick()
-        modes = RobotModeData(FIRMWARE, robot_mode=mode)
-        state = RobotState(modes, MasterboardData(FIRMWARE, safety_mode=safety))
+        modes = packet(RobotModeData, FIRMWARE, robot_mode=mode)
+        state = RobotState(modes, packet(MasterboardData, FIRMWARE, safety_mode=safety))
         self.event(lambda: self.lines["primary"].tell(state), lambda: self.say("primary", (mode, safety)))
 
     @rule(mode=robot_modes)
@@ -127,14 +128,14 @@ class InterlockBeforeTheChannel(RuleBasedStateMachine):
         """What it does not say is as it was."""
         self.tick()
         said = self.said["primary"]
-        state = RobotState(RobotModeData(FIRMWARE, robot_mode=mode))
+        state = RobotState(packet(RobotModeData, FIRMWARE, robot_mode=mode))
         safety = SafetyMode.NORMAL if said is None else said[1]
         self.event(lambda: self.lines["primary"].tell(state), lambda: self.say("primary", (mode, safety)))
 
     @rule(mode=robot_modes, safety=safety_modes)
     def realtime(self, mode: RobotMode, safety: SafetyMode) -> None:
         self.tick()
-        state = RealtimeState(FIRMWARE, robot_mode=mode, safety_mode=safety)
+        state = packet(RealtimeState, FIRMWARE, robot_mode=mode, safety_mode=safety)
         self.event(lambda: self.lines["realtime"].tell(state), lambda: self.say("realtime", (mode, safety)))
 
     @rule()

@@ -15,6 +15,7 @@ from linkcore.streaming.connection import Connection
 from linkcore.wire.packet import State
 from tests.fakes.controller import ScriptedController
 from tests.fakes.line import Line
+from tests.fakes.packets import packet
 from tests.waiting import until
 from urlink.command.io import IO
 from urlink.command.section import Section
@@ -128,15 +129,15 @@ def show(robot: ScriptedController, what: dict[str, Any]) -> None:
     axes = ("X", "Y", "Z", "Rx", "Ry", "Rz")
     offset = {f"tcp_offset_{axis}": value for axis, value in zip(axes, what.get("tcp", [0] * 6), strict=True)}
     packages = [
-        RobotModeData(robot.firmware, robot_mode=RobotMode.RUNNING, **what.get("modes", {})),
-        MasterboardData(robot.firmware, **what.get("board", {})),
-        ToolData(robot.firmware, **what.get("tool", {})),
-        CartesianInfo(robot.firmware, **offset),
+        packet(RobotModeData, robot.firmware, robot_mode=RobotMode.RUNNING, **what.get("modes", {})),
+        packet(MasterboardData, robot.firmware, **what.get("board", {})),
+        packet(ToolData, robot.firmware, **what.get("tool", {})),
+        packet(CartesianInfo, robot.firmware, **offset),
     ]
     mass, cog = what.get("payload", (0.0, [0, 0, 0]))
     fields = {"payload_mass": mass, "payload_cog": cog} if robot.firmware >= (5, 10) else {}
     robot.slow.put(bytes(RobotState(*packages)))
-    robot.fast.put(bytes(RealtimeState(robot.firmware, robot_mode=RobotMode.RUNNING, **fields)))
+    robot.fast.put(bytes(packet(RealtimeState, robot.firmware, robot_mode=RobotMode.RUNNING, **fields)))
 
 
 class Setting:
