@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import select as _select
 import selectors
 import socket as _socket
 import struct
@@ -18,8 +17,9 @@ from .scheduler import Scheduler, Task, current
 #: The first descriptor: above those that a process usually has, and with room below 1024, where `select` ends.
 _FIRST = 400
 
-#: Of `poll`; those of `_ALWAYS` are reported whether they are wanted or not.
-_IN, _OUT, _ERR, _HUP, _NVAL = _select.POLLIN, _select.POLLOUT, _select.POLLERR, _select.POLLHUP, _select.POLLNVAL
+#: Events of `poll` with their numbers on Linux, because Windows has no `poll`, and macOS has no `POLLRDHUP`. Those of
+#: `_ALWAYS` are reported whether they are wanted or not.
+_IN, _PRI, _OUT, _ERR, _HUP, _NVAL, _RDHUP = 0x1, 0x2, 0x4, 0x8, 0x10, 0x20, 0x2000
 _ALWAYS = _ERR | _HUP | _NVAL
 
 _RealSocket = _socket.socket
@@ -347,7 +347,7 @@ class Socket(Pollable):
         elif 3 * end.room >= end.send_buffer:  # Linux reports room when a third is free
             found |= _OUT
         if end.is_ended or self._is_shut_for_reading:
-            found |= _IN | _select.POLLRDHUP
+            found |= _IN | _RDHUP
         return found
 
     def changed(self) -> None:
@@ -442,7 +442,8 @@ class Sockets:
             one.peer, one.is_connected = other, True
             # Of the process and not of the network: an event loop whose own pair were broken would never wait again.
             computer.ends.pop(one)
-        here, there = (Socket(self, _socket.AF_UNIX, _socket.SOCK_STREAM, 0, end) for end in ends)
+        family = getattr(_socket, "AF_UNIX", _socket.AF_INET)  # Windows' Python has no AF_UNIX
+        here, there = (Socket(self, family, _socket.SOCK_STREAM, 0, end) for end in ends)
         return here, there
 
     def addresses(self, host: Any, port: Any, family: int = 0, type: int = 0, proto: int = 0, flags: int = 0) -> Any:
@@ -459,10 +460,10 @@ class Sockets:
 
     def select(self, r: Iterable[Any], w: Iterable[Any], x: Iterable[Any], timeout: float | None = None) -> Any:
         """`select.select`."""
-        wanted = [(each, _select.POLLIN) for each in r] + [(each, _select.POLLOUT) for each in w]
+        wanted = [(each, _IN) for each in r] + [(each, _OUT) for each in w]
         found = self.wait({_descriptor(each): mask for each, mask in wanted}, timeout)
         ready = [(each, mask) for each, mask in wanted if found.get(_descriptor(each), 0) & mask]
-        return [e for e, m in ready if m == _select.POLLIN], [e for e, m in ready if m == _select.POLLOUT], []
+        return [e for e, m in ready if m == _IN], [e for e, m in ready if m == _OUT], []
 
     def wait(self, wanted: Mapping[int, int], timeout: float | None) -> dict[int, int]:
         """Wait for events of descriptors; {descriptor: mask}, empty when time is up."""
@@ -500,7 +501,7 @@ class Poll:
         self._sockets = sockets
         self._wanted: dict[int, int] = {}
 
-    def register(self, fd: Any, eventmask: int = _select.POLLIN | _select.POLLPRI | _select.POLLOUT) -> None:
+    def register(self, fd: Any, eventmask: int = _IN | _PRI | _OUT) -> None:
         self._wanted[_descriptor(fd)] = eventmask
 
     modify = register
