@@ -256,7 +256,7 @@ def test_wrong_arguments_are_local_errors() -> None:
         Controller("UR6")
     with pytest.raises(LocalError, match=r"firmware 2\.0"):
         Controller("UR5", "2.0")
-    with pytest.raises(BadValue, match="ports are"):
+    with pytest.raises(BadValue, match=r"ports=\{'modbus': 0\}; expected 'free'"):
         Controller(ports={"modbus": 0})
 
 
