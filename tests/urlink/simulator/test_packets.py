@@ -117,7 +117,7 @@ def test_forms_give_the_bytes_of_the_slow_encoder(release: Release, name: str) -
 
 
 def test_a_form_refuses_a_layout_with_text() -> None:
-    with pytest.raises(AssertionError, match="VersionMessage is of no fixed size"):
+    with pytest.raises(AssertionError, match="VersionMessage has no fixed size"):
         Form(VersionMessage.LAYOUTS.of("5.11"))
 
 
