@@ -83,10 +83,10 @@ class LineAssembler:
 def obey(state: ControllerState, runner: ProgramRunner, line: str) -> bool:
     """Execute a line that is a command to the controller; return False if it is URScript.
 
-    Such commands are known from a forum and from public drivers. The UR Client Library ends programs with `stop
-    program`, which ends every running program, whoever started it (docs/protocols/urscript.md, Sending a program). The
-    reply of a real controller is unknown; this one does not reply. `set robotmode freedrive` is accepted and has no
-    effect.
+    Such commands are known from a forum and from public drivers. The UR Client Library ends programs with
+    `stop program`, which ends every running program, even one that another client started (docs/protocols/urscript.md,
+    Sending a program). The reply of a real controller is unknown; this one does not reply. `set robotmode freedrive` is
+    accepted and has no effect.
     """
     words = " ".join(line.split())
     speed = _SPEED.fullmatch(words)
