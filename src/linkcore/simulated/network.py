@@ -1,9 +1,9 @@
 """Simulated computers, and TCP between them: the behaviour of kernels and cables.
 
 The order of data is kept within a connection, but not between two connections. Sent data are kept until they are
-acknowledged. If they are lost, they are sent again, after 0.2 s at first and after twice the time on each further
-attempt (RFC 6298; 0.2 s is the minimum of Linux). So data of an abandoned command are still delivered when the network
-works again, unless the connection was reset, as on a real network.
+acknowledged. Lost data are sent again, after 0.2 s at first and after twice the time on each further attempt (RFC 6298;
+0.2 s is the minimum of Linux). So data of an abandoned command are still delivered when the network works again, unless
+the connection was reset, as on a real network.
 """
 
 from __future__ import annotations

@@ -132,13 +132,19 @@ class Simulation(StrictAttributes):
 
         Each text is `NAME=COMPUTER@SECONDS`, in seconds since the block began.
 
-        The faults of the cable between that computer and the computer of the block are `cut` (every packet is lost),
-        `cut_to` and `cut_from` (packets in one direction are lost), `mend`, and `reset` (every connection is reset at
-        both ends).
+        Faults of the cable between that computer and the computer of the block:
 
-        The faults of the computer are `suspend` and `resume` (its program; its kernel keeps running), `hold` and
-        `release` (a function in C holds the interpreter's lock of its program), `kill` (its program), `power_off`, and
-        `power_on`.
+        - `cut`: every packet is lost
+        - `cut_to`, `cut_from`: packets to the computer, or from it, are lost
+        - `mend`: packets arrive again
+        - `reset`: every connection is reset at both ends
+
+        Faults of the computer:
+
+        - `suspend`, `resume`: its program is suspended, but its kernel keeps running
+        - `hold`, `release`: a function in C holds the interpreter's lock of its program
+        - `kill`: its program is killed
+        - `power_off`, `power_on`: it has no power
 
         Args:
             faults: Texts of the faults.

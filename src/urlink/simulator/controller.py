@@ -107,8 +107,8 @@ class Controller(StrictAttributes):
         stepped: Whether time passes only in `step` and within `passing`, even while the ports are served. Use it for
             tests that need the robot at a certain moment.
         scaling: Behaviour of the speed scaling of programs, for behaviour that is unknown or that you want to vary.
-        like: Identified properties of an arm, which the simulated arm takes over: model, calibration, TCP and payload,
-            motors, lag, noise, and the ramp of programs, as far as the recording shows them.
+        like: Identified properties of an arm for the simulated arm, as far as the recording shows them. They are model,
+            calibration, TCP and payload, motors, lag, noise, and the ramp of programs.
         scene: File with bodies around the arm. The adapter for its suffix opens it, such as urlink-mujoco for `.xml`.
 
     Attributes:
@@ -124,8 +124,9 @@ class Controller(StrictAttributes):
     Raises:
         UnknownModel: If there is no such arm.
         BadVersion: If there is no such firmware.
-        BadValue: If the firmware does not run on the model, the calibration belongs to another kind of arm, `ports` has
-            none of the forms above, an address in `reachable` is not numeric, or the file `scene` does not exist.
+        BadValue: If the firmware does not run on the model, or `model` differs from the model of `like`. If the
+            calibration belongs to another kind of arm, `ports` has none of the forms above, or an address in
+            `reachable` is not numeric. If the file `scene` does not exist.
         LocalError: If no adapter for the suffix of `scene` is installed, or the adapter cannot open the file.
     """
 

@@ -1,13 +1,13 @@
 """Robot API of a simulated PolyScope X: one HTTP request and one JSON answer per connection.
 
 The requests are in the table of `urlink.protocol.dashboard.robot_api`. Each does the same as the dashboard command of
-that name. Three facts are from the vendor's integration tests: programs can be uploaded even in local control, a new
-program whose name exists is rejected with 400, and a protective stop can be unlocked immediately.
+that name. The vendor's integration tests show three facts. Programs can be uploaded even in local control. A new
+program whose name exists is rejected with 400. A protective stop can be unlocked immediately.
 
 Assumptions:
 
-- Status and body of other rejections: 400 if the request cannot be read, 403 in local control, 404 if the object does
-  not exist, 405 for another method, 409 if the action is currently impossible.
+- Status and body of other rejections. The status is 400 if the request cannot be read, and 403 in local control. It is
+  404 if the object does not exist, 405 for another method, and 409 if the action is currently impossible.
 - Actions are answered immediately.
 - The version of the API before 10.12.
 - The name of the control mode other than REMOTE.

@@ -243,7 +243,7 @@ class _Compiler:
         return StatementCode(compiler._code, len(known))
 
     def _default(self, parameter: Node, default: Expression, slot: int) -> None:
-        """Evaluate a default value in the called function, at each call (a guess)."""
+        """Evaluate a default value in the called function, at each call (assumed)."""
         given = Label()
         self._emit(parameter, lambda after: instructions.skip_if_set(slot, given, after))
         value = self._value(default)
@@ -262,7 +262,7 @@ class _Compiler:
         label.at = len(self._makers)
 
     def _slot(self) -> int:
-        """A slot that this statement does not use yet."""
+        """Return a slot that this statement does not use yet."""
         slot = self._used
         self._used += 1
         self._top = max(self._top, self._used)

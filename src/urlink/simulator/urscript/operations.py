@@ -49,7 +49,7 @@ def failing(text: str) -> Function:
 
 
 def constant(value: Any) -> Function:
-    """A constant."""
+    """Make a function that returns a constant."""
 
     def run(f: Frame, value: Any = value) -> Any:
         return value
@@ -58,12 +58,12 @@ def constant(value: Any) -> Function:
 
 
 def temporary(slot: int) -> Function:
-    """Return the value that an earlier instruction stored in a slot."""
+    """Make a function that returns the value that an earlier instruction stored in a slot."""
     return itemgetter(slot)
 
 
 def local_variable(slot: int, name: str, place: int) -> Function:
-    """A local variable."""
+    """Make a function that returns a local variable."""
 
     def run(f: Frame, slot: int = slot, name: str = name, place: int = place) -> Any:
         value = f[slot]
@@ -75,7 +75,7 @@ def local_variable(slot: int, name: str, place: int) -> Function:
 
 
 def global_variable(slot: int, name: str, place: int) -> Function:
-    """A global variable."""
+    """Make a function that returns a global variable."""
 
     def run(f: Frame, slot: int = slot, name: str = name, place: int = place) -> Any:
         value = f[GLOBALS][slot]
@@ -87,7 +87,7 @@ def global_variable(slot: int, name: str, place: int) -> Function:
 
 
 def display(items: Sequence[Function], place: int) -> Function:
-    """A list."""
+    """Make a function that returns a list."""
 
     def run(f: Frame, items: Sequence[Function] = items) -> Any:
         return values.list_of([item(f) for item in items], f[THREAD].machine.charge)
@@ -96,7 +96,7 @@ def display(items: Sequence[Function], place: int) -> Function:
 
 
 def pose_display(items: Sequence[Function], place: int) -> Function:
-    """A pose."""
+    """Make a function that returns a pose."""
 
     def run(f: Frame) -> Any:
         made = [item(f) for item in items]
@@ -171,7 +171,7 @@ def global_element(slot: int, at: int, name: str, variable: int, place: int) -> 
 
 
 def structure(names: Sequence[str], items: Sequence[Function], place: int) -> Function:
-    """A struct with members of these names."""
+    """Make a function that returns a struct with members of these names."""
 
     def run(f: Frame) -> Any:
         made = dict(zip(names, [item(f) for item in items], strict=True))
@@ -201,7 +201,7 @@ def inverted(operand: Function, place: int) -> Function:
 
 
 def checked_truth(operand: Function, place: int) -> Function:
-    """The truth value of the operand."""
+    """Make a function that returns the truth value of the operand."""
     return placed(lambda f: truth(operand(f)), place)
 
 
@@ -434,7 +434,7 @@ def operation_by(sign: str, left: Function, right: float, place: int) -> Functio
 
 
 def choice(condition: Function, then: Function, otherwise: Function, place: int) -> Function:
-    """Return one of two values, depending on a condition at `place`."""
+    """Make a function that returns one of two values, depending on a condition at `place`."""
 
     def run(f: Frame, condition: Function = condition, then: Function = then, otherwise: Function = otherwise) -> Any:
         value = condition(f)
@@ -452,7 +452,7 @@ def choice(condition: Function, then: Function, otherwise: Function, place: int)
 
 
 def leaf_call(function: Function, arguments: Sequence[Function]) -> Function:
-    """Call a leaf function, in a frame with its arguments."""
+    """Make a function that calls a leaf function, in a frame with its arguments."""
 
     def run(f: Frame, function: Function = function, arguments: Sequence[Function] = arguments) -> Any:
         frame = [f[GLOBALS], f[THREAD]]
@@ -464,7 +464,7 @@ def leaf_call(function: Function, arguments: Sequence[Function]) -> Function:
 
 
 def call(function: Callable[..., Any], arguments: Sequence[Function], place: int) -> Function:
-    """Call a built-in function that takes no time."""
+    """Make a function that calls a built-in function that takes no time."""
 
     def run(
         f: Frame, function: Callable[..., Any] = function, arguments: Sequence[Function] = arguments, place: int = place
