@@ -12,7 +12,7 @@
 - **Tool accelerometer**: on an e-Series, it shows the acceleration that supports and accelerates the flange, in the
   frame of the tool. On a CB arm, it shows gravity, with the sign of a real CB2 packet.
 
-For lags, offsets, noise and steps, see `robot_parameters`. It is assumed that the elbow of real-time packets is the
+For lags, offsets, noise and steps, see `characteristics`. It is assumed that the elbow of real-time packets is the
 point in the safety data of a CB3 capture.
 """
 

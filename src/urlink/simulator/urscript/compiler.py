@@ -2,8 +2,8 @@
 
 An expression becomes one Python function, unless it calls a function of the program or a function that takes time. Such
 a call becomes an instruction, which stores its value in a slot of the frame. Operands to its left are evaluated before
-it, into slots too, so that the order of evaluation follows the text. A leaf function of the program (`leaf_functions`)
-also becomes a Python function.
+it, into slots too, so that the order of evaluation follows the text. A leaf function of the program
+(`scopes.leaf_size`) also becomes a Python function.
 """
 
 from __future__ import annotations
