@@ -205,7 +205,7 @@ def test_a_disk_that_fails_costs_the_recording_and_not_the_connection(
         monkeypatch.setattr(RecordingWriter, "write", full)
         robot.sync()
         robot.sync()
-        assert caplog.text.count("the disk is full; the connection goes on without it") == 1
+        assert caplog.text.count("the disk is full; the connection continues without recording") == 1
         with pytest.raises(rhdlink.BadRecording):
             robot.close()
         robot.close()
