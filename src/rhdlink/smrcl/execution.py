@@ -107,6 +107,7 @@ class WithCallbacks:
         """Register a function that receives all output of the mission. Returns this object.
 
         The function is called with each output and its kind, in order.
+
         Raises:
             BadValue: If the function is not callable.
         """

@@ -108,6 +108,7 @@ class Mission(StrictAttributes, WithCallbacks):
 
     def function(self, name: str, function: Callable[..., float]) -> Self:
         """Register a function for expressions: ``mission.function("dist", math.dist)``. Returns the mission.
+
         Raises:
             BadValue: If the name is not allowed or already in use, or the function is not callable.
         """

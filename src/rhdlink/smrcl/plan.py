@@ -79,7 +79,7 @@ def split_lines(source: str, *, cuts: bool) -> Iterator[PlanLine]:
 
 
 class Outcome(enum.Enum):
-    """What follows after a line: the line waits, or the next line begins."""
+    """Next step after a line: wait, or continue with the next line."""
 
     #: The line takes time: it ends when its default end or a stop condition is true.
     WAIT = 0

@@ -68,6 +68,7 @@ class Recipient(Protocol):
     """Receiver of a script's output to its client.
 
     It is the session of the client that sent the command, or an `Outbox`.
+
     Attributes:
         uses_xml: Whether events are sent as XML, set by ``set "xmlon"``.
     """

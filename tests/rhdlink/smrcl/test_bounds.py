@@ -95,7 +95,7 @@ def test_a_line_of_a_thousand_operators_is_a_mistake() -> None:
 def test_variables_have_an_end() -> None:
     bench = Bench("velomega", options={"limits": MissionLimits(lines=30_000)})
     bench.run("".join(f"v{number}x = 1\n" for number in range(10_001)))
-    assert bench.reason == "there is no room for further variables"
+    assert bench.reason == "there is no room for more variables"
 
 
 @pytest.mark.slow

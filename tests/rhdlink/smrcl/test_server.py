@@ -233,7 +233,7 @@ def test_a_server_that_cannot_begin_says_why(turtle: Turtle, server: MissionServ
         MissionServer(turtle, inactivity_timeout=-1.0)
     with pytest.raises(BadValue, match="expected 'sound', 'mrc'"):
         MissionServer(turtle, compat="loud")
-    with pytest.raises(Closed, match="does not run"):
+    with pytest.raises(Closed, match="is not running"):
         _ = MissionServer(turtle).port
     with pytest.raises(ConnectFailed):
         MissionServer("localhost:1", port=0).start()

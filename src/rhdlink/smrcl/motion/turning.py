@@ -184,6 +184,7 @@ class Clothoid(ControlledMotion):
     """`turnc`: drive an arc whose curvature grows up to its middle and then shrinks.
 
     The driven distance ends the motion.
+
     The path is a pair of clothoids with the same angle. It joins the two tangents that a circle of the radius would
     touch.
 
