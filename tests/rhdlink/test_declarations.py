@@ -208,7 +208,9 @@ def test_declarations_that_cannot_be(arguments: tuple[Any, ...], options: dict[s
 
 
 def test_a_variable_cannot_hide_what_every_robot_has() -> None:
-    with pytest.raises(BadValue, match=r"Bad.sync would hide an attribute that every Variables object has; .* name='sync'"):
+    with pytest.raises(
+        BadValue, match=r"Bad.sync would hide an attribute that every Variables object has; .* name='sync'"
+    ):
 
         class Bad(Variables):
             sync = Read(Int32)  # type: ignore[assignment]

@@ -329,7 +329,7 @@ def bind(instance: Declarations, database: Database, lock: threading.RLock | Non
 def _reader(
     declaration: Declaration[Any, Any], order: Order, table: VariableTable, identity: int, lock: threading.RLock
 ) -> Callable[[], Any]:
-    """Return the function that a property read calls. Everything is prepared, so a read takes half a microsecond."""
+    """Return the function that a property read calls. It is prepared, so that a read takes half a microsecond."""
     read = declaration.type.reader(declaration.count, declaration.order or order)
     offset = WORD * table.start(identity)
 
