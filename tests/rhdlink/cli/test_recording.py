@@ -108,7 +108,7 @@ def test_play_as_json_and_at_speed(run: Run, recording: Path) -> None:
     [
         ([], "realtime", (), "holds no rhd; it holds realtime"),
         ([b"nothing"], "rhd", (), "cannot begin a package"),
-        ([robot().encode_handshake("r")], "rhd", ("speedl", "--rate", "max"), "holds no variable 'speedl'"),
+        ([robot().encode_handshake("r")], "rhd", ("speedl", "--rate", "max"), "contains no variable 'speedl'"),
     ],
 )
 def test_what_cannot_be_played(

@@ -96,7 +96,8 @@ def test_a_file_that_cannot_be_opened_is_no_configuration(path: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "text", "said"), [("ls", "1 2 3", "contains 3 numbers; expected 16"), ("odo", "a b c", "could not convert")]
+    ("kind", "text", "said"),
+    [("ls", "1 2 3", "contains 3 numbers; expected 16"), ("odo", "a b c", "could not convert")],
 )
 def test_a_calibration_that_cannot_be_read_says_why(tmp_path: Path, kind: str, text: str, said: str) -> None:
     (tmp_path / "robot.conf").write_text("<mrc/>")
