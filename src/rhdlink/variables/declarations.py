@@ -343,7 +343,7 @@ def _reader(
 
 
 def _difference(declaration: Declaration[Any, Any], database: Database) -> str | None:
-    """How the database differs from the declaration; None if only an optional variable is missing."""
+    """Describe how the database differs from the declaration; None if only an optional variable is missing."""
     name, whose = declaration.name, _WHOSE[declaration.direction]
     identity = database.table(declaration.direction).find(name)
     if identity is not None:

@@ -2,7 +2,7 @@
 
 A data package is a sequence of entries: id, time stamp, data. If the same variables arrive in the same order, all their
 words have the same positions. So the positions are computed once, as a `Selection`, and every further package is copied
-with a few numpy calls, whatever the lengths of its variables. 1000 variables take 20 us instead of the milliseconds of
+with a few numpy calls, for any lengths of its variables. 1000 variables take 20 us instead of the milliseconds of
 a loop.
 """
 

@@ -37,8 +37,8 @@ class ItemField(NamedTuple):
         name: Name of the field.
         code: Character of its struct format, or of the format of each of its words.
         doc: Description of the field.
-        words: What determines the number of words, if it varies: "width" (of time stamps, the same in the whole
-            connection) or "length" (of the variable).
+        words: Quantity that determines the number of words, if it varies: "width" (of time stamps, the same in the
+            whole connection) or "length" (of the variable).
     """
 
     name: str
