@@ -49,7 +49,9 @@ class AsyncRobot(StrictAttributes, Generic[R]):
         self._ending: asyncio.Task[None] | None = None
 
     async def sync(self, timeout: float | None = None) -> None:
-        """Exchange values with the robot; see `Variables.sync`. Concurrent calls wait for each other.
+        """Exchange values with the robot; see `Variables.sync`.
+
+        Concurrent calls wait for each other.
 
         If the call is cancelled before the request is sent, nothing is sent. After that, the exchange continues until
         the answer or its deadline; the next sync starts after it.

@@ -67,31 +67,30 @@ def connect(
     """Connect to a robot.
 
     Args:
-            address: Address such as ``"localhost:24902"`` or ``"rhd://smr12"``. The default port is 24902.
-            variables: Class that declares the variables of your program. Without it, variables are available by name
-                only.
-            access: "r" to read; "w" to be the robot's master, which also writes.
-            fallback: "r" accepts read access if the robot already has a master; see `Variables.access`.
-            timeout: Maximum time for the connection and its handshake, in seconds. It is also the default timeout of
-                each sync.
-            unsent: Treatment of values that were set but not yet sent when a sync finds the connection lost or cannot
-                reconnect. "discard" drops them, because old commands should not move a robot that has lost its master.
-                "send" keeps them for the next successful sync, however late that is.
-            width: Number of 32-bit words of a time stamp, 2 or 4. By default it is detected from the handshake.
-            limits: Limits on the data that the robot may send.
-            record: Path of a new file in which to record every byte that the robot sends, with its arrival time.
-                `rhdlink replay` plays it. Each write delays the sync that it belongs to.
+        address: Address such as ``"localhost:24902"`` or ``"rhd://smr12"``. The default port is 24902.
+        variables: Class that declares the variables of your program. Without it, variables are available by name only.
+        access: "r" to read; "w" to be the robot's master, which also writes.
+        fallback: "r" accepts read access if the robot already has a master; see `Variables.access`.
+        timeout: Maximum time for the connection and its handshake, in seconds. It is also the default timeout of each
+            sync.
+        unsent: Treatment of values that were set but not yet sent when a sync finds the connection lost or cannot
+            reconnect. "discard" drops them, because old commands should not move a robot that has lost its master.
+            "send" keeps them for the next successful sync, however late that is.
+        width: Number of 32-bit words of a time stamp, 2 or 4. By default it is detected from the handshake.
+        limits: Limits on the data that the robot may send.
+        record: Path of a new file in which to record every byte that the robot sends, with its arrival time. The command
+            `rhdlink replay` plays it. Each write delays the sync that it belongs to.
 
-        Raises:
-            BadAddress: If `address` is not valid.
-            BadValue: If another argument is not valid.
-            BadRecording: If the file of `record` already exists or cannot be created.
-            AccessDenied: If the robot already has a master.
-            WrongVariables: If the robot's variables do not match the declared ones. The error lists every difference.
-            ConnectFailed: If no robot answers at the address.
-            ConnectionLost: If the robot closes the connection.
-            LinkTimeout: If the robot does not answer in time.
-            WrongPeer, PacketError: If the peer is not an RHD server.
+    Raises:
+        BadAddress: If `address` is not valid.
+        BadValue: If another argument is not valid.
+        BadRecording: If the file of `record` already exists or cannot be created.
+        AccessDenied: If the robot already has a master.
+        WrongVariables: If the robot's variables do not match the declared ones. The error lists every difference.
+        ConnectFailed: If no robot answers at the address.
+        ConnectionLost: If the robot closes the connection.
+        LinkTimeout: If the robot does not answer in time.
+        WrongPeer, PacketError: If the peer is not an RHD server.
     """
     place = parse_address(address)
     if variables is not None and not (isinstance(variables, type) and issubclass(variables, Variables)):
@@ -116,7 +115,9 @@ def connect(
 
 
 class Variables(StrictAttributes, Declarations, Closing):
-    """A robot and its variables, which `sync` exchanges with the robot. A context manager that closes itself.
+    """A robot and its variables, which `sync` exchanges with the robot.
+
+    A context manager that closes itself.
 
     Derive a class to declare variables as properties; see `Read` and `Write`. Every variable of the robot, declared or
     not, is also available by name::
@@ -185,7 +186,9 @@ class Variables(StrictAttributes, Declarations, Closing):
             return table.words(identity)
 
     def __setitem__(self, name: str, value: ArrayLike) -> None:
-        """Set a write variable to an integer, or to as many integers as it has words. The next sync sends it.
+        """Set a write variable to an integer, or to as many integers as it has words.
+
+        The next sync sends it.
 
         Raises:
             NotThere: If the robot has no such write variable.
@@ -210,14 +213,19 @@ class Variables(StrictAttributes, Declarations, Closing):
         return [] if self._transport is None else self._known().names()
 
     def stamp(self, name: str) -> TimeStamp:
-        """Time at which a variable was last set, on the clock of the side that set it. Raises `NotThere`."""
+        """Time at which a variable was last set, on the clock of the side that set it.
+
+        Raises `NotThere`.
+        """
         replica = self._known()
         with replica.lock:
             table, identity = replica.find(name)
             return table.stamp(identity)
 
     def updated(self, name: str) -> bool:
-        """Whether a read variable was in the last batch, or a write variable has yet to be sent. Raises `NotThere`.
+        """Whether a read variable was in the last batch, or a write variable has yet to be sent.
+
+        Raises `NotThere`.
 
         A server of the original sends a variable in every batch once it has been set. `fresh` shows real updates.
         """
@@ -228,7 +236,10 @@ class Variables(StrictAttributes, Declarations, Closing):
         return self._flag(name, "changed")
 
     def fresh(self, name: str) -> bool:
-        """Whether the last sync brought the variable with a new time stamp or value. Raises `NotThere`."""
+        """Whether the last sync brought the variable with a new time stamp or value.
+
+        Raises `NotThere`.
+        """
         return self._flag(name, "fresh")
 
     @property
@@ -277,14 +288,16 @@ class Variables(StrictAttributes, Declarations, Closing):
 
     @property
     def discarded(self) -> int:
-        """Number of set values that were lost with a connection, either unsent or sent without an answer.
+        """Number of set values that were lost with a connection.
+
+        These are values that were not sent, or were sent without an answer.
 
         See the argument `unsent` of `connect`.
         """
         return self._known().discarded
 
     def sync(self, timeout: float | None = None) -> None:
-        """Send the values that were set, and receive the robot's values: one round trip, at its next tick.
+        """Send the set values and receive the robot's values, in one round trip at its next tick.
 
         If the connection was lost, `sync` first reconnects, repeats the handshake and finds the variables by name. If
         `sync` finds the connection lost or cannot reconnect, it discards the values that were set before, unless
@@ -354,7 +367,9 @@ class Variables(StrictAttributes, Declarations, Closing):
         deadline: float | None = None,
         on_deadline: Callable[[float], object] | None = None,
     ) -> Subscription:
-        """Call `callback` in a dedicated thread after each sync that brought new values, until closed.
+        """Call `callback` in a dedicated thread after each sync that brought new values.
+
+        The calls end when the subscription or the robot object is closed.
 
         Args:
             callback: Function that is called with each `Update`. If it is slow or raises an exception, other callbacks
@@ -390,7 +405,10 @@ class Variables(StrictAttributes, Declarations, Closing):
     def subscribe_connection(
         self, callback: Callable[[ConnectionEvent], object], *, policy: Policy | None = None
     ) -> Subscription:
-        """Call `callback` in a dedicated thread at each change of the connection state, until closed."""
+        """Call `callback` in a dedicated thread at each change of the connection state.
+
+        The calls end when the subscription or the robot object is closed.
+        """
         self._known()
         policy = drop_oldest(1024) if policy is None else policy
         return self._subscribers.subscribe(ConnectionEvent, callback, None, policy, owner=self)

@@ -37,10 +37,16 @@ class Transport(Protocol):
         """Send all bytes."""
 
     def abort(self) -> None:
-        """Disconnect immediately, discard bytes that the peer has not acknowledged, and wake waiting threads."""
+        """Disconnect immediately and wake waiting threads.
+
+        Bytes that the peer has not acknowledged are discarded.
+        """
 
     def close(self) -> None:
-        """Disconnect, after a short wait for the peer to acknowledge the sent bytes. Wake waiting threads."""
+        """Disconnect, after a short wait for the peer to acknowledge the sent bytes.
+
+        Wake waiting threads.
+        """
 
 
 class Connection:
@@ -219,7 +225,10 @@ class Connection:
         self.collect(until)
 
     def abort(self) -> None:
-        """Abort the connection. A request that is still in the kernel is never sent. Idempotent, from any thread."""
+        """Abort the connection.
+
+        A request that is still in the kernel is never sent. Idempotent, from any thread.
+        """
         self._transport.abort()
 
     def _take(self, data: bytes, received: Stamp) -> None:

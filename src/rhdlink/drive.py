@@ -1,4 +1,4 @@
-"""Motions of a mobile robot without a script: forward, turn, arc, to a pose, along lines and walls."""
+"""Motions of a mobile robot without a script: lines, turns, arcs, poses and walls."""
 
 from __future__ import annotations
 
@@ -86,7 +86,10 @@ class _Motions:
         return next(self._numbers)
 
     def put(self, command: _Command) -> None:
-        """Begin a motion in the next cycle. It preempts all motions that were requested earlier, but no later one."""
+        """Begin a motion in the next cycle.
+
+        It preempts all motions that were requested earlier, but no later one.
+        """
         self._requested.append(command)
         for each in list(self._requested):
             if each.number < command.number:
@@ -100,7 +103,10 @@ class _Motions:
                 self._requested.popleft().life.fail(error)
 
     def _next(self) -> _Command | None:
-        """Take the newest request if it is newer than the running motion. The other requests are cancelled."""
+        """Take the newest request if it is newer than the running motion.
+
+        The other requests are cancelled.
+        """
         requested = [self._requested.popleft() for _ in range(len(self._requested))]
         new = max(requested, key=lambda each: each.number, default=None)
         if new is not None and new.number < self._newest:
@@ -225,15 +231,23 @@ class Drive(StrictAttributes, Closing):
         return self._begin("forward", Forward(_number("distance", distance)), speed)
 
     def turn(self, angle: float, *, speed: float | None = None) -> Motion:
-        """Turn on the spot by `angle` degrees; more than 180 is allowed. `speed` is the speed of a wheel."""
+        """Turn on the spot by `angle` degrees; more than 180 is allowed.
+
+        `speed` is the speed of a wheel.
+        """
         return self._begin("turn", Turn(math.radians(_number("angle", angle))), speed)
 
     def arc(self, radius: float, angle: float, *, speed: float | None = None) -> Motion:
-        """Drive an arc of `radius` m until the robot has turned by `angle` degrees; it stops just after that."""
+        """Drive an arc of `radius` m until the robot has turned by `angle` degrees.
+
+        The robot stops just after it has turned by the angle.
+        """
         return self._begin("arc", ArcTurn(_positive("radius", radius), math.radians(_number("angle", angle))), speed)
 
     def to(self, x: float, y: float, heading: float, *, radius: float = 0.3, speed: float | None = None) -> Motion:
-        """Drive to a pose along an arc, a straight line and an arc: the shortest path, forward or backward.
+        """Drive to a pose along the shortest path, forward or backward.
+
+        The path is an arc, a straight line and an arc.
 
         The motion ends a few centimetres and degrees away from the pose, because nothing corrects it on the path.
         """
@@ -241,7 +255,10 @@ class Drive(StrictAttributes, Closing):
         return self._begin("to", DriveToPoint(goal, _positive("radius", radius), is_absolute=True), speed)
 
     def along(self, x: float, y: float, direction: float, *, speed: float | None = None) -> Motion:
-        """Drive along the line through (x, y) in `direction`, until another motion begins or it is cancelled."""
+        """Drive along the line through (x, y) in `direction`.
+
+        The motion continues until another motion begins or it is cancelled.
+        """
         place = _number("x", x), _number("y", y), math.radians(_number("direction", direction))
         control = self._vehicle.control
 
@@ -268,12 +285,18 @@ class Drive(StrictAttributes, Closing):
         return self._begin("follow_line", FollowLine(), speed, begin)
 
     def follow_wall(self, side: str, distance: float, *, speed: float | None = None) -> Motion:
-        """Follow a wall on the "left" or "right" at `distance` m, until another motion begins or it is cancelled."""
+        """Follow a wall on the "left" or "right" at `distance` m.
+
+        The motion continues until another motion begins or it is cancelled.
+        """
         check_choice(side, "side", ("left", "right"))
         return self._begin("follow_wall", FollowWall(side == "left", _positive("distance", distance)), speed)
 
     def wheels(self, left: float, right: float) -> Motion:
-        """Set the speeds of the wheels, -10 to 10 m/s, until another motion begins. The handle is done immediately."""
+        """Set the speeds of the wheels, -10 to 10 m/s, until another motion begins.
+
+        The handle is done immediately.
+        """
         return self._begin("wheels", Wheels(_wheel("left", left), _wheel("right", right)), None)
 
     def stop(self) -> Motion:
@@ -320,7 +343,10 @@ class Drive(StrictAttributes, Closing):
 
     @property
     def distances(self) -> tuple[float, ...]:
-        """Infrared distances in m: left, front left, front middle, front right, right; zeros without sensors."""
+        """Infrared distances in m, from left to right; zeros without sensors.
+
+        The order is left, front left, front middle, front right, right.
+        """
         return tuple(self._vehicle.infrared.distances[:5])
 
     @property

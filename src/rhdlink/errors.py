@@ -4,13 +4,13 @@ Branches of the tree in `linkcore.errors`::
 
     LinkError
     ├── LocalError
-        │   ├── NotThere            the robot lacks this optional variable            (AttributeError)
-        │   ├── BadMission          the script cannot be run; lists every mistake with line and column
-        │   └── MissionFailed       a mission ended because a line could not be executed
-        │       └── MissionLimit    a mission exceeded a limit that stops runaway scripts
-        └── RemoteError
-            ├── AccessDenied        the robot already has a master                    (PermissionError)
-            └── WrongVariables      the robot's variables do not match the declared ones
+    │   ├── NotThere            the robot lacks this optional variable            (AttributeError)
+    │   ├── BadMission          the script cannot be run; lists every mistake with line and column
+    │   └── MissionFailed       a mission ended because a line could not be executed
+    │       └── MissionLimit    a mission exceeded a limit that stops runaway scripts
+    └── RemoteError
+        ├── AccessDenied        the robot already has a master                    (PermissionError)
+        └── WrongVariables      the robot's variables do not match the declared ones
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class BadMission(LocalError, ValueError):
 
 
 class MissionFailed(LocalError):
-    """A mission ended because a line could not be executed, or because something that it needs is missing.
+    """A mission ended because a line failed, or because something that it needs is missing.
 
     Attributes:
         line: Line in the file, counted from 1; 0 if no line caused the error.
@@ -94,4 +94,7 @@ class MissionFailed(LocalError):
 
 
 class MissionLimit(MissionFailed):
-    """A mission exceeded a limit: an endless loop that takes no time, nested calls, or too many values."""
+    """A mission exceeded a limit.
+
+    Examples are an endless loop that takes no time, nested calls, or too many values.
+    """

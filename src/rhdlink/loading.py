@@ -32,7 +32,9 @@ class RobotTable(Table):
         *,
         progress: Progress | None = None,
     ) -> Path:
-        """Write the table to a file in another format. The complete file replaces one of the same name.
+        """Write the table to a file in another format.
+
+        The complete file replaces one of the same name.
 
         Args:
             path: Path of the file. Its suffix selects the format; `rhdlink export --help` lists the formats.
@@ -54,7 +56,9 @@ class RobotTable(Table):
 def load(
     path: str | os.PathLike[str], variables: type[Declarations] | None = None, *, progress: Progress | None = None
 ) -> RobotTable:
-    """Load a recording as columns: ``load("drive.urlog")["encl"]``, with a row for each batch that the robot sent.
+    """Load a recording as columns: ``load("drive.urlog")["encl"]``.
+
+    The table has a row for each batch that the robot sent.
 
     A variable keeps its value until the robot sends a new one. If a read and a write variable have the same name, the
     table has the read variable. Damaged or unfinished parts are skipped, and `Table.missing` lists them.
@@ -117,7 +121,10 @@ def load(
 def _add_words(
     table: VariableTable, words: NDArray[np.int32], known: dict[str, Column], arrays: dict[str, NDArray[Any]]
 ) -> None:
-    """Add a column for each variable of a table. `words` has its values, shape (n, words of the table)."""
+    """Add a column for each variable of a table.
+
+    `words` has its values, shape (n, words of the table).
+    """
     for identity, row in enumerate(table):
         if table.find(row.name) != identity:
             continue  # of several variables with the same name, only the first gets a column

@@ -1,4 +1,7 @@
-"""Recorded connections in linkcore's format: the bytes are written as they arrive, and played batch by batch."""
+"""Recorded connections in linkcore's format.
+
+The bytes are written as they arrive, and played batch by batch.
+"""
 
 from __future__ import annotations
 
@@ -133,7 +136,9 @@ class Moment:
 
 
 def received(recording: RecordingFile, progress: Progress | None = None) -> Iterator[tuple[int, Record]]:
-    """Yield the bytes that a robot sent: the number of the connection, counted from 1, and the record.
+    """Yield the recorded bytes of a robot: the number of the connection and the record.
+
+    Connections are counted from 1.
 
     Args:
         recording: Recording to read.

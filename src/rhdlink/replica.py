@@ -130,12 +130,18 @@ class Replica:
                 )
 
     def changes(self, names: frozenset[str] | None) -> dict[str, Change]:
-        """Variables whose time stamp or value changed in the newest batch; only `names`, unless it is None."""
+        """Variables that changed in the newest batch; only `names`, unless it is None.
+
+        A variable has changed if its time stamp or value is different.
+        """
         with self.lock:
             return changes_in(self.database, names, self._value)
 
     def _value(self, table: VariableTable, identity: int) -> Any:
-        """Value of a variable, in its declared type. Words if it is undeclared or has another length."""
+        """Value of a variable, in its declared type.
+
+        Words if it is undeclared or has another length.
+        """
         row = table.rows[identity]
         declaration = self._declared.get((table.direction, row.name))
         if declaration is None or declaration.length != row.length:
@@ -145,7 +151,9 @@ class Replica:
     # -- a connection --------------------------------------------------------------------------
 
     def adopt(self, database: Database) -> None:
-        """Replace the tables by those of a new connection, and keep values that were set since the last sync.
+        """Replace the tables by the tables of a new connection.
+
+        Values that were set since the last sync are kept.
 
         The caller holds the lock.
         """

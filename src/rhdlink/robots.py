@@ -83,7 +83,10 @@ class Ackerman(Variables):
 
 
 class Gps(Variables):
-    """A robot with the GPS plugin. Names are spelled as in the plugin, which states no units; those here are NMEA's."""
+    """A robot with the GPS plugin.
+
+    Names are spelled as in the plugin, which states no units; those here are NMEA's.
+    """
 
     GPSeasting = Read(Millionths, unit="m", doc="UTM")
     GPSnorthing = Read(Millionths, unit="m", doc="UTM")

@@ -179,7 +179,9 @@ class Subscribers:
         *,
         owner: object,
     ) -> Subscription:
-        """Call `callback` with each event of a type. For `Update`, it receives only the variables in `names`.
+        """Call `callback` with each event of a type.
+
+        For `Update`, it receives only the variables in `names`.
 
         The subscription keeps `owner` alive.
 
@@ -232,7 +234,10 @@ class Subscribers:
                 each.offer(Update(own, received))
 
     def close(self, until: float) -> None:
-        """Deliver the queued events until the deadline `until` (on `linkcore.clock.now`), and then no more."""
+        """Deliver the queued events until the deadline `until`, and then no more.
+
+        The deadline is on the clock `linkcore.clock.now`.
+        """
         self._is_closed = True
         for each in self._subscribers:
             each.delivery.finish(clock.left(until))

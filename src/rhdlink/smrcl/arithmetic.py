@@ -42,7 +42,10 @@ def parse_number(text: str, start: int = 0) -> tuple[float, int] | None:
 
 
 def leading_number(text: str) -> float | None:
-    """Number at the start of a text, with a sign, as C's scanf and atof read it; None if there is no number."""
+    """Number at the start of a text, as C's scanf and atof read it.
+
+    It can have a sign. None if there is no number.
+    """
     text = text.lstrip(" \t\r\n\v\f")
     has_sign = text[:1] in ("-", "+")
     found = parse_number(text, int(has_sign)) if text else None
@@ -105,7 +108,10 @@ def normalize_angle(angle: float) -> float:
 
 
 def remainder_inclusive(a: float, b: float) -> float:
-    """Compute MRC's ``rem``: in [0, abs(b)] with both ends, so ``rem(3, 3)`` is 3 and ``rem(-3, 3)`` is 0."""
+    """Compute MRC's ``rem``, which is in [0, abs(b)] with both ends.
+
+    So ``rem(3, 3)`` is 3 and ``rem(-3, 3)`` is 0.
+    """
     b = abs(b)
     if not (a > b or a < 0.0):
         return a
@@ -157,7 +163,10 @@ def cosine(angle: float) -> float:
 
 
 def _total(function: Callable[[float], float]) -> Callable[[float], float]:
-    """Wrap `function` to return nan outside its domain and at infinity, where Python raises an exception."""
+    """Wrap `function` to return nan outside its domain and at infinity.
+
+    Python raises an exception there.
+    """
 
     def total(value: float) -> float:
         try:

@@ -1,4 +1,4 @@
-"""The commands of the language, one row each: the parameters of a command, and the function that executes it.
+"""The commands of the language: one row each, with parameters and function.
 
 MRC checks the number of parameters, but not their kinds. This module checks both, before a script runs and when a line
 is executed. To add a command, write a function, a row below, and a row of the page on SMR-CL.

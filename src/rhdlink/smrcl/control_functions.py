@@ -1,4 +1,4 @@
-"""The control functions of MRC: their parameters (`setpar`), and their inputs from variables (`routeinput`)."""
+"""The control functions of MRC: parameters (`setpar`) and routed inputs (`routeinput`)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""The main loop of a mission, with one cycle per answer of the robot. It needs no robot, clock or thread.
+"""The main loop of a mission, with one cycle per answer of the robot.
+
+It needs no robot, clock or thread.
 
 ::
 
@@ -7,11 +9,11 @@
     request = controller.first_request()
     while not controller.is_finished:
         raw = exchange(request)                # the robot's read variables, by name
-                request = controller.step(raw)         # the variables to write next
-            exchange(request)                          # the robot stops
+        request = controller.step(raw)         # the variables to write next
+    exchange(request)                          # the robot stops
 
-        The order within a cycle is the same as in MRC: sensors, odometry, script, motion control, watches, log. The
-        written values of a cycle act on the robot before its next answer.
+The order within a cycle is the same as in MRC: sensors, odometry, script, motion control, watches, log. The values
+written in a cycle act on the robot from its next answer.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""The server side of a mission: commands from clients instead of a file, as MRC receives them on its port.
+"""The server side of a mission: commands from clients instead of a file.
+
+MRC receives such commands on its port.
 
 Clients send lines of text with at most 255 characters. Some words are answered immediately (`eval`, `getevent`,
 `beginplan`, ...). All other lines are commands, which are queued and executed in order. Events report the outcome of a

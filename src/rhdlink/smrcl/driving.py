@@ -1,4 +1,7 @@
-"""Commands for motions, motion settings and odometry; `commands` has the table of all commands."""
+"""Commands for motions, motion settings and odometry.
+
+`commands` has the table of all commands.
+"""
 
 from __future__ import annotations
 
@@ -145,7 +148,10 @@ def move_to(effects: MissionEffects, x: float, y: float, z: float) -> Outcome:
 
 
 def generate(effects: MissionEffects, *parameters: float) -> Outcome:
-    """`funcgen`: generate a signal. Omitted parameters keep their values from the previous signal."""
+    """`funcgen`: generate a signal.
+
+    Omitted parameters keep their values from the previous signal.
+    """
     effects.signal[: len(parameters)] = parameters
     return effects.move(FunctionGenerator(effects.signal))
 

@@ -1,4 +1,6 @@
-"""The objects that commands use, and the commands for flow, log, events, texts and special hardware.
+"""The objects that commands use, and the commands that do not move the robot.
+
+These are the commands for flow, log, events, texts and special hardware.
 
 A command is a function. It takes `MissionEffects` and the command's parameters, sets the default end of its line, and
 returns whether the line takes time. `commands` has the table of all commands.
@@ -372,6 +374,9 @@ def get(effects: MissionEffects, what: str, text: str = "") -> Outcome:
 
 
 def estimate_wall(effects: MissionEffects, method: str, *parameters: float) -> Outcome:
-    """`wallest`: estimate the position of a wall. MRC has two methods; whether it has more is unknown."""
+    """`wallest`: estimate the position of a wall.
+
+    MRC has two methods; whether it has more is unknown.
+    """
     effects.use_hook(method, *parameters, mrc="" if method[1:2] in ("b", "c") else "Wrong parameter \n")
     return effects.at_once()

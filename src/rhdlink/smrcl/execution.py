@@ -41,7 +41,9 @@ _OBSERVED = frozenset(kind.value for kind in SaidKind if kind is not SaidKind.LO
 
 @dataclass
 class Callbacks:
-    """The callbacks of a user's program. All of them are called between two ticks, so they must be quick.
+    """The callbacks of a user's program.
+
+    All of them are called between two ticks, so they must be quick.
 
     Attributes:
         hooks: Functions for commands that need hardware, by the name of the command.
@@ -79,7 +81,9 @@ class WithCallbacks:
         self._callbacks = Callbacks()
 
     def on(self, name: str, function: Callable[..., object]) -> Self:
-        """Register a function that executes a command, or receives one kind of output. Returns this object.
+        """Register a function that executes a command, or receives one kind of output.
+
+        Returns this object.
 
         A command that needs hardware ("vision", "laser", "get", "play", "speak", "open", "writewifi", "wallest",
         "barcode", "movetoxyz") calls the function with its parameters. The function can return system variables by
@@ -229,7 +233,7 @@ class MissionExecution:
 
     @property
     def error(self) -> MissionFailed | None:
-        """Error that ended the mission early, for the user's program; None if the mission did not fail."""
+        """Error that ended the mission early, for the user's program; None if there was none."""
         failure = self.controller.failure
         if failure is None:
             return None

@@ -185,7 +185,10 @@ class ScriptInterpreter:
 
     @staticmethod
     def failure(run: Run | None, reason: str, column: int = 0, *, is_limit: bool = False) -> Failure:
-        """Create the failure of the running line, at a column of it or at the start of the current statement."""
+        """Create the failure of the running line.
+
+        Its column is `column`, or the start of the current statement.
+        """
         if run is None or run.line is None:
             return Failure(reason, 0, 0, "", is_limit)
         line = run.line
@@ -236,7 +239,10 @@ class ScriptInterpreter:
 
     @contextlib.contextmanager
     def aside(self) -> Iterator[None]:
-        """Run a command inside the current one, which continues afterwards: a watch, or a client's `eval`."""
+        """Run a command inside the current one: a watch, or a client's `eval`.
+
+        The current command continues afterwards.
+        """
         pool = self.symbols.pool
         kept = self._tests, self.default_end, pool[self._condition]
         found = list(self._found) if self.profile.watches_apart else self._found
@@ -294,7 +300,10 @@ class ScriptInterpreter:
         return False
 
     def evaluate(self, text: str) -> list[float] | None:
-        """Compute the values of ``eval ...`` while a command runs; None if the text is another command, or wrong."""
+        """Compute the values of ``eval ...`` while a command runs.
+
+        None if the text is another command, or wrong.
+        """
         line = self._parser.parse(text)
         statement = line.statements[0] if line.statements else None
         with self.aside():

@@ -61,7 +61,10 @@ class Token:
 
 
 def tokenize(line: str) -> list[Token]:
-    """Split a line into tokens, with its end as the last token. Accepts any text; the parser finds errors."""
+    """Split a line into tokens, with its end as the last token.
+
+    Accepts any text; the parser finds errors.
+    """
     found = []
     place = 0
     while True:

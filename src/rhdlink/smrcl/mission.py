@@ -38,7 +38,9 @@ LARGEST = 1 << 20
 
 
 def read_script(path: str | os.PathLike[str]) -> str:
-    """Read a script from a file, as UTF-8 if it is valid UTF-8, otherwise as Latin-1, which any file is.
+    """Read a script from a file, as UTF-8 or otherwise as Latin-1.
+
+    Every file is valid Latin-1.
 
     Raises:
         BadValue: If the file cannot be read, or is too large.
@@ -107,7 +109,9 @@ class Mission(StrictAttributes, WithCallbacks):
     # -- a user's program ----------------------------------------------------------------------------
 
     def function(self, name: str, function: Callable[..., float]) -> Self:
-        """Register a function for expressions: ``mission.function("dist", math.dist)``. Returns the mission.
+        """Register a function for expressions: ``mission.function("dist", math.dist)``.
+
+        Returns the mission.
 
         Raises:
             BadValue: If the name is not allowed or already in use, or the function is not callable.
@@ -123,7 +127,7 @@ class Mission(StrictAttributes, WithCallbacks):
     # -- checking ------------------------------------------------------------------------------------
 
     def check(self) -> list[Mistake]:
-        """List every mistake that can be found in the script before it runs, in the order of its lines."""
+        """List every mistake that can be found before the script runs, in order of its lines."""
         return self._check(None)
 
     def _check(self, system: Collection[str] | None) -> list[Mistake]:
@@ -178,7 +182,9 @@ class Mission(StrictAttributes, WithCallbacks):
         return run
 
     def debug(self, breakpoints: Iterable[int] = ()) -> Debugger:
-        """Run the mission step by step, and up to breakpoints. The robot stops whenever the mission is held.
+        """Run the mission step by step, and up to breakpoints.
+
+        The robot stops whenever the mission is held.
 
         Args:
             breakpoints: Line numbers in the file.
@@ -237,7 +243,7 @@ class MissionRun(Handle):
 
     @property
     def line(self) -> int:
-        """Number of the line in the file that is executed now, or was executed last; 0 before the first line."""
+        """Number of the current or last line in the file; 0 before the first line."""
         return self._line.number if self._line is not None else 0
 
     @property
@@ -368,7 +374,9 @@ class MissionRun(Handle):
 
 
 class Debugger(StrictAttributes):
-    """A mission that is executed line by line. A context manager that closes itself. Made by `Mission.debug`.
+    """A mission that is executed line by line.
+
+    A context manager that closes itself. Made by `Mission.debug`.
 
     Attributes:
         breakpoints: Numbers of the lines before which `resume` stops.

@@ -24,7 +24,7 @@ class Odometry:
     """The state of the odometry.
 
     Args:
-        conf: Configuration of the robot. Changes by a script are made in this object.
+        conf: Initial configuration of the robot. A script changes the attributes below instead.
 
     Attributes:
         left_scale: m per count of the left counter.

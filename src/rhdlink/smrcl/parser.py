@@ -1,4 +1,6 @@
-"""Parser of one line of SMR-CL to its syntax tree, by recursive descent with precedence climbing.
+"""Parser of one line of SMR-CL to its syntax tree.
+
+It uses recursive descent with precedence climbing.
 
 ::
 
@@ -9,13 +11,13 @@
     wait       = ":" conditions
     conditions = "(" expression ")" { "|" "(" expression ")" }
     eval       = "eval" expression { ";" expression }
-        if         = "if" "(" expression ")" STRING            ; the rest of the line is ignored
-        switch     = "switch" "(" expression ")"               ; the rest of the line is ignored
-        case       = "case" NUMBER                             ; the rest of the line is ignored
-        endswitch  = "endswitch"                               ; the rest of the line is ignored
+    if         = "if" "(" expression ")" STRING            ; the rest of the line is ignored
+    switch     = "switch" "(" expression ")"               ; the rest of the line is ignored
+    case       = "case" NUMBER                             ; the rest of the line is ignored
+    endswitch  = "endswitch"                               ; the rest of the line is ignored
 
-    MRC executes a line while it reads it, so the text before an error has already had its effect. This parser returns a
-    line with an error as the tree before the error, and the error (`ScriptLine`). Executing it has the same effect.
+MRC executes a line while it reads it, so the text before an error has already had its effect. This parser returns a
+line with an error as the tree before the error, and the error (`ScriptLine`). Executing it has the same effect.
 """
 
 from __future__ import annotations
@@ -221,7 +223,10 @@ class Parser:
         return Assign(target, value, following.text if is_name else None)
 
     def _command(self, name: Token) -> CommandStatement:
-        """Parse a command. If it contains an error, its first part becomes a statement of the line too."""
+        """Parse a command.
+
+        If it contains an error, its first part becomes a statement of the line too.
+        """
         parameters: list[Operand] = []
         speeds: list[SpeedSetting] = []
         conditions: tuple[Expression, ...] = ()

@@ -1,4 +1,4 @@
-"""The two profiles: "mrc" behaves like the original, and "sound" behaves as a mission can expect.
+"""The two profiles: "mrc" behaves like the original, and "sound" without its defects.
 
 Each difference is one field of `Profile`, with the behaviour of the original and of this library. The table in the
 documentation is made from these fields. Behaviour that no script can want (crashes, endless loops inside MRC, overrun
@@ -19,7 +19,9 @@ def _fixed(mrc: str, sound: str) -> Any:
 
 @dataclass(frozen=True)
 class Profile:
-    """Rules for executing a mission: `MRC`, `SOUND`, or a mixture made with `dataclasses.replace`.
+    """Rules for executing a mission: `MRC`, `SOUND`, or a mixture.
+
+    `dataclasses.replace` makes a mixture.
 
     Attributes:
         name: "mrc" or "sound".

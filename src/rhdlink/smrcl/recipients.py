@@ -1,4 +1,7 @@
-"""The output of a mission, and its receivers: the session of a client, or an outbox if there is no client."""
+"""The output of a mission, and its receivers.
+
+A receiver is the session of a client, or an outbox if there is no client.
+"""
 
 from __future__ import annotations
 
@@ -264,14 +267,20 @@ class Session:
         self.send(f'<cmd id="{number}" status="{status}" />\n' if self.uses_xml else f"ID{number} {status}\n")
 
     def ask_event(self, seconds: float) -> None:
-        """Send the oldest event, or the next one within `seconds`. A new request replaces the pending one."""
+        """Send the oldest event, or the next one within `seconds`.
+
+        A new request replaces the pending one.
+        """
         if self._events:
             self.send(self._events.popleft())
         else:
             self._waiting = int(max(-(2.0**31), min(2.0**31, seconds * 100)))
 
     def end_cycle(self) -> None:
-        """Answer a pending `getevent` with the oldest event, or with `eventtimeout` when its time is up."""
+        """Answer a pending `getevent` with the oldest event, or with `eventtimeout`.
+
+        A client receives `eventtimeout` when the time of its request is up.
+        """
         if self._waiting is None:
             return
         if self._events:
@@ -284,7 +293,10 @@ class Session:
             self._waiting -= 1
 
     def begin_cycle(self, cycle: int, time: float) -> None:
-        """Send the streamed variables in each cycle in which they are due; `time` is ``$time`` of this cycle."""
+        """Send the streamed variables in each cycle in which they are due.
+
+        `time` is ``$time`` of this cycle.
+        """
         self._time = time
         if self._streamed and cycle % self._stream_period == 0:
             self._send_streamed(self._streamed)
@@ -318,7 +330,10 @@ class Session:
         self.send(f"syncevent {name}\n")
 
     def stream(self, period: int, variables: Sequence[tuple[str, int]]) -> None:
-        """Add variables of `stream`, and send all of them in each `period`-th cycle. With 0, send only these, once."""
+        """Add variables of `stream`, and send all of them in each `period`-th cycle.
+
+        With 0, send only these, once.
+        """
         if period == 0:
             self._send_streamed(variables)
             return

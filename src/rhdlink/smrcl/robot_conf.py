@@ -1,4 +1,4 @@
-"""The configuration of a robot for MRC: its kind, its scales and its gains, as in `robot.conf`.
+"""The configuration of a robot for MRC, as in `robot.conf`: kind, scales and gains.
 
 The defaults are MRC's own defaults without a file, if MRC has any. Elements are found anywhere in the file. Elements
 for hardware that missions here do not support (``<filter>``, ``<gpsmouse>``, ...) are ignored.
@@ -23,7 +23,9 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Scale:
-    """Offset and gain of a variable of the robot (``<varscale>``): its value is ``(raw + offset) * gain``.
+    """Offset and gain of a variable of the robot (``<varscale>``).
+
+    Its value is ``(raw + offset) * gain``.
 
     Attributes:
         variable: Name of the variable, with an index if it is not the first value: ``"adc[2]"``.

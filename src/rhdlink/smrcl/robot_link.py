@@ -101,7 +101,10 @@ class ClientLink:
 
 
 class _Fetched(dict[str, Sequence[int]]):
-    """Read variables of a tick, fetched on demand. A robot can have thousands, but a mission needs only a few."""
+    """Read variables of a tick, fetched on demand.
+
+    A robot can have thousands, but a mission needs only a few.
+    """
 
     def __init__(self, fetch: Callable[[str], Sequence[int]]) -> None:
         super().__init__()
@@ -169,7 +172,9 @@ class PluginLink:
         self._call_plugins()
 
     def exchange(self, written: Words, timeout: float | None = None) -> Words:
-        """Write values, and execute one tick. As with a host, the answer holds the values before the tick.
+        """Write values, and execute one tick.
+
+        As with a host, the answer does not yet show their effect.
 
         Raises:
             BadValue: If the link was closed.
@@ -211,7 +216,7 @@ class PluginLink:
             plugin.periodic(self.tick)
 
     def close(self) -> None:
-        """Call the plugins once more with no writer, so that they stop the robot, and terminate them."""
+        """Call the plugins with no writer, so that they stop the robot, and terminate them."""
         if self._is_closed:
             return
         self._is_closed = True

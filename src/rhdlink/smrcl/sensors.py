@@ -196,7 +196,10 @@ class LineSensor:
         return self.smoothed[3] < 0.3 and self.smoothed[4] < 0.3
 
     def crosses_black(self, distance: float) -> bool:
-        """Whether both halves have been on black within 3 cm. `distance` is the driven distance in m."""
+        """Whether both halves have been on black within 3 cm.
+
+        `distance` is the driven distance in m.
+        """
         return self._black_crossing.update(self._halves[0], self._halves[1], distance)
 
     def crosses_white(self, distance: float) -> bool:
@@ -237,7 +240,10 @@ def _edges(smoothed: Sequence[float], cross: float) -> tuple[float, float]:
 
 
 class _Crossing:
-    """Position at which each half of the sensor was last on the line. Both begin at 0 m, as in MRC."""
+    """Position at which each half of the sensor was last on the line.
+
+    Both begin at 0 m, as in MRC.
+    """
 
     def __init__(self) -> None:
         self._first = self._second = 0.0

@@ -39,7 +39,9 @@ _FINISH, _CLOSE_TIMEOUT = 0.5, 5.0
 
 
 class MissionServer(StrictAttributes, Runnable, WithCallbacks):
-    """Executes commands from clients on one robot. A context manager that starts and closes itself.
+    """Executes commands from clients on one robot.
+
+    A context manager that starts and closes itself.
 
     ``run()`` serves in this thread until `stop`. ``start()``, or a ``with`` block, serves in a dedicated thread. A
     server runs once.
@@ -123,7 +125,10 @@ class MissionServer(StrictAttributes, Runnable, WithCallbacks):
         return () if self._dialogue is None else tuple(self._dialogue.failures)
 
     def _saver(self, folder: str | os.PathLike[str] | None) -> Callable[[str, str], object] | None:
-        """Return a function that saves clients' logs. If it fails, only the command fails, not the server."""
+        """Return a function that saves clients' logs.
+
+        If it fails, only the command fails, not the server.
+        """
         save = log_saver(folder)
         if save is None:
             return None

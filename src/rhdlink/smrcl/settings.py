@@ -42,13 +42,19 @@ def make_array(effects: MissionEffects, name: str, size: float) -> Outcome:
 
 
 def transform(effects: MissionEffects, x0: float, y0: float, th0: float, x: float, y: float, th: float) -> Outcome:
-    """`trans`: transform a pose from the frame of another pose, into `$res0` to `$res2`; in m and rad."""
+    """`trans`: transform a pose from the frame of another pose.
+
+    The result is in `$res0` to `$res2`, in m and rad.
+    """
     c, s = cosine(th0), sine(th0)
     return _set_results(effects, c * x - s * y + x0, s * x + c * y + y0, th + th0)
 
 
 def transform_back(effects: MissionEffects, x0: float, y0: float, th0: float, x: float, y: float, th: float) -> Outcome:
-    """`invtrans`: transform a pose into the frame of another pose, into `$res0` to `$res2`; in m and rad."""
+    """`invtrans`: transform a pose into the frame of another pose.
+
+    The result is in `$res0` to `$res2`, in m and rad.
+    """
     c, s = cosine(th0), sine(th0)
     return _set_results(effects, c * (x - x0) + s * (y - y0), -s * (x - x0) + c * (y - y0), th - th0)
 

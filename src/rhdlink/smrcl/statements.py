@@ -33,7 +33,10 @@ Step = Callable[[Run], Outcome | None]
 
 
 def compile_line(line: ScriptLine, interpreter: ScriptInterpreter) -> list[tuple[int, Step]]:
-    """Compile a line to its steps, each with its column. A step raises `LineFault` if it cannot be executed."""
+    """Compile a line to its steps, each with its column.
+
+    A step raises `LineFault` if it cannot be executed.
+    """
     steps = [(_column(statement), _compile(statement, interpreter)) for statement in line.statements]
     if line.problem is not None:
         steps.append((line.problem.column, _fail(line.problem)))

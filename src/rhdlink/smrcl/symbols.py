@@ -1,4 +1,6 @@
-"""The variables of a mission: variables of the script, system variables (``$name``) of the robot, and their log.
+"""The variables of a mission, and their log.
+
+There are variables of the script, and system variables (``$name``) of the robot.
 
 As in MRC, all values are in one pool of doubles, in the order in which they are made. First come ``$condition`` and the
 results, then the built-in system variables, then the read and write variables of the robot, and then the variables of
@@ -78,7 +80,10 @@ class Symbols:
                 self.system.setdefault(name, symbol)
 
     def find_system(self, name: str) -> Symbol | None:
-        """Find a system variable, and keep it up to date from now on. None if there is no such variable."""
+        """Find a system variable, and keep it up to date from now on.
+
+        None if there is no such variable.
+        """
         symbol = self.system.get(name)
         if symbol is not None and name not in self._live and self.inputs.get(name) is symbol:
             # A robot can have thousands of variables. Convert only the variables that a script uses in each cycle.
@@ -102,7 +107,10 @@ class Symbols:
             pool[here] = (words[index] + pool[here + size]) * pool[here + 2 * size]
 
     def set_scale(self, name: str, index: int, *, offset: float | None = None, gain: float | None = None) -> bool:
-        """Set the offset or gain of a system variable. Return False if the name or index does not exist."""
+        """Set the offset or gain of a system variable.
+
+        Return False if the name or index does not exist.
+        """
         symbol = self.find_system(name)
         if symbol is None or not 0 <= index < symbol.size:
             return False
@@ -122,7 +130,10 @@ class Symbols:
         return self._make(name, 1, 0)
 
     def make_array(self, name: str, size: int) -> Symbol | None:
-        """Make an array of zeros. None if there is no room. An existing variable of that name is kept."""
+        """Make an array of zeros.
+
+        None if there is no room. An existing variable of that name is kept.
+        """
         # MRC first makes a plain variable, whose value stays unused.
         return self._make(name, size, 1)
 
@@ -193,7 +204,9 @@ class DataLog:
 
 
 def split_index(text: str) -> tuple[str, int]:
-    """Split ``"servo[2]"`` into ``("servo", 2)``. The index is 0 if it is missing, or not a number.
+    """Split ``"servo[2]"`` into ``("servo", 2)``.
+
+    The index is 0 if it is missing, or not a number.
 
     As in MRC, an index of -1 counts as missing.
     """

@@ -172,7 +172,10 @@ class Switch:
 
 @dataclass(frozen=True)
 class Case:
-    """``case`` that is not skipped: the lines up to the next matching case or `EndSwitch` are skipped."""
+    """``case`` that is not skipped.
+
+    The lines up to the next matching case or `EndSwitch` are skipped.
+    """
 
     value: NumberLiteral
 

@@ -1,4 +1,7 @@
-"""The built-in system variables of a mission (``$odox``, ``$time``): their names, and their values in each cycle."""
+"""The built-in system variables of a mission (``$odox``, ``$time``).
+
+The module has their names, and computes their values in each cycle.
+"""
 
 from __future__ import annotations
 

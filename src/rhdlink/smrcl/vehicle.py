@@ -1,4 +1,6 @@
-"""The robot of a mission: converts its variables to a pose and distances, and speeds to its variables.
+"""The robot of a mission.
+
+It converts its variables to a pose and distances, and speeds to its variables.
 
 One cycle of MRC's main loop (mrc.c) in two halves, with the script between them::
 
@@ -200,7 +202,9 @@ class Vehicle:
     # -- values from a user's program, or from outside -----------------------------------------------
 
     def see_line(self, values: Sequence[float]) -> None:
-        """Use line values from a user's program instead of the robot's: for each sensor 0 for black, 1 for white.
+        """Use line values from a user's program instead of the robot's.
+
+        The value of each sensor is 0 for black and 1 for white.
 
         Raises:
             BadValue: If the number of values is not the number of sensors.
@@ -211,7 +215,9 @@ class Vehicle:
         self.line_sensor.see([float(value) for value in values])
 
     def see_distances(self, distances: Sequence[float]) -> None:
-        """Use infrared distances from a user's program, in m: left, front left, front middle, front right, right.
+        """Use infrared distances from a user's program, in m.
+
+        The order is left, front left, front middle, front right, right.
 
         Raises:
             BadValue: If there are not five distances.
@@ -259,13 +265,19 @@ class VehicleOutputs:
         return any(self._words[name][0] for name in self._speeds)
 
     def set_speeds(self, left: float, right: float, omega: float) -> None:
-        """Write the wheel speeds in m/s; for a velocity-omega robot, write `left` and the turn rate in rad/s."""
+        """Write the wheel speeds in m/s.
+
+        For a velocity-omega robot, write `left` and the turn rate in rad/s.
+        """
         speeds = left, omega if self._is_velomega else right
         for name, scale, speed in zip(self._speeds, self._scales, speeds, strict=True):
             self._put(name, self._count_speed(speed * scale))
 
     def set(self, name: str, index: int, value: float) -> bool:
-        """Write ``(value + offset) * gain`` to a variable, rounded. Return False if the robot has no such variable."""
+        """Write ``(value + offset) * gain`` to a variable, rounded.
+
+        Return False if the robot has no such variable.
+        """
         symbol = self._symbols.outputs.get(name)
         if symbol is None or not 0 <= index < symbol.size:
             return False
@@ -276,7 +288,10 @@ class VehicleOutputs:
         return True
 
     def set_word(self, name: str, value: float) -> bool:
-        """Write the first word of a variable, without offset and gain. Return False if there is no such variable."""
+        """Write the first word of a variable, without offset and gain.
+
+        Return False if there is no such variable.
+        """
         if name not in self._words:
             return False
         self._put(name, _truncated(value))
@@ -294,7 +309,10 @@ class VehicleOutputs:
         self._changed[name] = words
 
     def take_changed(self) -> dict[str, list[int]]:
-        """Remove and return the variables that were set since the last call, by name, with all their words."""
+        """Remove and return the variables that were set since the last call, by name.
+
+        Each has all its words.
+        """
         changed, self._changed = self._changed, {}
         return {name: list(words) for name, words in changed.items()}
 

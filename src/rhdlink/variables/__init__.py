@@ -1,4 +1,4 @@
-"""The variable database: tables of words, the types of the words, and their declaration in classes."""
+"""The variable database: tables of words, types of values, and declarations in classes."""
 
 from __future__ import annotations
 

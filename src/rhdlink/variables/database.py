@@ -47,7 +47,9 @@ _WORD_FORM, _STAMP_FORM = struct.Struct("=i"), struct.Struct("=qq")
 
 
 class TimeStamp(NamedTuple):
-    """Time at which a variable was set, on the clock of the side that set it: the robot or the writing program.
+    """Time at which a variable was set, on the clock of the side that set it.
+
+    The side is the robot or the writing program.
 
     Attributes:
         seconds: Seconds since 1970 UTC. With most servers, it is 0 for a variable that was never set.
@@ -71,7 +73,10 @@ def now() -> TimeStamp:
 
 
 def _fitting(words: ArrayLike | int, size: int) -> ArrayLike:
-    """Check that the words fit a variable of `size` words, or that one word is given for all of them."""
+    """Check that the words fit a variable of `size` words.
+
+    One word can be given for all of them.
+    """
     if isinstance(words, int):
         if not -(2**31) <= words < 2**31:
             raise BadValue(f"{words} does not fit 32 bits")
@@ -157,7 +162,10 @@ class VariableTable:
         return name in self._ids
 
     def find(self, name: str) -> int | None:
-        """Find the id of the variable with this name, the first one if there are several. None if there is none."""
+        """Find the id of the variable with this name, the first one if there are several.
+
+        None if there is none.
+        """
         return self._ids.get(name)
 
     def add(self, name: str, length: int = 1) -> int:
@@ -228,7 +236,9 @@ class VariableTable:
         self.dirty.add(identity)
 
     def start(self, identity: int) -> int:
-        """Index of the first word of a variable in `values`. It does not change when variables are added.
+        """Index of the first word of a variable in `values`.
+
+        It does not change when variables are added.
 
         Raises:
             BadValue: If there is no variable with this id.
@@ -241,7 +251,9 @@ class VariableTable:
     # -- many at once --------------------------------------------------------------------------
 
     def select(self, ids: Sequence[int] | Ids, width: int = 2) -> Selection:
-        """Prepare variables for `set_many` and for sending. This is fast if they are the same as last time.
+        """Prepare variables for `set_many` and for sending.
+
+        This is fast if they are the same as last time.
 
         Raises:
             BadValue: If there is no variable with one of the ids.
@@ -276,7 +288,9 @@ class VariableTable:
         self.dirty.add_many(selection.ids, ordered=selection.is_ordered)
 
     def receive(self, data: DataPackage, *, updates: bool = True) -> None:
-        """Store values that came over the wire. Marks them as changed and fresh, and as updated if `updates`.
+        """Store values that came over the wire.
+
+        Marks them as changed and fresh, and as updated if `updates`.
 
         If a variable is contained twice, its last value counts.
         """
@@ -299,7 +313,7 @@ class VariableTable:
         self._received.append(rows)
 
     def begin_round(self, *, updates: bool = True) -> None:
-        """Clear `fresh` of the variables received since the last call, and also `updated` if `updates`."""
+        """Clear `fresh` of the variables received since the last call, and `updated` if `updates`."""
         for rows in self._received:
             self.fresh[rows] = False
             if updates:
@@ -343,7 +357,9 @@ class Database:
         self.read.is_frozen = self.write.is_frozen = True
 
     def encode_handshake(self, granted: str | None, width: int = 2) -> bytes:
-        """Encode the handshake of a server: access, both tables, and a value of each variable. Freezes the tables.
+        """Encode the handshake of a server: access, both tables, and a value of each variable.
+
+        Freezes the tables.
 
         Args:
             granted: "r" or "w"; None for no access, which is the original's refusal.
@@ -358,7 +374,10 @@ class Database:
 
 
 def database_of(handshake: Handshake) -> Database:
-    """Create the tables with the values of a handshake. Every variable that was ever set is fresh."""
+    """Create the tables with the values of a handshake.
+
+    Every variable that was ever set is fresh.
+    """
     database = Database(handshake.read, handshake.write)
     for data in handshake.data:
         database.table(data.direction).receive(data, updates=False)

@@ -216,7 +216,7 @@ class Declarations:
 
     Class arguments:
         order: Order in which the robot's machine stores values of several words, "little" or "big". It applies to
-        declarations without an `order`.
+            declarations without an `order`.
     """
 
     _word_order: ClassVar[Order] = "little"
@@ -234,8 +234,8 @@ class Declarations:
                 raise BadValue(f"order is {order!r}; expected 'little' or 'big'")
             cls._word_order = order
         declared: dict[str, Declaration[Any, Any]] = {}
-        # Begin with the oldest base, so that a class can replace declarations of its bases, or remove one with `name =
-        # None`.
+        # Begin with the oldest base, so that a class can replace declarations of its bases, or remove one with
+        # `name = None`.
         for base in reversed(cls.__mro__):
             for attribute, value in vars(base).items():
                 declared.pop(attribute, None)
@@ -264,11 +264,14 @@ class Declarations:
         return place
 
     def _check_set(self, declaration: Declaration[Any, Any]) -> None:
-        """Raise an error if this side may not set the variable. The robot's own side may set all variables."""
+        """Raise an error if this side may not set the variable.
+
+        The robot's own side may set all variables.
+        """
 
 
 def refuse_hiding(declared: type[Declarations], base: type[Declarations]) -> None:
-    """Raise `BadValue` if a class declares a variable whose name is already an attribute of `base`."""
+    """Raise `BadValue` if a class declares a variable with the name of an attribute of `base`."""
     for attribute, declaration in declared.declared().items():
         if hasattr(base, attribute) or attribute in base.__annotations__:
             raise BadValue(
@@ -278,7 +281,9 @@ def refuse_hiding(declared: type[Declarations], base: type[Declarations]) -> Non
 
 
 def create_variables(declared: type[Declarations], database: Database) -> None:
-    """Create the variables that a class declares in a database. Existing variables are not changed.
+    """Create the variables that a class declares in a database.
+
+    Existing variables are not changed.
 
     Raises:
         BadValue: If a name or a length is not valid.
@@ -329,7 +334,10 @@ def bind(instance: Declarations, database: Database, lock: threading.RLock | Non
 def _reader(
     declaration: Declaration[Any, Any], order: Order, table: VariableTable, identity: int, lock: threading.RLock
 ) -> Callable[[], Any]:
-    """Return the function that a property read calls. It is prepared, so that a read takes half a microsecond."""
+    """Return the function that a property read calls.
+
+    It is prepared, so that a read takes half a microsecond.
+    """
     read = declaration.type.reader(declaration.count, declaration.order or order)
     offset = WORD * table.start(identity)
 
@@ -343,7 +351,10 @@ def _reader(
 
 
 def _difference(declaration: Declaration[Any, Any], database: Database) -> str | None:
-    """Describe how the database differs from the declaration; None if only an optional variable is missing."""
+    """Describe how the database differs from the declaration.
+
+    None if only an optional variable is missing.
+    """
     name, whose = declaration.name, _WHOSE[declaration.direction]
     identity = database.table(declaration.direction).find(name)
     if identity is not None:

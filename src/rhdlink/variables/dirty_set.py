@@ -14,7 +14,9 @@ _NONE = read_only(np.empty(0, np.int64))
 
 
 class DirtySet:
-    """A set of ids that is emptied as a whole. Its cost depends on its size, not on the number of variables.
+    """A set of ids that is emptied as a whole.
+
+    Its cost depends on its size, not on the number of variables.
 
     If the sets of two clients are filled in the same way, they return the same array. So a package that was encoded for
     one client can be sent to the other.

@@ -1,4 +1,6 @@
-"""Types of 32-bit words: numbers, text and structures, packed as in the memory of a C++ program.
+"""Types of 32-bit words: numbers, text and structures.
+
+Values are packed as in the memory of a C++ program.
 
 The wrappers around the original copy a value's memory into as many words as it needs, and each word crosses the network
 on its own (docs/protocols/rhd.md, Encoding). So a double is two words, in the order of the robot's machine. The low
@@ -49,13 +51,18 @@ _LEAST, _MOST = -(2**31), 2**31 - 1
 
 
 def wrapped(count: float, bits: int = 32) -> int:
-    """Round a counter and wrap it to `bits` bits, as robots do: after 2147483647 comes -2147483648."""
+    """Round a counter and wrap it to `bits` bits, as robots do.
+
+    After 2147483647 comes -2147483648.
+    """
     half = 1 << (bits - 1)
     return (round(count) + half) % (2 * half) - half
 
 
 class ValueType(Generic[V, A, S]):
-    """Type of a variable's values: one value is a `V`, many values are an `A`, and an `S` can be set.
+    """Type of a variable's values.
+
+    One value is a `V`, many values are an `A`, and an `S` can be set.
 
     Attributes:
         unit: Unit of the values; "" for none.
@@ -247,7 +254,10 @@ class _Float(_Number[float, NDArray[Any], SupportsFloat]):
 
 
 def _numbers(values: Any, count: int, what: str) -> NDArray[np.float64]:
-    """Convert values to float64. Raises `BadValue` for values that are not numbers, even for numeric text."""
+    """Convert values to float64.
+
+    Raises `BadValue` for values that are not numbers, even for numeric text.
+    """
     array = _shaped(values, count, what)
     if array.dtype.kind not in "fiubO":
         raise BadValue(f"{values!r} is not {what}: expected numbers")
@@ -432,7 +442,9 @@ class Text(ValueType[str, tuple[str, ...], str]):
 
 
 class Structure(ValueType[np.void, NDArray[np.void], Any]):
-    """A C structure, as a structured numpy type. Several structures follow each other as in an array.
+    """A C structure, as a structured numpy type.
+
+    Several structures follow each other as in an array.
 
     Args:
         dtype: Argument of `numpy.dtype`. A type with ``align=True`` is padded as by a C compiler. The byte order of its
@@ -470,7 +482,10 @@ class Structure(ValueType[np.void, NDArray[np.void], Any]):
 
 
 def _copy_fields(to: NDArray[Any], source: NDArray[Any]) -> None:
-    """Copy only the fields. The padding may contain memory of this program, which must not be sent."""
+    """Copy only the fields.
+
+    The padding may contain memory of this program, which must not be sent.
+    """
     for name in to.dtype.names or ():
         if to[name].dtype.names is None:
             to[name] = source[name]

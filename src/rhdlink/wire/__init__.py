@@ -1,1 +1,1 @@
-"""The RHD byte format, sans-IO: `schema` declares it, and the other modules encode and decode it."""
+"""The RHD byte format, sans-IO: declarations in `schema`, encoders and decoders."""

@@ -63,7 +63,9 @@ class TableLayout:
 
 
 class Selection:
-    """Some variables of a table: positions of their words in a data package and in the table's storage.
+    """Some variables of a table, with the positions of their words.
+
+    The positions are given in a data package and in the table's flat storage.
 
     Attributes:
         ids: Ids of the variables, in the order of the package.
@@ -115,7 +117,10 @@ class Selection:
     # -- reading -------------------------------------------------------------------------------
 
     def fits(self, words: Words) -> bool:
-        """Whether the words of a package belong to these variables, with their ids at the expected positions."""
+        """Whether the words of a package belong to these variables.
+
+        If so, their ids are at the expected positions.
+        """
         return words[self.at].tobytes() == self._expected
 
     def values(self, words: Words) -> Words:
@@ -159,7 +164,10 @@ class Selection:
 
 
 def remember(known: dict[K, Selection], key: K, selection: Selection) -> None:
-    """Store a selection as the newest one. If there are already `_REMEMBERED`, drop the oldest one."""
+    """Store a selection as the newest one.
+
+    If there are already `_REMEMBERED`, drop the oldest one.
+    """
     known.pop(key, None)  # so that it becomes the newest, because a dict keeps the order of insertion
     if len(known) >= _REMEMBERED:
         del known[next(iter(known))]
@@ -167,7 +175,9 @@ def remember(known: dict[K, Selection], key: K, selection: Selection) -> None:
 
 
 class DataPackage:
-    """One checked data package with values of variables. If a variable is in it twice, the last value counts.
+    """One checked data package with values of variables.
+
+    If a variable is in it twice, the last value counts.
 
     Attributes:
         direction: "r" from robot to program, or "w" from program to robot.
@@ -184,7 +194,10 @@ class DataPackage:
 
     @classmethod
     def read(cls, direction: str, selection: Selection, buffer: bytes | bytearray, start: int) -> DataPackage:
-        """Read the package of these variables whose entries begin at `start`. Their ids are not checked."""
+        """Read the package of these variables whose entries begin at `start`.
+
+        Their ids are not checked.
+        """
         return cls(direction, selection, np.frombuffer(buffer, _WIRE, selection.size, start).astype(np.int32))
 
     def __len__(self) -> int:
@@ -207,7 +220,9 @@ class DataPackage:
 
 
 class Cursor:
-    """A position in a partly received data package. It moves from entry to entry, as far as they have arrived.
+    """A position in a partly received data package.
+
+    It moves from entry to entry, as far as they have arrived.
 
     The entries are first compared with an earlier package of the same number of entries. From the first difference,
     entries are found one by one, because only the id of an entry determines its end.
@@ -230,7 +245,9 @@ class Cursor:
         self._ids: list[int] = []
 
     def advance(self, buffer: bytes | bytearray, start: int) -> int | None:
-        """Find the entries that have arrived. Return the offset of an id that no variable has; otherwise None.
+        """Find the entries that have arrived.
+
+        Return the offset of an id that no variable has; otherwise None.
 
         Args:
             buffer: Received bytes.

@@ -290,7 +290,9 @@ class ServerDecoder(_Decoder):
         return tuple(rows)
 
     def _find_width(self) -> int | None:
-        """Detect the words of a time stamp from the structure after the tables; None if more bytes are needed.
+        """Detect the words of a time stamp from the structure after the tables.
+
+        None if more bytes are needed.
 
         The result is the width for which all ids, counts and letters are at the right positions. Two words are accepted
         as soon as they fit. A stream of four looks like a stream of two only if about 48 bits happen to match
@@ -378,7 +380,9 @@ class ClientDecoder(_Decoder):
         self._ready: str | None = None
 
     def take_access(self) -> str | None:
-        """Return the access that the client requests, "r" or "w", or None if it has not arrived completely.
+        """Return the access that the client requests, "r" or "w".
+
+        None if it has not arrived completely.
 
         Raises:
             PacketError: If the bytes are not an access request. Every further call raises it again.
@@ -395,7 +399,9 @@ class ClientDecoder(_Decoder):
         return self.access
 
     def take_request(self) -> Request | None:
-        """Return the next request after the access request, or None if it has not arrived completely.
+        """Return the next request after the access request.
+
+        None if it has not arrived completely.
 
         Raises:
             PacketError: If the bytes are not a request. Every further call raises it again.

@@ -1,4 +1,6 @@
-"""Dissect the bytes of one direction of a connection into packages, using the declarations in `schema`.
+"""Dissect the bytes of one direction of a connection into packages.
+
+The declarations in `schema` are used for this.
 
 The decoders reject invalid bytes, but a dissection shows them. Every byte belongs to one piece, and an invalid piece
 contains the reason.
@@ -71,7 +73,10 @@ def guess_sender(data: bytes) -> str:
 
 
 def tables_in(data: bytes) -> tuple[dict[str, tuple[SymbolRow, ...]], int | None]:
-    """Tables in the bytes of a server, and the words of its time stamps; empty and None without a handshake."""
+    """Tables in the bytes of a server, and the words of its time stamps.
+
+    Empty and None without a handshake.
+    """
     decoder = ServerDecoder()
     decoder.feed(data)
     try:

@@ -123,7 +123,9 @@ def schema(
     lengths: Sequence[int] = (),
     width: int = 2,
 ) -> Construct[Any, Any]:
-    """Return the construct schema of one package of the RHD format. It parses, builds and checks.
+    """Return the construct schema of one package of the RHD format.
+
+    It parses, builds and checks.
 
     The schema is made from the declaration that the documentation of the format shows. construct is imported by the
     first call. ``parse`` raises `construct.ConstructError` if the letters belong to another package, or if there are

@@ -1,4 +1,6 @@
-"""Motions without a goal pose: `fwd`, `drive`, `motorcmds`, `stop`, `align`, and the test signals of `funcgen`.
+"""Motions without a goal pose, and test signals.
+
+The commands are `fwd`, `drive`, `motorcmds`, `stop`, `align` and `funcgen`.
 
 The motion of `idle` is in `control`.
 """
@@ -33,7 +35,10 @@ class Stop(ControlledMotion):
 
 
 class Align(ControlledMotion):
-    """`align`: press the robot against an obstacle. A stopped wheel gets 4 m/s, which its motor limits."""
+    """`align`: press the robot against an obstacle.
+
+    A stopped wheel gets 4 m/s, which its motor limits.
+    """
 
     #: Speed in m/s below which a wheel counts as stopped, and the speed that it then gets.
     STOPPED = 0.01
@@ -49,7 +54,9 @@ class Align(ControlledMotion):
 
 
 class FunctionGenerator(ControlledMotion):
-    """`funcgen`: generate a signal for the robot's variable in `routeoutput`. The speeds do not change.
+    """`funcgen`: generate a signal for the robot's variable in `routeoutput`.
+
+    The speeds do not change.
 
     Args:
         parameters: Kind of signal, and its numbers. 0 is a step (height, s until it begins, s that it lasts). 1 is a
@@ -99,7 +106,7 @@ class FunctionGenerator(ControlledMotion):
 
 
 class Forward(ControlledMotion):
-    """`fwd`: drive straight along the target heading, to a target that is moved forward by the distance.
+    """`fwd`: drive straight to a target that is moved forward along its heading.
 
     The distance is added to the target instead of the pose, so that errors do not add up. The robot slows down near the
     end. The line ends 5 mm before the target, and the robot continues to the target unless another motion begins.
@@ -147,7 +154,9 @@ class Forward(ControlledMotion):
 
 
 class FollowDirection(ControlledMotion):
-    """`drive` and its variants: drive along the line through the reference, in its direction, without an end.
+    """`drive` and its variants: drive along the line through the reference.
+
+    The motion has no end. Its direction is the direction of the reference.
 
     Args:
         keeps_speed: Whether to begin at the commanded speed (`driveon`) instead of the robot's speed.

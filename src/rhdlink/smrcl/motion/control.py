@@ -27,7 +27,9 @@ class DriveKind(enum.Enum):
 
 @dataclass
 class MotionParameters:
-    """Settings of motion control, from `robot.conf` and `setpar`. The defaults are MRC's without a file.
+    """Settings of motion control, from `robot.conf` and `setpar`.
+
+    The defaults are MRC's without a file.
 
     Attributes:
         period: Duration of a cycle, in s.
@@ -80,7 +82,10 @@ class ControlledMotion:
         """Set the speeds for one cycle."""
 
     def is_done(self, control: MotionControl) -> bool:
-        """Whether the line of the script has ended on its own. False for motions that only a condition ends."""
+        """Whether the line of the script has ended on its own.
+
+        False for motions that only a condition ends.
+        """
         return False
 
     def progress(self, control: MotionControl) -> float:
@@ -213,7 +218,10 @@ class MotionControl:
     # -- helpers for motions -----------------------------------------------------------------------
 
     def set_velocity(self, velocity: float, steering: float) -> None:
-        """Set a speed in m/s, and the steering of a heading controller: m/s for each wheel, or rad/s of turn rate."""
+        """Set a speed in m/s, and the steering of a heading controller.
+
+        The steering is in m/s for each wheel, or in rad/s of turn rate.
+        """
         if self.drive is DriveKind.VELOMEGA:
             self.left = self.right = velocity
             self.omega = steering
@@ -242,7 +250,10 @@ class MotionControl:
         self.reached = velocity
 
     def clearance(self, is_ahead: bool) -> float:
-        """Distance in m, ahead or behind, to the point where the robot must stop. Sets `is_blocked` if it is near."""
+        """Distance in m, ahead or behind, to the point where the robot must stop.
+
+        Sets `is_blocked` if it is near.
+        """
         free = (self.obstacle_front if is_ahead else self.obstacle_back) - self.parameters.stop_distance
         free = max(free, 0.0)
         if free < self.parameters.alarm_distance:

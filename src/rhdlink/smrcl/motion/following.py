@@ -10,7 +10,10 @@ from .control import ControlledMotion, MotionControl, limited
 
 
 class FollowLine(ControlledMotion):
-    """`followline`: steer towards the line. Without a line, continue and stop after `no_line_distance`."""
+    """`followline`: steer towards the line.
+
+    Without a line, continue and stop after `no_line_distance`.
+    """
 
     #: Largest difference of a wheel speed from the speed of the robot, in m/s.
     LIMIT = 0.15
@@ -42,7 +45,9 @@ class FollowLine(ControlledMotion):
 
 
 class FollowWall(ControlledMotion):
-    """`followwall`: keep a distance to a wall, with a PD controller that turns the target heading.
+    """`followwall`: keep a distance to a wall.
+
+    A PD controller turns the target heading.
 
     Args:
         is_left: Whether the wall is on the left.
@@ -93,7 +98,9 @@ class FollowWall(ControlledMotion):
 
 
 class FollowWallTable(ControlledMotion):
-    """`followwall2`: keep a distance to a wall along the x axis, with state feedback and a table of gains.
+    """`followwall2`: keep a distance to a wall along the x axis.
+
+    State feedback takes its gains from a table.
 
     Args:
         is_left: Whether the wall is on the left.

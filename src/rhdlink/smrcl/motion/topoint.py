@@ -1,4 +1,6 @@
-"""`drivetopoint`: drive to a pose along an arc, a straight line and an arc, each forward or backward.
+"""`drivetopoint`: drive to a pose along an arc, a straight line and an arc.
+
+Each piece is driven forward or backward.
 
 Both arcs have the same radius. The first circle touches the start pose on its left or right, and the last circle
 touches the goal in the same way. A common tangent joins the circles, and each arc can go either way round its circle.
@@ -179,7 +181,7 @@ class NoWay(ValueError):
 
 
 class DriveToPoint(ControlledMotion):
-    """Three motions in a row, planned at the beginning and driven without checking the goal again.
+    """Three motions in a row, planned once and driven without checking the goal again.
 
     The motion ends at full speed unless the last piece changes the direction. It ends a few centimetres and degrees
     away from the goal.

@@ -95,7 +95,9 @@ class Turn(ControlledMotion):
 
 
 class ArcTurn(ControlledMotion):
-    """`turnr`: drive along a circle until the robot has turned by the angle. The centre is beside the target.
+    """`turnr`: drive along a circle until the robot has turned by the angle.
+
+    The centre is beside the target.
 
     Args:
         radius: Radius in m.
@@ -223,7 +225,10 @@ class Clothoid(ControlledMotion):
             control.say("Warning to sharp turn")
 
     def update(self, control: MotionControl) -> None:
-        """Move the wheel speeds apart up to the middle and together after it, and steer to the planned heading."""
+        """Set the wheel speeds, and steer to the planned heading.
+
+        The speeds move apart up to the middle, and together after it.
+        """
         pose, target = control.pose, control.target
         self._driven += root(power(pose.x - target.x, 2.0) + power(pose.y - target.y, 2.0))
         target.x, target.y = pose.x, pose.y
