@@ -78,8 +78,8 @@ def connect(
             "send" keeps them for the next successful sync, however late that is.
         width: Number of 32-bit words of a time stamp, 2 or 4. By default it is detected from the handshake.
         limits: Limits on the data that the robot may send.
-        record: Path of a new file in which to record every byte that the robot sends, with its arrival time. The command
-            `rhdlink replay` plays it. Each write delays the sync that it belongs to.
+        record: Path of a new file in which to record every byte that the robot sends, with its arrival time. The
+            command `rhdlink replay` plays it. Each write delays the sync that it belongs to.
 
     Raises:
         BadAddress: If `address` is not valid.
